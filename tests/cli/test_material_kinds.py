@@ -141,27 +141,27 @@ WRONG = {
         NOSE,
         "[record]",
         'inclination = "10 deg"\n[record]',
-        "inclination is 10 deg, the limit is 0 deg",
+        "inclination must be 0 deg .*got 10 deg",
     ),
-    "another rake": (NOSE, 'depth = "10 um"', 'depth = "10 um"\nrake = "-25 deg"', "give each rake an experiment"),
+    "another rake": (NOSE, 'depth = "10 um"', 'depth = "10 um"\nrake = "-25 deg"', "has a rake of -25 deg"),
     "no channel": (
         NOSE,
         'axial = "Fa"\ncutting = "-Fc"',
         "",
-        "record names no channel.*at least 1 of cutting, axial, feed",
+        "record must name a channel for at least 1 of cutting, axial, feed",
     ),
-    "one coefficient": (NOSE, 'axial = "Fa"', "", "do not tell the thrust coefficient"),
+    "one coefficient": (NOSE, 'axial = "Fa"', "", "do not determine the thrust coefficient"),
     "feeds that are not those of the record": (
         NOSE,
         ', "6 um/rev"',
         "",
-        r"cuts\[1\]: it has 3 feeds, and 4 cuts are found",
+        r"cuts\[1\]: feeds must have one value for each of the 4 cuts .*got 3",
     ),
     "two depths": (
         NOSE,
         "feeds = ",
         'depths = ["10 um"]\nfeeds = ',
-        r"cuts\[1\]: it has depth and depths",
+        r"cuts\[1\]: either depth or depths .*got depth and depths",
     ),
     "a feed of nothing": (
         NOSE,
@@ -169,12 +169,12 @@ WRONG = {
         '"0 um/rev"',
         r"cuts\[1\]\.feeds\[1\]: '0 um/rev' is not above 0 mm/rev",
     ),
-    "a depth beyond the nose": (NOSE, 'depth = "10 um"', 'depth = "2 mm"', "reduce it below the radius"),
-    "turns too short to be found": (MILL, '"400 ms"', '"100 ms"', "the limit is 8 of these"),
+    "a depth beyond the nose": (NOSE, 'depth = "10 um"', 'depth = "2 mm"', "depth must be below 1 mm"),
+    "turns too short to be found": (MILL, '"400 ms"', '"100 ms"', "shortest must be at least 8 revolutions"),
     "times beyond the record": (MILL, "teeth = 1", 'teeth = 1\ntimes = ["1 s", "9 s"]', "within the record of 3 s"),
     "half a tooth": (MILL, "teeth = 1", "teeth = 0.5", r"cuts\[1\]\.teeth is 0\.5.*a whole number"),
-    "long stretches": (MILL, 'block = "1 ms"', 'block = "20 ms"', "take at most a quarter of that"),
-    "a cutter that turns the other way": (MILL, 'y = "Fy"', 'y = "-Fy"', "comes out as -"),
+    "long stretches": (MILL, 'block = "1 ms"', 'block = "20 ms"', "block must be at most 0.0125 s"),
+    "a cutter that turns the other way": (MILL, 'y = "Fy"', 'y = "-Fy"', "coefficient is -"),
     "no swing": (FLY, 'swing = "20 mm"', "", r"cuts\[1\]\.swing is missing"),
     "averages of a slot": (
         MILL,
@@ -190,7 +190,7 @@ WRONG = {
         "width_uncertainty is not a known key",
     ),
     "an empty name of a file": (NOSE, '"turn.csv"', '""', r"cuts\[1\]\.file is empty"),
-    "neither block nor turns": (MILL, 'block = "1 ms"', "", "record: it has neither block nor whole_turns"),
+    "neither block nor turns": (MILL, 'block = "1 ms"', "", "record: either block or whole_turns"),
     "turns where none are": (NOSE, "[record]", "[record]\nwhole_turns = true", r"record\.whole_turns is not a known"),
 }
 
@@ -209,7 +209,7 @@ def test_a_wrong_experiment_of_a_kind_is_one_sentence(folder, tmp_path, capsys, 
 def test_rakes_that_differ_are_two_experiments(tmp_path, capsys):
     (tmp_path / "cuts.csv").write_text(averages().replace("1.0,10,6.000000,-25", "1.0,10,6.000000,0"))
     assert main(["material", "fit", str(tmp_path / "cuts.csv"), "--out", str(tmp_path / "g.toml")]) == 2
-    assert "give each rake an experiment of its own" in capsys.readouterr().err
+    assert "a separate experiment for each rake" in capsys.readouterr().err
 
 
 def test_a_picture_of_no_known_kind_is_refused_first(tmp_path, capsys):

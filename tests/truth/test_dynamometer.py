@@ -30,7 +30,7 @@ def test_taps_give_the_closed_form_back(quiet):
 
 def test_responses_are_carried_to_any_frequency_across_the_peak(quiet):
     at = np.linspace(0, 5000, 4001)
-    assert np.abs(quiet._carried(at, 5000.0) - true_response(at)).max() < 1e-5 * 50
+    assert np.abs(quiet._interpolate_response(at, 5000.0) - true_response(at)).max() < 1e-5 * 50
 
 
 def test_a_force_comes_back_through_ringing_and_cross_talk(quiet):

@@ -52,7 +52,7 @@ def test_channels_in_proportion_that_end_at_a_force_are_no_transition(kind):
 def test_constant_forces_are_learned_with_a_question():
     """Their noise is that of the other forces, in both channels: the law of the shipped IRG 26."""
     for seed in range(12):
-        assert any("ends of the ranges" in one for one in learn_material(shipped(seed)).sentences)
+        assert any("ends of the measuring ranges" in one for one in learn_material(shipped(seed)).sentences)
     for seed in range(30):
         learn_material(plateau(np.random.default_rng(seed)))
 

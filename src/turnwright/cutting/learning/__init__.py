@@ -1,4 +1,4 @@
-"""Materials learned from forces: records, signals, experiments, and the fits that make coefficients of them."""
+"""Estimation of material coefficients from forces: records, signals, experiments and fits."""
 
 from turnwright.cutting.learning.cuts import (
     Cuts,

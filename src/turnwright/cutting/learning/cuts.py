@@ -1,4 +1,4 @@
-"""Forces of cuts and what was cut: straight edges, round noses, mills and fly-cutters; the averages of records."""
+"""Averaged forces of cuts with their geometry: straight edges, round noses, end mills and fly-cutters."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ __all__ = ["Cuts", "InterruptedCuts", "NoseCuts", "interrupted_cuts", "measured_
 Passband = Callable[[Floats], Complexes]
 
 TURNED = ("axial", "feed", "cutting")
-"""Components of the force in turning."""
+"""Force components in turning."""
 
-OFF_SPEED = 0.01
-"""Share by which the stated speed of a spindle may be off."""
+SPINDLE_SPEED_TOL = 0.01
+"""Relative tolerance of a stated spindle speed."""
 
-HEARD = 8
-"""Harmonics by which the speed of a spindle is told, from so many times eight means a turn."""
+SPEED_HARMONICS = 8
+"""Harmonics from which the spindle speed is estimated, with eight means per period of the highest."""
 
 MILLED = ("x", "y", "z")
-"""Components of the force of an interrupted cut."""
+"""Force components of an interrupted cut."""
 
 
 def freeze_cuts(cuts: Cuts | NoseCuts, names: Sequence[str], optional: Sequence[str], components: int) -> None:
-    """Make arrays of the fields of cuts, with positive uncertainties of all components if they are stated."""
+    """Convert the fields of cuts to arrays, and check that stated uncertainties are positive."""
     freeze(cuts, names, optional, of=" of the cuts")
     if cuts.uncertainty is None:
         return
@@ -43,44 +43,42 @@ def freeze_cuts(cuts: Cuts | NoseCuts, names: Sequence[str], optional: Sequence[
     same_length([(names[0], getattr(cuts, names[0])), ("uncertainty", stated)])
     if stated.shape[1] != components or not (stated > 0).all():
         raise InputError(
-            f"the uncertainties of the cuts are not {components} positive numbers for each: give one for each "
-            "component that was measured, or none at all"
+            f"uncertainty of the cuts must be {components} positive numbers for each cut, one for each measured "
+            f"component, got an array of shape {stated.shape}"
         )
     object.__setattr__(cuts, "uncertainty", stated)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cuts:
-    """Forces and the chips that they belong to: a row for each steady cut, or for each short stretch of a record.
+    """Mean forces and uncut chips: one row for each steady cut, or for each short interval of a record.
 
     Parameters
     ----------
     thickness
-        Thickest place of the uncut chip; 0 where the tool is in air. (n,) [mm]
+        Maximum uncut chip thickness; 0 in air. (n,) [mm]
     width
-        Of the uncut chip. (n,) [mm]
+        Width of cut. (n,) [mm]
     cutting, thrust
         Mean forces. Each (n,) [N]
     area
-        Of the uncut chip across the cutting direction; thickness times width, as in orthogonal cutting, if not given.
-        (n,) [mm²]
+        Uncut chip area across the cutting direction; by default thickness times width (orthogonal cutting). (n,) [mm²]
     thrust_area
-        What the thrust coefficient multiplies: for a round nose the area as it is seen along the measured direction.
-        As ``area`` if not given. (n,) [mm²]
+        Area that the thrust coefficient multiplies: for a round nose the area projected along the measured direction.
+        By default ``area``. (n,) [mm²]
     uncertainty
-        Standard uncertainties of cutting force and thrust; ``None`` where the scatter of the rows is to tell. (n, 2)
-        [N]
+        Standard uncertainties of cutting force and thrust; ``None`` to estimate them from the scatter. (n, 2) [N]
     time
-        Of each row, where the rows are stretches of one record. (n,) [s]
+        Time of each row, if the rows are intervals of a record. (n,) [s]
     spread
-        Half the range of thicknesses within each row. (n,) [mm]
+        Half of the range of thicknesses within each row. (n,) [mm]
     record
-        Number of the record that each row is of; each has a drift of its own. All are of one if not given. (n,)
+        Index of the record of each row; each record has its own drift. By default there is one record. (n,)
 
     Raises
     ------
     InputError
-        If the arrays differ in length, or a thickness or width is below zero.
+        If the arrays differ in length, or a thickness or width is negative.
     """
 
     thickness: Floats
@@ -100,39 +98,39 @@ class Cuts:
         freeze_cuts(self, ("thickness", "width", "cutting", "thrust"), optional, 2)
         if self.thickness.size and min(self.thickness.min(), self.width.min()) < 0:
             raise InputError(
-                f"the cuts have a thickness or width of {min(self.thickness.min(), self.width.min()):g} mm, the "
-                "limit is 0 mm: correct it"
+                f"thickness and width of the cuts must be at least 0 mm, got "
+                f"{min(self.thickness.min(), self.width.min()):g} mm"
             )
-        bare = int(np.count_nonzero((self.thickness > 0) & (self.width == 0)))
-        if bare:
-            raise InputError(f"{bare} cuts have a thickness and a width of 0 mm: state how wide they are")
+        without_width = int(np.count_nonzero((self.thickness > 0) & (self.width == 0)))
+        if without_width:
+            raise InputError(f"width must be above 0 mm where the thickness is, got 0 mm for {without_width} cuts")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NoseCuts:
-    """Forces of turning with a round nose: a row for each steady cut, or for each short stretch of a record.
+    """Mean forces in turning with a round nose: one row for each steady cut, or for each short interval of a record.
 
     Parameters
     ----------
     nose_radius, depth
-        Of the tool, and of its tip below the stock. Each (n,) [mm]
+        Tool nose radius, and depth of cut. Each (n,) [mm]
     feed
-        Advance per turn; 0 where the tool is in air. (n,) [mm/rev]
+        Feed; 0 in air. (n,) [mm/rev]
     axial, feed_force, cutting
-        Mean forces on the tool out of the part, against the feed and against the cut; ``None`` for what was not
-        measured. Each (n,) [N]
+        Mean forces on the tool: out of the part, against the feed and against the cutting direction; ``None`` for a
+        component that was not measured. Each (n,) [N]
     uncertainty
-        Standard uncertainties of those that were measured, in this order; ``None`` where the scatter of the rows is to
-        tell. (n, components) [N]
+        Standard uncertainties of the measured components, in this order; ``None`` to estimate them from the scatter.
+        (n, components) [N]
     time
-        Of each row, where the rows are stretches of one record. (n,) [s]
+        Time of each row, if the rows are intervals of a record. (n,) [s]
     record
-        Number of the record that each row is of; each has a drift of its own. All are of one if not given. (n,)
+        Index of the record of each row; each record has its own drift. By default there is one record. (n,)
 
     Raises
     ------
     InputError
-        If the arrays differ in length, no force was measured, or a chip is none.
+        If the arrays differ in length, no force component is stated, or a feed is negative.
     """
 
     nose_radius: Floats
@@ -148,53 +146,51 @@ class NoseCuts:
     def __post_init__(self) -> None:
         check_numbers(self)
         if not self.components:
-            raise InputError(
-                "the cuts have 0 components of the force, at least 1 is needed: give axial, feed or cutting"
-            )
+            raise InputError("the cuts must have at least 1 force component (axial, feed_force or cutting), got 0")
         optional = ("axial", "feed_force", "cutting", "time", "record")
         freeze_cuts(self, ("nose_radius", "depth", "feed"), optional, len(self.components))
         if self.feed.size and self.feed.min() < 0:
-            raise InputError(f"the cuts have a feed of {self.feed.min():g} mm/rev, the limit is 0 mm/rev: correct it")
+            raise InputError(f"feed of the cuts must be at least 0 mm/rev, got {self.feed.min():g} mm/rev")
 
     @property
     def components(self) -> tuple[str, ...]:
-        """Which of axial, feed and cutting were measured."""
-        given = (self.axial, self.feed_force, self.cutting)
-        return tuple(name for name, one in zip(TURNED, given, strict=True) if one is not None)
+        """Names of the measured components: axial, feed, cutting."""
+        forces = (self.axial, self.feed_force, self.cutting)
+        return tuple(name for name, force in zip(TURNED, forces, strict=True) if force is not None)
 
     @property
     def force(self) -> Floats:
-        """Forces that were measured. (n, components) [N]."""
-        return np.column_stack([one for one in (self.axial, self.feed_force, self.cutting) if one is not None])
+        """Measured forces. (n, components) [N]."""
+        return np.column_stack([force for force in (self.axial, self.feed_force, self.cutting) if force is not None])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class InterruptedCuts:
-    """Forces of milling or fly-cutting: means over short stretches of one or more records.
+    """Mean forces in milling or fly-cutting over short intervals of one or more records.
 
     Parameters
     ----------
     geometry
-        What was cut in each record. (records)
+        Cutter and cut of each record. (records)
     spindle_rpm
-        In each, to a hundredth; the forces tell it better. (records) [rev/min]
+        Spindle speed of each record, within 1 %; it is refined from the forces. (records) [rev/min]
     components
-        Which of x, y and z were measured, see `ForceHistory`.
+        Names of the measured components x, y and z, see `ForceHistory`.
     force
-        Means, the drift left in. (n, components) [N]
+        Mean forces, including the drift. (n, components) [N]
     begin, end
-        Of each stretch in its record. Each (n,) [s]
+        Begin and end of each interval in its record. Each (n,) [s]
     cut
-        Number of the pass in which each is, counted through all records; -1 in air. (n,)
+        Index of the pass of each interval, counted through all records; -1 in air. (n,)
     record
-        Number of the record that each is of. (n,)
+        Index of the record of each interval. (n,)
     rate_hz
-        Samples per second of the records. [Hz]
+        Sampling rate of the records. [Hz]
     whole_turns
-        Whether each stretch is as long as the cutter turns, or a multiple of it.
+        Whether each interval is a whole number of cutter revolutions.
     passband
-        What the filters before this leave of a force at some frequencies, (k,) [Hz] to (k, components, components);
-        ``None`` for all of it.
+        Transfer matrix of the filters that the forces have passed, over frequency: (k,) [Hz] to (k, components,
+        components). ``None`` if unfiltered.
     """
 
     geometry: tuple[SlotMill | FlyCut, ...]
@@ -220,8 +216,8 @@ class InterruptedCuts:
             or len(self.components) != self.force.shape[1]
         ):
             raise InputError(
-                f"the cuts have the components {', '.join(self.components) or 'none'} and {self.force.shape[1]} "
-                "columns of forces: name each column x, y or z"
+                "components of the cuts must name each column of force x, y or z, got "
+                f"{', '.join(self.components) or 'none'} for {self.force.shape[1]} columns"
             )
 
 
@@ -236,31 +232,31 @@ def measured_cuts(
     block: float,
     guard: float,
 ) -> Cuts:
-    """Average a record over short stretches, in the cuts and in air.
+    """Average a record over short intervals, in the cuts and in air.
 
     Parameters
     ----------
     record
-        Forces, the dynamometer's own share taken out; the drift may stay in, see `learn_material`.
+        Forces, corrected for the dynamometer response; drift may be included, see `learn_material`.
     cuts
         First sample of each cut and first one after it, see `engagements`. (m, 2)
     cutting, thrust
-        Which channel is which, with a minus where it points the other way.
+        Channel names, with a minus sign to reverse the direction.
     thickness
-        Gives the chip thickness at some times. (k,) [s] to (k,) [mm]
+        Function for the uncut chip thickness over time. (k,) [s] to (k,) [mm]
     width
-        Of the chip. [mm]
+        Width of cut. [mm]
     block
-        Length of a stretch; the transition is found to about this. [s]
+        Length of an interval; it limits the resolution of the transition. [s]
     guard
-        What is left out on either side of each entry and exit. [s]
+        Time excluded on either side of each entry and exit. [s]
 
     Raises
     ------
     InputError
-        If no stretch fits in a cut.
+        If no interval fits in a cut.
     """
-    at = stretches(record, cuts, block=block, guard=guard)
+    at = divide_record(record, cuts, block=block, guard=guard)
     start, step, flag = at.start, at.step, at.cut >= 0
     begin, end = start / record.rate_hz, (start + step - 1) / record.rate_hz
     ends = np.array([np.where(flag, thickness(at), 0.0) for at in (begin, end)])
@@ -275,21 +271,21 @@ def measured_cuts(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stretches:
-    """Short stretches of a record, in its cuts and in air, in the order of time."""
+class Intervals:
+    """Short intervals of a record, in its cuts and in air, in the order of time."""
 
     start: Ints
     step: int
-    cut: Ints  # number of the cut that each is in; -1 in air
+    cut: Ints  # index of the cut of each interval; -1 in air
 
     def means(self, values: Floats) -> Floats:
-        """Return the mean of each stretch."""
+        """Return the mean of each interval."""
         total = np.concatenate(([0.0], np.cumsum(values)))
         return np.asarray((total[self.start + self.step] - total[self.start]) / self.step)
 
 
-def stretches(record: ForceRecord, cuts: ArrayLike, *, block: float, guard: float) -> Stretches:
-    """Divide a record into stretches of one length that lie in one cut, or in air."""
+def divide_record(record: ForceRecord, cuts: ArrayLike, *, block: float, guard: float) -> Intervals:
+    """Divide a record into intervals of equal length, each within one cut or in air."""
     step = max(1, round(positive(block, "block", "s") * record.rate_hz))
     margin = max(0, round(between(guard, "guard", 0.0, np.inf, "s") * record.rate_hz))
     pairs = np.asarray(cuts, dtype=np.int64).reshape(-1, 2)
@@ -305,10 +301,11 @@ def stretches(record: ForceRecord, cuts: ArrayLike, *, block: float, guard: floa
     start, cut = np.concatenate(starts).astype(np.int64), np.concatenate(which).astype(np.int64)
     if not (cut >= 0).any():
         raise InputError(
-            f"no stretch of {block:g} s fits in a cut with {guard:g} s left out at entry and exit: shorten them"
+            f"no interval of {block:g} s fits in a cut with {guard:g} s excluded at entry and exit: reduce block or "
+            "guard"
         )
     order = np.argsort(start)
-    return Stretches(start[order], step, cut[order])
+    return Intervals(start[order], step, cut[order])
 
 
 def turning_cuts(
@@ -324,31 +321,31 @@ def turning_cuts(
     feed_force: str | None = None,
     cutting: str | None = None,
 ) -> NoseCuts:
-    """Average a record of turning over short stretches, in the cuts and in air.
+    """Average a record of turning over short intervals, in the cuts and in air.
 
     Parameters
     ----------
     record
-        Forces, the dynamometer's own share taken out; the drift may stay in.
+        Forces, corrected for the dynamometer response; drift may be included.
     cuts
         First sample of each cut and first one after it, see `engagements`. (m, 2)
     nose_radius
-        Of the tool. [mm]
+        Tool nose radius. [mm]
     depth, feed
-        Of each cut, or one for all. (m,) or () [mm, mm/rev]
+        Depth of cut and feed of each cut, or one value for all. (m,) or () [mm, mm/rev]
     block
-        Length of a stretch. [s]
+        Length of an interval. [s]
     guard
-        What is left out on either side of each entry and exit; at least as long as the chip takes to grow. [s]
+        Time excluded on either side of each entry and exit; at least the time until the chip is fully developed. [s]
     axial, feed_force, cutting
-        Which channel is which, with a minus where it points the other way; ``None`` where none is.
+        Channel names, with a minus sign to reverse the direction; ``None`` for a component that was not measured.
 
     Raises
     ------
     InputError
-        If no stretch fits in a cut.
+        If no interval fits in a cut.
     """
-    at = stretches(record, cuts, block=block, guard=guard)
+    at = divide_record(record, cuts, block=block, guard=guard)
     count = np.asarray(cuts).reshape(-1, 2).shape[0]
 
     def of_each(values: ArrayLike) -> Floats:
@@ -377,50 +374,52 @@ def interrupted_cuts(
     z: str | None = None,
     passband: Passband | None = None,
 ) -> InterruptedCuts:
-    """Average a record of milling or fly-cutting over stretches much shorter than a turn, or over whole turns.
+    """Average a record of milling or fly-cutting over intervals much shorter than a revolution, or whole revolutions.
 
     Parameters
     ----------
     record
-        Forces, the dynamometer's own share taken out; the drift may stay in.
+        Forces, corrected for the dynamometer response; drift may be included.
     passes
-        First sample of each pass and first one after it, see `engagements` with a ``shortest`` of some turns. (m, 2)
+        First sample of each pass and first one after it, see `engagements` with ``shortest`` of several revolutions.
+        (m, 2)
     geometry
-        What is cut.
+        Cutter and cut.
     spindle_rpm
-        To a hundredth; the forces tell it better. [rev/min]
+        Spindle speed, within 1 %; it is refined from the forces. [rev/min]
     block
-        Length of a stretch; ``None`` to average over as many whole turns as come nearest to a number of samples. [s]
+        Length of an interval; ``None`` for the number of revolutions (1 to 8) nearest to a whole number of samples. [s]
     guard
-        What is left out on either side of each pass: as long as the cutter takes to be in the part as stated. [s]
+        Time excluded on either side of each pass: until the cutter is fully engaged. [s]
     x, y, z
-        Which channel is which, see `ForceHistory`, with a minus where it points the other way; ``None`` where none is.
+        Channel names, see `ForceHistory`, with a minus sign to reverse the direction; ``None`` for a component that
+        was not measured.
     passband
-        What filters have left of the forces, in the order of the record's channels: (k,) [Hz] to (k, channels,
-        channels), such as `Dynamometer.resolution` gives. ``None`` for all of it.
+        Transfer matrix of the filters that the forces have passed, in the order of the record's channels: (k,) [Hz] to
+        (k, channels, channels), such as `Dynamometer.resolution`. ``None`` if unfiltered.
 
     Raises
     ------
     InputError
-        If no stretch fits in a pass.
+        If no interval fits in a pass.
     """
-    whole = block is None
+    whole_turns = block is None
     positive(spindle_rpm, "spindle_rpm", "rev/min")
     if block is None:
-        turn = _true_turn(record, passes, 60 / spindle_rpm)
+        turn = _estimate_turn(record, passes, 60 / spindle_rpm)
         turns = np.arange(1, 9)
         off = np.abs(turn * turns * record.rate_hz - np.round(turn * turns * record.rate_hz)) / turns
         block = turn * float(turns[int(np.argmin(off))])
-    at = stretches(record, passes, block=block, guard=guard)
-    named = [(name, one) for name, one in zip(MILLED, (x, y, z), strict=True) if one is not None]
+    at = divide_record(record, passes, block=block, guard=guard)
+    named = [(name, channel) for name, channel in zip(MILLED, (x, y, z), strict=True) if channel is not None]
     if not named:
-        raise InputError("the cuts have 0 components of the force, at least 1 is needed: give x, y or z")
-    columns = [at.means(record.channel(one)) for _, one in named]
+        raise InputError("the cuts must have at least 1 force component (x, y or z), got 0")
+    columns = [at.means(record.channel(channel)) for _, channel in named]
     chosen = None
     if passband is not None:
-        plain = [one if one in record.channels else one[1:] for _, one in named]
-        index = [record.channels.index(one) for one in plain]
-        sign = np.array([1.0 if one in record.channels else -1.0 for _, one in named])
+        plain = [channel if channel in record.channels else channel[1:] for _, channel in named]
+        index = [record.channels.index(channel) for channel in plain]
+        sign = np.array([1.0 if channel in record.channels else -1.0 for _, channel in named])
         full = passband
 
         def chosen(frequency: Floats) -> Complexes:
@@ -436,27 +435,27 @@ def interrupted_cuts(
         cut=at.cut,
         record=np.zeros(at.cut.size, dtype=np.int64),
         rate_hz=record.rate_hz,
-        whole_turns=whole,
+        whole_turns=whole_turns,
         passband=chosen,
     )
 
 
-def _true_turn(record: ForceRecord, passes: ArrayLike, stated: float) -> float:
-    """Return the time of a turn in the longest pass: at it the force has most power in its harmonics. [s]."""
+def _estimate_turn(record: ForceRecord, passes: ArrayLike, stated: float) -> float:
+    """Return the time of a revolution in the longest pass, from the power of the force in its harmonics. [s]."""
     pairs = np.asarray(passes, dtype=np.int64).reshape(-1, 2)
     first, last = pairs[int(np.argmax(pairs[:, 1] - pairs[:, 0]))]
-    step = max(1, int(stated * record.rate_hz / (8 * HEARD)))
+    step = max(1, int(stated * record.rate_hz / (8 * SPEED_HARMONICS)))
     count = (last - first) // step
     if count * step < 2 * stated * record.rate_hz:
         raise InputError(
-            f"the longest pass has {count * step / (stated * record.rate_hz):.2g} turns, means over whole turns need "
-            "at least 2: record for longer"
+            "the longest pass must have at least 2 revolutions for means over whole revolutions, got "
+            f"{count * step / (stated * record.rate_hz):.2g}: record for longer"
         )
     force = record.force[first : first + count * step].reshape(count, step, -1).mean(axis=1)
     force = force - force.mean(axis=0)
     time = step / record.rate_hz * (np.arange(count) - count / 2)
-    order = np.arange(1, HEARD + 1)
-    many = int(np.ceil(OFF_SPEED * count * step / record.rate_hz / stated * HEARD * 16))
-    speeds = 2 * np.pi / stated * (1 + OFF_SPEED * np.linspace(-1, 1, 2 * many + 1))
-    power = [float((np.abs(np.exp(-1j * one * np.outer(order, time)) @ force) ** 2).sum()) for one in speeds]
+    order = np.arange(1, SPEED_HARMONICS + 1)
+    many = int(np.ceil(SPINDLE_SPEED_TOL * count * step / record.rate_hz / stated * SPEED_HARMONICS * 16))
+    speeds = 2 * np.pi / stated * (1 + SPINDLE_SPEED_TOL * np.linspace(-1, 1, 2 * many + 1))
+    power = [float((np.abs(np.exp(-1j * speed * np.outer(order, time)) @ force) ** 2).sum()) for speed in speeds]
     return float(2 * np.pi / speeds[int(np.argmax(power))])

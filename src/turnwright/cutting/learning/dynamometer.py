@@ -1,18 +1,17 @@
-r"""What a dynamometer makes of a force, from tap tests, and the force that it was told from its record.
+r"""Frequency response of a dynamometer from tap tests, and compensation of force records for it.
 
-A dynamometer on its springs rings, and each of its channels takes in something of the others. Both are in one matrix
-of frequency responses, :math:`m(f) = H(f)\,F(f)`, 3 by 3. Taps with a hammer whose force is measured give it
-[BendatPiersol2010]_,
+The resonances of a dynamometer and the cross-talk between its channels are described by a matrix of frequency
+responses, :math:`m(f) = H(f)\,F(f)`, 3 by 3. Taps with an instrumented hammer give it [BendatPiersol2010]_,
 
 .. math:: H = \Bigl(\sum_i M_i F_i^*\Bigr)\Bigl(\sum_i F_i F_i^*\Bigr)^{-1},
 
-the estimator H₁ of several inputs, for which noise of the dynamometer averages out, together with the coherence: the
-share of each channel's power that the taps explain. The force is then found back as
+the H₁ estimator for several inputs, in which the noise of the dynamometer averages out. The coherence is the fraction
+of the power of each channel that the taps explain. The force is reconstructed as
 
 .. math:: \hat F = w(f)\,(H^* H + \lambda^2)^{-1} H^* \, m(f),
 
-which is Wiener's filter where noise over signal is λ everywhere, and Tikhonov's regularisation with the weight λ². The
-window w is 1 up to the bandwidth and goes smoothly to 0 beyond, and moves nothing in time.
+which is a Wiener filter for a noise-to-signal ratio of λ, or Tikhonov regularisation with the weight λ². The window w
+is 1 up to the bandwidth and falls smoothly to 0 beyond it; it has no phase shift.
 """
 
 from __future__ import annotations
@@ -35,47 +34,47 @@ __all__ = ["Dynamometer", "TapTest"]
 
 AXES = 3
 
-CLOSES = 1.2
-"""The window of the filter reaches 0 at this many times the bandwidth."""
+STOP_RATIO = 1.2
+"""Frequency at which the window of the filter reaches 0, over the bandwidth."""
 
-KNOWN = 1.4
-"""So far the frequency response is used, to be carried over to the frequencies of a record, times the bandwidth."""
+RESPONSE_RATIO = 1.4
+"""Highest frequency of the response that is used for interpolation, over the bandwidth."""
 
-COHERENT = 0.8
-"""Coherence below which a tap test tells nothing."""
+MIN_COHERENCE = 0.8
+"""Coherence above which a tap test is used."""
 
-APART = 1e-6
-"""Smallest singular value of the gain over the largest, below which channels do not tell forces apart."""
+MIN_SINGULAR_RATIO = 1e-6
+"""Smallest over largest singular value of the static gain, below which it cannot be inverted."""
 
-FLAT = 0.25
-"""The response below this share of the first resonance is that of a spring, and is fitted as one."""
+SPRING_RATIO = 0.25
+"""Frequency up to which the response is that of a spring, over that of the largest response."""
 
-TOUCH = 0.02
-"""Share of its largest force below which a hammer counts as off; twice its time on the part more is kept."""
+CONTACT_RATIO = 0.02
+"""Hammer force below which it is not in contact, over its maximum."""
 
-DECAYED = 0.05
-"""Share of its largest value that a channel may still have in the last tenth of a tap record."""
+MAX_TAIL_RATIO = 0.05
+"""Largest response in the last tenth of a tap record, over its maximum."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TapTest:
-    """One tap of a hammer on the dynamometer.
+    """Tap of an instrumented hammer on the dynamometer.
 
     Parameters
     ----------
     hammer
-        Its force. (n,) [N]
+        Hammer force. (n,) [N]
     direction
-        Where it pushes, in the axes of the dynamometer; only the direction counts. (3,)
+        Direction of the hammer force in the axes of the dynamometer; it is normalised. (3,)
     response
-        What the three channels of the dynamometer say. (n, 3) [N]
+        Signals of the three channels of the dynamometer. (n, 3) [N]
     rate_hz
-        Samples per second. [Hz]
+        Sampling rate. [Hz]
 
     Raises
     ------
     InputError
-        If the arrays do not fit, the direction is none, or the record ends before the ringing does.
+        If the shapes do not match, the direction is zero, or the record ends before the response has decayed.
     """
 
     hammer: Floats
@@ -91,45 +90,44 @@ class TapTest:
         direction = frozen(self.direction, "the direction of a tap")
         length = float(np.linalg.norm(direction))
         if direction.shape != (AXES,) or not length > 0:
-            raise InputError(f"the direction of a tap is {direction.tolist()}: give 3 numbers that are not all 0")
+            raise InputError(f"the direction of a tap must be 3 numbers that are not all 0, got {direction.tolist()}")
         object.__setattr__(self, "direction", frozen(direction / length, "the direction of a tap"))
         n = self.hammer.size
         if self.response.shape != (n, AXES) or n < 64:
             raise InputError(
-                f"a tap test has {n} samples of the hammer and a response of shape {self.response.shape}: give at "
-                "least 64 samples, and 3 columns for the dynamometer"
+                "a tap test must have at least 64 samples and 3 columns of response, got "
+                f"{n} samples of the hammer and a response of shape {self.response.shape}"
             )
         largest = float(np.abs(self.response - np.median(self.response, axis=0)).max())
         tail = float(np.abs(np.diff(self.response[-n // 10 :], axis=0)).max()) / 2
-        if not largest > 0 or tail > max(DECAYED * largest, 0):
+        if not largest > 0 or tail > max(MAX_TAIL_RATIO * largest, 0):
             raise InputError(
-                f"a tap still rings with {tail:.3g} N at the end of its record, the limit is {DECAYED:.0%} of its "
-                f"largest {largest:.3g} N: record for longer"
+                f"the response at the end of a tap record must be at most {MAX_TAIL_RATIO:.0%} of its maximum "
+                f"{largest:.3g} N, got {tail:.3g} N: record for longer"
             )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Dynamometer:
-    """The frequency responses of a dynamometer with three axes.
+    """Frequency response of a three-axis dynamometer.
 
     Parameters
     ----------
     frequency_hz
-        Even steps from 0. (m,) [Hz]
+        Evenly spaced frequencies from 0. (m,) [Hz]
     response
-        Channel (row) over force (column). (m, 3, 3)
+        Channel (row) over force (column). (m, 3, 3) [1]
     coherence
-        Share of the power of each channel that is explained; ``None`` where the responses were stated, not measured.
-        (m, 3)
+        Coherence of each channel; ``None`` if the responses are stated and not measured. (m, 3) [1]
     static_gain
-        What the channels say of a steady force. (3, 3)
+        Channel (row) over steady force (column). (3, 3) [1]
     gain_uncertainty
-        Standard uncertainty of each entry of it. (3, 3)
+        Standard uncertainties of ``static_gain``. (3, 3) [1]
 
     Raises
     ------
     InputError
-        If the arrays do not fit, the steps are not even, or the channels do not tell three forces apart.
+        If the shapes do not match, the frequencies are not evenly spaced, or the static gain is singular.
     """
 
     frequency_hz: Floats
@@ -145,178 +143,181 @@ class Dynamometer:
         response = np.ascontiguousarray(self.response, dtype=np.complex128)
         if frequency.size < 32 or response.shape != (frequency.size, AXES, AXES) or not np.isfinite(response).all():
             raise InputError(
-                f"a dynamometer has {frequency.size} frequencies and responses of shape {response.shape}: give at "
-                "least 32, and 3 by 3 finite numbers for each"
+                "a dynamometer must have at least 32 frequencies, with 3 by 3 finite responses each, got "
+                f"{frequency.size} frequencies and responses of shape {response.shape}"
             )
         step = frequency[1]
         if frequency[0] != 0 or not np.allclose(np.diff(frequency), step, rtol=1e-6):
-            raise InputError("the frequencies of a dynamometer do not go up in even steps from 0 Hz: give even steps")
+            raise InputError("frequency_hz of a dynamometer must be evenly spaced from 0 Hz")
         response.flags.writeable = False
         object.__setattr__(self, "response", response)
         for name in ("static_gain", "gain_uncertainty"):
             object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=2))
             if getattr(self, name).shape != (AXES, AXES):
-                raise InputError(f"{name} has the shape {getattr(self, name).shape}: give 3 by 3 numbers")
-        said = np.linalg.svd(self.static_gain, compute_uv=False)
-        if not said[-1] > APART * said[0]:
+                raise InputError(f"{name} must have the shape (3, 3), got {getattr(self, name).shape}")
+        singular = np.linalg.svd(self.static_gain, compute_uv=False)
+        if not singular[-1] > MIN_SINGULAR_RATIO * singular[0]:
             raise InputError(
-                f"the static_gain of a dynamometer has singular values from {said[-1]:.3g} to {said[0]:.3g}, the limit "
-                f"is {APART:g} of the largest: its channels do not tell 3 forces apart, so give those of three axes"
+                f"the singular values of static_gain must be above {MIN_SINGULAR_RATIO:g} of the largest, got "
+                f"{singular[-1]:.3g} to {singular[0]:.3g}: its channels do not determine 3 forces"
             )
 
     @classmethod
     def from_taps(cls, taps: Sequence[TapTest], *, flat_hz: float | None = None) -> Dynamometer:
-        r"""Estimate the responses from taps in at least three directions.
+        r"""Estimate the frequency response from taps in at least three directions.
 
-        Below ``flat_hz`` a dynamometer is a spring and each response a smooth curve, so the estimates of all
-        frequencies there are put on one,
-        :math:`\mathrm{Re}\,H = s + a f^2 + b f^4`, :math:`\mathrm{Im}\,H = c f + d f^3`,
-        which makes the gain s for steady forces much surer than a single frequency could. Its uncertainty is that of
-        the jackknife over the taps, widened by Student's t where they are few.
+        Below ``flat_hz`` the dynamometer acts as a spring, and each response is fitted by a smooth curve,
+        :math:`\mathrm{Re}\,H = s + a f^2 + b f^4`, :math:`\mathrm{Im}\,H = c f + d f^3`.
+        The static gain s is thereby estimated from all low frequencies. Its uncertainty is that of the jackknife over
+        the taps, widened by Student's t for few taps.
 
         Parameters
         ----------
         taps
-            All of one rate and length.
+            Tap tests of equal sampling rate and length.
         flat_hz
-            Where the spring ends; a quarter of the frequency of the largest response if not given. [Hz]
+            Upper frequency of the spring model; by default a quarter of the frequency of the largest response. [Hz]
 
         Raises
         ------
         InputError
-            If the taps do not fit together, or do not push in three directions.
+            If there are fewer than 6 taps, they differ in rate or length, or do not cover three directions.
 
         Sources
         -------
         [BendatPiersol2010]_ chapter 7. Oracle: the closed form of a damped spring with cross-talk.
         """
         if len(taps) < 2 * AXES:
-            raise InputError(f"{len(taps)} taps were given, at least 6 are needed: tap twice or more along each axis")
+            raise InputError(f"at least 6 taps are needed, two along each axis, got {len(taps)}")
         first = taps[0]
         if any(one.rate_hz != first.rate_hz or one.hammer.size != first.hammer.size for one in taps):
-            raise InputError("the taps differ in rate or length: cut them all to one length, of one rate")
+            raise InputError("the taps must have the same sampling rate and length: cut them to equal lengths")
         directions = np.array([one.direction for one in taps])
         if any(np.linalg.svd(np.delete(directions, i, axis=0), compute_uv=False)[-1] < 0.1 for i in range(len(taps))):
             raise InputError(
-                "the taps do not push in 3 directions that are clearly apart, each twice: tap twice or more along "
-                "each axis"
+                "the taps must cover 3 independent directions at least twice: tap twice or more along each axis"
             )
-        # What is there before the tap is the level of the amplifiers.
+        # The level before the tap is the offset of the amplifiers.
         quiet = max(1, min(int(np.argmax(one.hammer)) for one in taps) // 2)
-        force = np.array([np.fft.rfft(_stroke(one.hammer - one.hammer[:quiet].mean())) for one in taps])
-        said = np.array([np.fft.rfft(one.response - one.response[:quiet].mean(axis=0), axis=0) for one in taps])
+        force = np.array([np.fft.rfft(_isolate_stroke(one.hammer - one.hammer[:quiet].mean())) for one in taps])
+        signal = np.array([np.fft.rfft(one.response - one.response[:quiet].mean(axis=0), axis=0) for one in taps])
         pushed = force[:, :, None] * directions[:, None, :]  # (taps, m, 3)
-        across = np.einsum("tmi,tmj->tmij", said, pushed.conj())
+        across = np.einsum("tmi,tmj->tmij", signal, pushed.conj())
         power = np.einsum("tmi,tmj->tmij", pushed, pushed.conj())
         response = _ratio(across.sum(axis=0), power.sum(axis=0))
         explained = np.einsum("mij,mij->mi", response, across.sum(axis=0).conj()).real
-        whole = (np.abs(said) ** 2).sum(axis=0)
-        coherence = np.clip(explained / np.maximum(whole, np.finfo(np.float64).tiny), 0, 1)
+        total = (np.abs(signal) ** 2).sum(axis=0)
+        coherence = np.clip(explained / np.maximum(total, np.finfo(np.float64).tiny), 0, 1)
         frequency = _even(force.shape[1], first.rate_hz / first.hammer.size)
         low = _spring(frequency, response, coherence, flat_hz)
         smooth = response.copy()
-        smooth[low], gain = _straightened(frequency[low], response[low])
-        # Each tap left out in turn says what taps differ by, whatever the reason.
-        without = np.array(
+        smooth[low], gain = _fit_spring(frequency[low], response[low])
+        # Jackknife: the gain without each tap in turn.
+        without_tap = np.array(
             [
-                _straightened(
+                _fit_spring(
                     frequency[low],
                     _ratio((across.sum(axis=0) - across[i])[low], (power.sum(axis=0) - power[i])[low]),
                 )[1]
                 for i in range(len(taps))
             ]
         )
-        spread = np.sqrt((len(taps) - 1) * without.var(axis=0))
+        spread = np.sqrt((len(taps) - 1) * without_tap.var(axis=0))
         from scipy.stats import norm, t  # noqa: PLC0415 - costly to import
 
-        few = float(t.ppf(0.975, max(len(taps) // AXES - 1, 1)) / norm.ppf(0.975))
+        widening = float(t.ppf(0.975, max(len(taps) // AXES - 1, 1)) / norm.ppf(0.975))
         return cls(
             frequency_hz=frequency,
             response=smooth,
             coherence=frozen(coherence, "coherence", ndim=2),
             static_gain=gain,
-            gain_uncertainty=few * spread,
+            gain_uncertainty=widening * spread,
         )
 
     def forces(self, record: ForceRecord, *, bandwidth_hz: float, noise_to_signal: float) -> ForceRecord:
-        """Find the forces back that a record was made of.
+        """Reconstruct the forces from a record of the three channels.
 
         Parameters
         ----------
         record
-            What the three channels said, in the order of the taps' columns.
+            Signals of the three channels, in the order of the columns of the taps.
         bandwidth_hz
-            Up to there forces are found back; 1.4 times this must be heard in the taps. [Hz]
+            Bandwidth of the reconstructed forces; the taps must excite 1.4 times this. [Hz]
         noise_to_signal
-            λ: amplitude of the noise of a channel over that of the force, as a share of the steady gain. It takes
-            λ² of what is found back where the response is 1, and more where it is weak; see `resolution`.
+            λ, noise amplitude of a channel over force amplitude, relative to the static gain. It reduces the forces by
+            λ² where the response is 1, and by more where it is weaker; see `resolution`. [1]
 
         Returns
         -------
         ForceRecord
-            Along the axes of the dynamometer, under the same names.
+            Forces along the axes of the dynamometer, under the same channel names.
 
         Raises
         ------
         InputError
-            If the record has not three channels, or the bandwidth is beyond what the taps tell.
+            If the record does not have three channels, or the bandwidth exceeds that of the taps.
         """
         if len(record.channels) != AXES:
-            raise InputError(f"the record has {len(record.channels)} channels, a dynamometer has 3: give its three")
+            raise InputError(f"the record of a dynamometer must have 3 channels, got {len(record.channels)}")
         self._require(bandwidth_hz, record.rate_hz / 2)
-        # Long enough for what the filter remembers at both ends.
-        tail = min(record.samples - 1, int(np.ceil(8 * record.rate_hz / ((CLOSES - 1) * bandwidth_hz))))
-        said = np.pad(record.force, ((tail, tail), (0, 0)), mode="reflect", reflect_type="odd")
+        # The padding covers the impulse response of the filter at both ends.
+        tail = min(record.samples - 1, int(np.ceil(8 * record.rate_hz / ((STOP_RATIO - 1) * bandwidth_hz))))
+        signal = np.pad(record.force, ((tail, tail), (0, 0)), mode="reflect", reflect_type="odd")
         from scipy.fft import irfft, next_fast_len, rfft  # noqa: PLC0415 - costly to import
 
-        size = next_fast_len(said.shape[0], real=True)
-        # A straight line between the ends, so that the record closes on itself.
-        line = said[0] + np.linspace(0, 1, said.shape[0])[:, None] * (said[-1] - said[0])
+        size = next_fast_len(signal.shape[0], real=True)
+        # Subtract the line between the ends, so that the record is periodic.
+        line = signal[0] + np.linspace(0, 1, signal.shape[0])[:, None] * (signal[-1] - signal[0])
         frequency = _even(size // 2 + 1, record.rate_hz / size)
-        kept = frequency <= CLOSES * bandwidth_hz
-        inverse = self._inverse(self._carried(frequency[kept], bandwidth_hz), noise_to_signal)
-        inverse *= _window(frequency[kept], bandwidth_hz, CLOSES * bandwidth_hz)[:, None, None]
-        found = np.zeros((frequency.size, AXES), dtype=np.complex128)
-        found[kept] = (inverse @ rfft(said - line, size, axis=0)[kept][:, :, None])[:, :, 0]
+        passed = frequency <= STOP_RATIO * bandwidth_hz
+        inverse = self._inverse(self._interpolate_response(frequency[passed], bandwidth_hz), noise_to_signal)
+        inverse *= _window(frequency[passed], bandwidth_hz, STOP_RATIO * bandwidth_hz)[:, None, None]
+        spectrum = np.zeros((frequency.size, AXES), dtype=np.complex128)
+        spectrum[passed] = (inverse @ rfft(signal - line, size, axis=0)[passed][:, :, None])[:, :, 0]
         steady = line @ self._inverse(self.static_gain[None].astype(np.complex128), noise_to_signal)[0].real.T
-        force = irfft(found, size, axis=0)[: said.shape[0]] + steady
+        force = irfft(spectrum, size, axis=0)[: signal.shape[0]] + steady
         return replace(record, force=force[tail : tail + record.samples])
 
     def resolution(self, frequency_hz: ArrayLike, *, bandwidth_hz: float, noise_to_signal: float) -> Complexes:
-        """Return what becomes of a force of some frequencies on its way through dynamometer and `forces`.
+        """Compute the transfer matrix of dynamometer and `forces` together.
 
-        The identity where all is found back; what is off its diagonal is cross-talk that is left.
+        It is the identity where forces are fully reconstructed; off-diagonal entries are residual cross-talk.
 
         Parameters
         ----------
         frequency_hz
-            At most 1.2 times the bandwidth. (k,) [Hz]
+            Frequencies, at most 1.2 times the bandwidth. (k,) [Hz]
         bandwidth_hz, noise_to_signal
-            As in `forces`.
+            As for `forces`.
 
         Returns
         -------
         Complexes
-            Force found (row) over force that was (column). (k, 3, 3)
+            Reconstructed force (row) over true force (column). (k, 3, 3) [1]
         """
         at = frozen(frequency_hz, "frequency_hz")
         self._require(bandwidth_hz, np.inf)
-        if at.size and not 0 <= at.min() <= at.max() <= CLOSES * bandwidth_hz:
+        if at.size and not 0 <= at.min() <= at.max() <= STOP_RATIO * bandwidth_hz:
             raise InputError(
-                f"frequency_hz reaches {at.max():g} Hz, the limits are 0 and {CLOSES * bandwidth_hz:g} Hz, where the "
-                "filter has closed: ask below"
+                f"frequency_hz must be 0 to {STOP_RATIO * bandwidth_hz:g} Hz (the stop frequency of the filter), "
+                f"got up to {at.max():g} Hz"
             )
-        response = self._carried(at, bandwidth_hz)
-        window = _window(at, bandwidth_hz, CLOSES * bandwidth_hz)
+        response = self._interpolate_response(at, bandwidth_hz)
+        window = _window(at, bandwidth_hz, STOP_RATIO * bandwidth_hz)
         return np.asarray(window[:, None, None] * (self._inverse(response, noise_to_signal) @ response))
 
     def relative_uncertainty(self, force: ArrayLike) -> Floats:
-        """Return how uncertain the gain makes each component of a steady force, as a share of it; inf for 0 N. (3,).
+        """Compute the relative standard uncertainty of a steady force due to the static gain.
 
         Parameters
         ----------
         force
-            The force. (3,) [N]
+            Steady force. (3,) [N]
+
+        Returns
+        -------
+        Floats
+            Relative standard uncertainty of each component; inf for 0 N. (3,) [1]
         """
         steady = frozen(force, "force")
         spread = np.linalg.inv(self.static_gain)
@@ -326,40 +327,40 @@ class Dynamometer:
 
     def _require(self, bandwidth_hz: float, half: float) -> None:
         positive(bandwidth_hz, "bandwidth_hz", "Hz")
-        known = float(self.frequency_hz[-1])
+        excited = float(self.frequency_hz[-1])
         if self.coherence is not None:
-            # A channel hardly hears a tap across it; the best of the three says whether the hammer was heard.
-            heard = self.coherence.max(axis=1) > COHERENT
-            smooth = np.convolve(heard, np.ones(9) / 9, mode="same") > 0.5
+            # A channel has little signal from a transverse tap, so the best of the three channels counts.
+            coherent = self.coherence.max(axis=1) > MIN_COHERENCE
+            smooth = np.convolve(coherent, np.ones(9) / 9, mode="same") > 0.5
             smooth[:5] = True
-            known = float(self.frequency_hz[int(np.argmin(smooth)) - 1 if not smooth.all() else -1])
-        most = min(known / KNOWN, half / CLOSES)
-        if bandwidth_hz > most:
+            excited = float(self.frequency_hz[int(np.argmin(smooth)) - 1 if not smooth.all() else -1])
+        highest = min(excited / RESPONSE_RATIO, half / STOP_RATIO)
+        if bandwidth_hz > highest:
             raise InputError(
-                f"bandwidth_hz is {bandwidth_hz:.4g} Hz, the limit is {most:.4g} Hz by what the taps excite (coherence "
-                f"above {COHERENT}) and the rate of the record: lower it, or tap with a harder tip"
+                f"bandwidth_hz must be at most {highest:.4g} Hz (by the coherence of the taps, above {MIN_COHERENCE}, "
+                f"and the sampling rate of the record), got {bandwidth_hz:.4g} Hz: lower it, or tap with a harder tip"
             )
 
-    def _carried(self, frequency: Floats, bandwidth_hz: float) -> Complexes:
-        """Return the responses at other frequencies: those of the same answers in time, followed for longer.
+    def _interpolate_response(self, frequency: Floats, bandwidth_hz: float) -> Complexes:
+        """Interpolate the responses to other frequencies, through their impulse responses.
 
-        What has died away within a tap record is known at every frequency, not only at the multiples of one over its
-        length; a straight line between those would cut the peak of a resonance.
+        An impulse response that decays within the tap record determines its spectrum at every frequency. Linear
+        interpolation between the measured frequencies would cut the peak of a resonance.
         """
-        window = _window(self.frequency_hz, CLOSES * bandwidth_hz, KNOWN * bandwidth_hz)
+        window = _window(self.frequency_hz, STOP_RATIO * bandwidth_hz, RESPONSE_RATIO * bandwidth_hz)
         top = int(np.argmax(window <= 0)) or window.size
         step = float(self.frequency_hz[1])
         size = 2 * (self.frequency_hz.size - 1)
-        answer = np.fft.irfft(self.response * window[:, None, None], size, axis=0)
-        # The window's own answer reaches a little before the tap; the last eighth of the record is that.
+        impulse = np.fft.irfft(self.response * window[:, None, None], size, axis=0)
+        # The impulse response of the window starts before the tap, in the last eighth of the periodic record.
         early = size // 8
-        answer = np.concatenate([answer[-early:], answer[:-early]])
-        # Padded sixteenfold, the answers are so smooth over frequency that cubics between lose nothing.
+        impulse = np.concatenate([impulse[-early:], impulse[:-early]])
+        # Zero padding by a factor of 16 makes the spectrum smooth enough for cubic interpolation.
         from scipy.fft import rfft  # noqa: PLC0415 - costly to import
         from scipy.interpolate import CubicSpline  # noqa: PLC0415 - costly to import
 
         fine = 16
-        dense = rfft(answer, fine * size, axis=0)[: fine * top + 1]
+        dense = rfft(impulse, fine * size, axis=0)[: fine * top + 1]
         at = np.arange(dense.shape[0]) * (step / fine)
         dense *= np.exp(2j * np.pi * at * early / (size * step))[:, None, None]
         return np.asarray(CubicSpline(at, dense, axis=0)(np.minimum(frequency, at[-1])))
@@ -372,60 +373,60 @@ class Dynamometer:
             return np.asarray(np.linalg.solve(turned @ response + weight**2 * np.eye(AXES), turned))
         except np.linalg.LinAlgError as error:
             raise InputError(
-                f"at some frequency the channels do not tell 3 forces apart and noise_to_signal is "
-                f"{noise_to_signal:g}: state one above 0, or lower the bandwidth"
+                f"noise_to_signal must be above 0 where the response of the channels is singular, got "
+                f"{noise_to_signal:g}: raise it, or lower the bandwidth"
             ) from error
 
 
 def _even(count: int, step: float) -> Floats:
-    """Return even steps from 0. (count,)."""
+    """Return evenly spaced values from 0. (count,)."""
     return np.asarray(step * np.arange(count), dtype=np.float64)
 
 
-def _stroke(hammer: Floats) -> Floats:
-    """Return the hammer's force with 0 where it does not touch, so that its noise there says nothing."""
+def _isolate_stroke(hammer: Floats) -> Floats:
+    """Return the hammer force, set to 0 outside the contact and its surroundings."""
     peak = int(np.argmax(hammer))
-    off = hammer < TOUCH * hammer[peak]
+    off = hammer < CONTACT_RATIO * hammer[peak]
     before = np.flatnonzero(off[:peak])
     after = np.flatnonzero(off[peak:])
     first = int(before[-1]) if before.size else 0
     last = peak + int(after[0]) if after.size else hammer.size
     width = last - first
     stroke = np.zeros_like(hammer)
-    kept = slice(max(first - width, 0), last + width)
-    stroke[kept] = hammer[kept]
+    contact = slice(max(first - width, 0), last + width)
+    stroke[contact] = hammer[contact]
     return stroke
 
 
 def _ratio(across: Complexes, power: Complexes) -> Complexes:
-    """Return the estimate of the responses from the spectra between channels and forces. (m, 3, 3)."""
+    """Return the responses from the cross-spectra and the power spectra of the forces. (m, 3, 3)."""
     scale = np.trace(power, axis1=1, axis2=2).real
-    # Where no hammer pushes there is nothing to divide by; the coherence says that nothing is known there.
+    # Regularise frequencies without excitation; the coherence excludes them.
     floor = 1e-12 * np.maximum(scale, 1e-12 * scale.max())
     return np.asarray(across @ np.linalg.inv(power + floor[:, None, None] * np.eye(AXES)))
 
 
 def _spring(frequency: Floats, response: Complexes, coherence: Floats, flat_hz: float | None) -> Bools:
-    """Return which frequencies are so low that the dynamometer is a spring, 0 with them."""
+    """Return the mask of frequencies, including 0, at which the dynamometer acts as a spring."""
     if flat_hz is None:
-        heard = (coherence > COHERENT).any(axis=1)
-        strength = np.where(heard, np.abs(response).max(axis=(1, 2)), 0.0)
-        flat_hz = FLAT * float(frequency[int(np.argmax(strength))])
+        coherent = (coherence > MIN_COHERENCE).any(axis=1)
+        strength = np.where(coherent, np.abs(response).max(axis=(1, 2)), 0.0)
+        flat_hz = SPRING_RATIO * float(frequency[int(np.argmax(strength))])
     low = frequency <= flat_hz
     if np.count_nonzero(low) < 9:
         raise InputError(
-            f"{np.count_nonzero(low)} frequencies lie up to {flat_hz:g} Hz, where the dynamometer is a spring, at "
-            "least 9 are needed: record each tap for longer, or give flat_hz"
+            f"at least 9 frequencies are needed up to flat_hz, {flat_hz:g} Hz, got {np.count_nonzero(low)}: record "
+            "each tap for longer, or raise flat_hz"
         )
     return low
 
 
-def _straightened(frequency: Floats, response: Complexes) -> tuple[Complexes, Floats]:
-    """Return the responses of a spring fitted to those of low frequencies, and its gain for steady forces."""
+def _fit_spring(frequency: Floats, response: Complexes) -> tuple[Complexes, Floats]:
+    """Return the spring model fitted to the responses at low frequencies, and its static gain."""
     at = frequency / frequency[-1]
     even, odd = np.vander(at**2, 3, increasing=True), at[:, None] * np.vander(at**2, 2, increasing=True)
     flat = response.reshape(-1, AXES * AXES)
-    # At 0 the level of the amplifiers was taken out, so nothing is known.
+    # The response at frequency 0 is not known, since the offset of the amplifiers was subtracted.
     of_even = np.linalg.lstsq(even[1:], flat.real[1:], rcond=None)[0]
     of_odd = np.linalg.lstsq(odd[1:], flat.imag[1:], rcond=None)[0]
     smooth = (even @ of_even + 1j * (odd @ of_odd)).reshape(-1, AXES, AXES)
@@ -433,6 +434,6 @@ def _straightened(frequency: Floats, response: Complexes) -> tuple[Complexes, Fl
 
 
 def _window(frequency: Floats, opens: float, closes: float) -> Floats:
-    """Return 1 up to one frequency, 0 from another on, and the fall of a cosine between."""
+    """Return a window that is 1 up to one frequency and 0 from another, with a cosine taper between."""
     share = np.clip((frequency - opens) / (closes - opens), 0, 1)
     return np.asarray(0.5 * (1 + np.cos(np.pi * share)))

@@ -1,26 +1,26 @@
-r"""Chips that are not equally thick along the edge: columns for any critical thickness, and how it is found.
+r"""Regression for chips of varying thickness along the edge: design matrix, and fit of the critical thickness.
 
-Every element of an edge adds Kc dA along the cut and Kt dA along its normal. For constant coefficients each measured
-component of the force is linear in both, with integrals of the chip's area and of the edge's directions that the
-geometry alone decides. Beyond the critical thickness the elements leave that line, and only those beyond it do,
+Every element of the edge contributes Kc dA along the cut and Kt dA along its normal. For constant coefficients each
+measured force component is linear in both; the factors are integrals over the chip area and the edge directions, given
+by the geometry. Only the elements beyond the critical thickness leave that line,
 
 .. math::
     F = d(t) + K_c \int_{h \le h_c} e_c\,dA + K_t \int_{h \le h_c} e_t\,dA
       + \int_{h > h_c} \frac{(q_0 + q_1 h)\,e_c + (p_0 + p_1 h)\,e_t}{h}\,dA ,
 
-so that every component of every cut is one equation of the same six numbers and :math:`h_c`. Of a nose that cuts beyond
-:math:`h_c` a part is still below it: the forces change smoothly where the limit is crossed. The critical thickness is
-then found as any parameter is, and its interval holds all :math:`h_c` for which
+so that every component of every cut is one equation in the same six parameters and :math:`h_c`. A nose that cuts beyond
+:math:`h_c` still has elements below it, so the forces change smoothly where the limit is crossed. The critical
+thickness is fitted like any parameter, and its interval consists of all :math:`h_c` for which
 
 .. math:: \frac{S(h_c) - S(\hat h_c)}{\tau} \le F_{1,\nu}(p),
 
-with the squares S in units of the noise of each component, within the ductile range and beyond it apart, and the
-correlation time τ. Where the chip is equally thick along the edge the forces jump, and Hansen's limit holds instead, as
-for straight edges. Coefficients come from rows that are ductile all along the edge at every limit in that interval.
+where S is the sum of squares in units of the noise of each component, estimated separately in the ductile regime and
+beyond it, and τ is the correlation time. For chips of uniform thickness the forces jump, and Hansen's limit applies as
+for straight edges. The coefficients come from rows that are ductile all along the edge for every limit in the interval.
 
-An edge is cut into elements, each with the least and the largest thickness on it, so that what is beyond a limit
-changes smoothly with the limit. For a cutter that turns the columns go over its angle, pass the filters that the forces
-have passed, harmonic by harmonic, and are averaged over the same stretches of time.
+The edge is divided into elements, each with its minimum and maximum thickness, so that the part beyond a limit changes
+smoothly with the limit. For a rotating cutter the columns are computed over its angle, filtered like the forces,
+harmonic by harmonic, and averaged over the same time intervals.
 """
 
 from __future__ import annotations
@@ -32,103 +32,106 @@ import numpy as np
 from turnwright._arrays import Bools, Complexes, Floats
 from turnwright.cutting.chip import RoundChip
 from turnwright.cutting.forces import FlyCut, SlotMill
-from turnwright.cutting.learning.cuts import MILLED, OFF_SPEED, TURNED, InterruptedCuts, NoseCuts
-from turnwright.cutting.learning.fit import CERTAIN, TINY, Fit, hansen, interval
-from turnwright.cutting.learning.learned import NAMES, Transition
-from turnwright.cutting.learning.rows import FEWEST, Rows
+from turnwright.cutting.learning.cuts import MILLED, SPINDLE_SPEED_TOL, TURNED, InterruptedCuts, NoseCuts
+from turnwright.cutting.learning.fit import MAX_CHANCE, TINY, Fit, hansen, interval
+from turnwright.cutting.learning.learned import FORCE_NAMES, Transition
+from turnwright.cutting.learning.rows import MIN_ROWS, Rows
 from turnwright.errors import InputError
 
 __all__ = ["InterruptedRows", "TurningRows"]
 
-PIECES = 256
+NOSE_ELEMENTS = 256
 """Elements on each smooth piece of a nose in a steady cut."""
 
-ANGLES = 512
-"""Angles of the cutter at which a tooth is looked at while it cuts."""
+ENGAGED_ANGLES = 512
+"""Angles of a tooth while it cuts."""
 
-ACROSS = 96
-"""Elements along the nose of a fly-cutter, or round the corner of a mill."""
+TOOTH_ELEMENTS = 96
+"""Elements along the nose of a fly-cutter, or around the corner of an end mill."""
 
-HARMONICS = 4096
-"""Most harmonics of a turn that are followed; averages over stretches leave nothing of higher ones."""
+MAX_HARMONICS = 4096
+"""Harmonics of a revolution; averages over intervals remove higher ones."""
 
-GRID = 1 << 13
-"""Angles of a turn at which forces are tabled after the filter."""
+TABLE_ANGLES = 1 << 13
+"""Angles of a revolution in the table of filtered forces."""
 
 LABELS = {"axial": "axial force", "feed": "feed force", "cutting": "cutting force"}
-"""What components of the force are called; those of a mill are named after their axes."""
+"""Names of the force components in turning."""
 
-LOOKED = 96
-"""Thicknesses at which a transition is first looked for."""
+TRIAL_THICKNESSES = 96
+"""Trial thicknesses of a transition."""
 
-HALVED = 12
-"""Times that the interval between two of these is halved."""
+BISECTIONS = 12
+"""Bisections for each end of the interval."""
 
 
 class _Strips:
-    """Elements of an edge at some states of the cut, (states, elements), and what each adds to the forces."""
+    """Elements of an edge at several states of the cut (states, elements), with their contributions to the forces."""
 
     def __init__(
-        self, thickness: tuple[Floats, Floats, Floats], area: Floats, along: Floats, normal: Floats, kept: Sequence[int]
+        self,
+        thickness: tuple[Floats, Floats, Floats],
+        area: Floats,
+        along: Floats,
+        normal: Floats,
+        components: Sequence[int],
     ) -> None:
-        """Take thicknesses (least, middle, most), areas and the directions of cut and normal, (..., 3)."""
+        """Take minimum, central and maximum thickness, areas, and the directions of cut and normal (..., 3)."""
         self.least, self.middle, self.most = thickness
         self.area = area
-        self.directions = (along[..., kept], normal[..., kept])
+        self.directions = (along[..., components], normal[..., components])
         self.thickest = self.most.max(axis=1)
         self.even = bool((np.where(area > 0, self.middle, np.inf).min(axis=1) >= 0.99 * self.middle.max(axis=1)).all())
         self.width = np.divide(area, self.middle, out=np.zeros_like(area), where=self.middle > 0)
         self.beyond = self._forces([[self.width, area]] * 2)
-        self.known: tuple[object, Floats] | None = None  # the table of ductile forces that was asked for last
+        self.cache: tuple[object, Floats] | None = None  # key and value of the last ductile forces
 
     def columns(self, limit: float, edge: bool, power: Sequence[float] | None, reference: float) -> Floats:
-        """Return what each parameter is multiplied by. (states, components, parameters).
-
-        For the cutting coefficient: ductile area, edge or bend; then the same for thrust; then what is beyond the
-        limit per width and per area, for both.
-        """
+        """Return the design matrix, see `Rows.columns`. (states, components, parameters)."""
         ductile = self._ductile(edge, power, reference)
         if np.isfinite(limit):
             span = np.maximum(self.most - self.least, 1e-12 * limit)
             below = np.clip((limit - self.least) / span, 0.0, 1.0)
-            found = [_summed(below, ductile), _summed(1 - below, self.beyond)]
+            sums = [_weighted_sum(below, ductile), _weighted_sum(1 - below, self.beyond)]
         else:
-            found = [ductile.sum(axis=1)]
-        each = np.concatenate(found, axis=1).reshape(self.area.shape[0], -1, self.directions[0].shape[-1])
-        return each.transpose(0, 2, 1)
+            sums = [ductile.sum(axis=1)]
+        columns = np.concatenate(sums, axis=1).reshape(self.area.shape[0], -1, self.directions[0].shape[-1])
+        return columns.transpose(0, 2, 1)
 
     def _ductile(self, edge: bool, power: Sequence[float] | None, reference: float) -> Floats:
-        """Return what each element adds to the columns of both coefficients while it is ductile."""
-        asked = (edge, None if power is None else tuple(power), reference)
-        if self.known is None or self.known[0] != asked:
+        """Return the contribution of each ductile element to the columns of both coefficients."""
+        key = (edge, None if power is None else tuple(power), reference)
+        if self.cache is None or self.cache[0] != key:
             if power is not None:
                 ratio = np.where(self.middle > 0, self.middle, reference) / reference
-                falling = [self.area * ratio**-one for one in power]
-                parts = [[one, -one * np.log(ratio)] for one in falling]
+                falling = [self.area * ratio**-exponent for exponent in power]
+                parts = [[area, -area * np.log(ratio)] for area in falling]
             else:
                 parts = [[self.area, self.width] if edge else [self.area]] * 2
-            self.known = asked, self._forces(parts)
-        return self.known[1]
+            self.cache = key, self._forces(parts)
+        return self.cache[1]
 
     def _forces(self, parts: Sequence[Sequence[Floats]]) -> Floats:
-        """Return parts of the cutting force and of the thrust as components. (states, elements, parts · components)."""
+        """Return cutting force and thrust of each element as components. (states, elements, parts · components)."""
         each = [part[..., None] * way for which, way in zip(parts, self.directions, strict=True) for part in which]
         return np.concatenate(each, axis=2)
 
 
-def _summed(shares: Floats, each: Floats) -> Floats:
-    """Return sums over the elements of shares of what each adds. (states, elements) of (states, elements, k)."""
+def _weighted_sum(shares: Floats, each: Floats) -> Floats:
+    """Return weighted sums over the elements, of weights (states, elements) and values (states, elements, k)."""
     return np.asarray((shares[:, None, :] @ each)[:, 0])
 
 
-def _nose_strips(chips: Sequence[RoundChip], kept: Sequence[int]) -> _Strips:
-    """Return the elements of round noses in steady cuts, a state each; axial, feed, cutting."""
-    middle, thickness, area = (np.empty((len(chips), 2 * PIECES)) for _ in range(3))
+def _nose_strips(chips: Sequence[RoundChip], components: Sequence[int]) -> _Strips:
+    """Return the elements of round noses in steady cuts, one state each; axial, feed, cutting."""
+    middle, thickness, area = (np.empty((len(chips), 2 * NOSE_ELEMENTS)) for _ in range(3))
     least, most = np.empty_like(middle), np.empty_like(middle)
     for i, chip in enumerate(chips):
         low, high = chip.sweep
         corner = min(max(chip.corner, low), high)
-        ends = np.concatenate((np.linspace(low, corner, PIECES + 1), np.linspace(corner, high, PIECES + 1)[1:]))
+        ends = np.concatenate(
+            (np.linspace(low, corner, NOSE_ELEMENTS + 1), np.linspace(corner, high, NOSE_ELEMENTS + 1)[1:])
+        )
         middle[i] = (ends[1:] + ends[:-1]) / 2
         thickness[i], border = chip.thickness(middle[i]), chip.thickness(ends)
         area[i] = thickness[i] * (chip.nose_radius - thickness[i] / 2) * np.diff(ends)
@@ -136,21 +139,21 @@ def _nose_strips(chips: Sequence[RoundChip], kept: Sequence[int]) -> _Strips:
     zero = np.zeros_like(middle)
     normal = np.stack((np.cos(middle), np.sin(middle), zero), axis=-1)
     along = np.stack((zero, zero, zero + 1), axis=-1)
-    return _Strips((least, thickness, most), area, along, normal, kept)
+    return _Strips((least, thickness, most), area, along, normal, components)
 
 
-def _tooth_strips(geometry: SlotMill | FlyCut, kept: Sequence[int]) -> tuple[_Strips, Floats]:
-    """Return the elements of one tooth while it cuts, and the borders of the angles; x, y, z."""
+def _tooth_strips(geometry: SlotMill | FlyCut, components: Sequence[int]) -> tuple[_Strips, Floats]:
+    """Return the elements of one tooth while it cuts, and the borders of its angles; x, y, z."""
     if isinstance(geometry, SlotMill):
-        borders = np.linspace(geometry.entry, geometry.exit, ANGLES + 1)
+        borders = np.linspace(geometry.entry, geometry.exit, ENGAGED_ANGLES + 1)
         sweeps, arc, wall = np.empty(0), 0.0, max(geometry.depth - geometry.corner_radius, 0.0)
         if geometry.corner_radius:
             arc = float(np.arccos(1 - min(geometry.depth / geometry.corner_radius, 1.0)))
-            sweeps = np.linspace(0.0, arc, ACROSS + 1)
-        # The wall is one more element beside those of the corner.
+            sweeps = np.linspace(0.0, arc, TOOTH_ELEMENTS + 1)
+        # The wall is one more element next to those of the corner.
         s = np.concatenate(((sweeps[1:] + sweeps[:-1]) / 2, np.full(1 if wall else 0, np.pi / 2)))
         length = np.concatenate((geometry.corner_radius * np.diff(sweeps), np.full(1 if wall else 0, wall)))
-        ends = [np.concatenate((one, np.full(1 if wall else 0, np.pi / 2))) for one in (sweeps[:-1], sweeps[1:])]
+        ends = [np.concatenate((border, np.full(1 if wall else 0, np.pi / 2))) for border in (sweeps[:-1], sweeps[1:])]
         phi = (borders[1:] + borders[:-1]) / 2
         inner = np.clip(borders, geometry.entry, geometry.exit)
         t = geometry.thickness(phi)[:, None] * np.sin(s)
@@ -160,10 +163,10 @@ def _tooth_strips(geometry: SlotMill | FlyCut, kept: Sequence[int]) -> tuple[_St
         along = np.stack((np.sin(turn), np.cos(turn), 0 * turn), axis=-1)
         normal = np.stack((-np.cos(turn) * np.sin(s), np.sin(turn) * np.sin(s), np.cos(s) + 0 * turn), axis=-1)
     else:
-        borders = np.linspace(-geometry.exit, geometry.exit, ANGLES + 1)
+        borders = np.linspace(-geometry.exit, geometry.exit, ENGAGED_ANGLES + 1)
         low = -float(np.arcsin(geometry.step / (2 * geometry.nose_radius)))
         high = RoundChip(nose_radius=geometry.nose_radius, feed=geometry.step, depth=geometry.depth).sweep[1]
-        sweeps = np.linspace(low, high, ACROSS + 1)
+        sweeps = np.linspace(low, high, TOOTH_ELEMENTS + 1)
         s, phi = (sweeps[1:] + sweeps[:-1]) / 2, (borders[1:] + borders[:-1]) / 2
         t = geometry.thickness(phi[:, None], s)
         at = geometry.thickness(borders[:, None], sweeps)
@@ -173,17 +176,17 @@ def _tooth_strips(geometry: SlotMill | FlyCut, kept: Sequence[int]) -> tuple[_St
         along = np.stack((0 * turn, np.cos(turn), -np.sin(turn)), axis=-1)
         normal = np.stack((np.sin(s) + 0 * turn, np.cos(s) * np.sin(turn), np.cos(s) * np.cos(turn)), axis=-1)
     around = np.stack([*corners, t])
-    return _Strips((around.min(axis=0), t, around.max(axis=0)), area, along, normal, kept), borders
+    return _Strips((around.min(axis=0), t, around.max(axis=0)), area, along, normal, components), borders
 
 
 class EdgeRows(Rows):
-    """Rows of chips that are not equally thick along the edge."""
+    """Rows of chips of varying thickness along the edge."""
 
     even = False
-    """Whether they are all the same, so that the forces jump where the limit is crossed."""
+    """Whether the thickness is uniform, so that the forces jump where the limit is crossed."""
 
     def transition(self, confidence: float) -> Transition | None:
-        """Find the thickness beyond which elements of the edge leave the ductile line, and all that could be it."""
+        """Return the critical thickness with its interval; ``None`` if the forces show no transition."""
         return _transition(self, confidence)
 
 
@@ -195,9 +198,9 @@ class TurningRows(EdgeRows):
         n = cuts.feed.size
         table = np.column_stack((cuts.nose_radius, cuts.depth, cuts.feed))
         states, index = np.unique(table[engaged], axis=0, return_inverse=True)
-        kept = [TURNED.index(one) for one in cuts.components]
+        components = [TURNED.index(name) for name in cuts.components]
         self.strips = _nose_strips(
-            [RoundChip(nose_radius=float(r), depth=float(d), feed=float(f)) for r, d, f in states], kept
+            [RoundChip(nose_radius=float(r), depth=float(d), feed=float(f)) for r, d, f in states], components
         )
         self.state = np.full(n, -1)
         self.state[engaged] = index.reshape(-1)
@@ -207,48 +210,48 @@ class TurningRows(EdgeRows):
             cuts.force, cuts.components, engaged, thickest,
             time=cuts.time, record=cuts.record, drift=drift, uncertainty=cuts.uncertainty,
         )  # fmt: skip
-        self.labels = tuple(LABELS[one] for one in cuts.components)
-        self.reference = _typical([self.strips])
+        self.labels = tuple(LABELS[name] for name in cuts.components)
+        self.reference = _mean_thickness([self.strips])
 
     def columns(self, limit: float) -> Floats:
-        """Return what each parameter is multiplied by. See its base."""
-        each = self.strips.columns(limit, self.edge, self.power, self.reference)
-        found = np.zeros((self.state.size, *each.shape[1:]))
-        found[self.engaged] = each[self.state[self.engaged]]
-        return found
+        """Return the design matrix, see `Rows.columns`."""
+        of_state = self.strips.columns(limit, self.edge, self.power, self.reference)
+        columns = np.zeros((self.state.size, *of_state.shape[1:]))
+        columns[self.engaged] = of_state[self.state[self.engaged]]
+        return columns
 
 
 class InterruptedRows(EdgeRows):
-    """Rows of a cutter that turns."""
+    """Rows of a rotating cutter."""
 
     turns = True
 
     def __init__(self, cuts: InterruptedCuts, drift: int | None) -> None:
         self.cuts = cuts
-        self.known: tuple[object, list[Floats]] | None = None  # tables that were asked for last
-        kept = [MILLED.index(one) for one in cuts.components]
-        self.teeth = [_tooth_strips(one, kept) for one in cuts.geometry]
+        self.cache: tuple[object, list[Floats]] | None = None  # key and value of the last tables
+        components = [MILLED.index(name) for name in cuts.components]
+        self.teeth = [_tooth_strips(geometry, components) for geometry in cuts.geometry]
         self.spin = np.array(cuts.spindle_rpm) * 2 * np.pi / 60
         engaged = cuts.cut >= 0
         time = (cuts.begin + cuts.end) / 2
         self.passes = np.unique(cuts.cut[engaged])
-        self.of = [int(cuts.record[cuts.cut == one][0]) for one in self.passes]
-        self.middle = np.array([time[cuts.cut == one].mean() for one in self.passes])
+        self.of = [int(cuts.record[cuts.cut == number][0]) for number in self.passes]
+        self.middle = np.array([time[cuts.cut == number].mean() for number in self.passes])
         self.speed, self.phase = self.spin[self.of], np.zeros(self.passes.size)
         self.basis = [_harmonics(borders, number, cuts) for number, (_, borders) in enumerate(self.teeth)]
-        most = np.array([one.thickest.max() for one, _ in self.teeth])
-        thickest = np.where(engaged, most[cuts.record], 0.0)
+        thickest_of_record = np.array([strips.thickest.max() for strips, _ in self.teeth])
+        thickest = np.where(engaged, thickest_of_record[cuts.record], 0.0)
         super().__init__(
             cuts.force, cuts.components, engaged, thickest,
             time=time, record=cuts.record.astype(np.float64), drift=drift,
         )  # fmt: skip
-        self.labels = tuple(f"force along {one}" for one in cuts.components)
-        self.reference = _typical([one for one, _ in self.teeth])
-        self.even = all(one.even for one, _ in self.teeth) and not cuts.whole_turns
+        self.labels = tuple(f"force along {name}" for name in cuts.components)
+        self.reference = _mean_thickness([strips for strips, _ in self.teeth])
+        self.even = all(strips.even for strips, _ in self.teeth) and not cuts.whole_turns
 
     def _mean(self, tables: Sequence[Floats], rate: bool = False) -> Floats:
-        """Return the mean of periodic tables over each row, or how fast it changes with the angle."""
-        found = np.zeros((self.cuts.cut.size, *tables[0].shape[1:]))
+        """Return the mean of periodic tables over each row, or its derivative with respect to the angle."""
+        means = np.zeros((self.cuts.cut.size, *tables[0].shape[1:]))
         for number, which in enumerate(self.passes):
             rows = np.flatnonzero(self.cuts.cut == which)
             table = tables[self.of[number]]
@@ -257,34 +260,34 @@ class InterruptedRows(EdgeRows):
                 for at in (self.cuts.begin, self.cuts.end)
             ]
             if rate:
-                values = [_looked_up(table, one) for one in ends]
-                found[rows] = (values[1] - values[0]) / (2 * np.pi * (ends[1] - ends[0])).reshape(
+                values = [_interpolate_periodic(table, turns) for turns in ends]
+                means[rows] = (values[1] - values[0]) / (2 * np.pi * (ends[1] - ends[0])).reshape(
                     -1, *[1] * (table.ndim - 1)
                 )
                 continue
-            total = np.concatenate((np.zeros((1, *table.shape[1:])), np.cumsum(table, axis=0))) / GRID
-            whole = total[-1]
-            sums = [_looked_up(total[:-1] + 0.0, one, whole) for one in ends]
-            found[rows] = (sums[1] - sums[0]) / (ends[1] - ends[0]).reshape(-1, *[1] * (table.ndim - 1))
-        return found
+            total = np.concatenate((np.zeros((1, *table.shape[1:])), np.cumsum(table, axis=0))) / TABLE_ANGLES
+            per_turn = total[-1]
+            sums = [_interpolate_periodic(total[:-1] + 0.0, turns, per_turn) for turns in ends]
+            means[rows] = (sums[1] - sums[0]) / (ends[1] - ends[0]).reshape(-1, *[1] * (table.ndim - 1))
+        return means
 
     def _tables(self, limit: float) -> list[Floats]:
-        """Return the columns over a turn of the cutter, after the filters, for each geometry. (GRID, c, p)."""
-        asked = (limit, self.edge, None if self.power is None else tuple(self.power))
-        if self.known is not None and self.known[0] == asked:
-            return self.known[1]
+        """Return the filtered columns over a revolution of the cutter, for each geometry. (TABLE_ANGLES, c, p)."""
+        key = (limit, self.edge, None if self.power is None else tuple(self.power))
+        if self.cache is not None and self.cache[0] == key:
+            return self.cache[1]
         tables = []
         for (strips, _), (basis, passed) in zip(self.teeth, self.basis, strict=True):
             each = strips.columns(limit, self.edge, self.power, self.reference)
             spectrum = np.einsum("kij,kjp->kip", passed, basis(each))
-            full = np.zeros((GRID // 2 + 1, *spectrum.shape[1:]), dtype=np.complex128)
+            full = np.zeros((TABLE_ANGLES // 2 + 1, *spectrum.shape[1:]), dtype=np.complex128)
             full[: spectrum.shape[0]] = spectrum
-            tables.append(np.fft.irfft(full, GRID, axis=0) * GRID)
-        self.known = (asked, tables)
+            tables.append(np.fft.irfft(full, TABLE_ANGLES, axis=0) * TABLE_ANGLES)
+        self.cache = (key, tables)
         return tables
 
     def columns(self, limit: float) -> Floats:
-        """Return what each parameter is multiplied by. See its base."""
+        """Return the design matrix, see `Rows.columns`."""
         tables = self._tables(limit)
         if self.cuts.whole_turns:
             each = np.array([table.mean(axis=0) for table in tables])
@@ -292,7 +295,7 @@ class InterruptedRows(EdgeRows):
         return self._mean(tables)
 
     def unknown(self, answer: Floats, limit: float) -> Floats:
-        """Return what the force changes by with the phase and the speed of each pass."""
+        """Return the derivatives of the forces with respect to phase and speed of each pass."""
         if self.cuts.whole_turns:
             return np.zeros((*self.force.shape, 0))
         shape = [table @ answer[: table.shape[2]] for table in self._tables(limit)]
@@ -300,48 +303,48 @@ class InterruptedRows(EdgeRows):
         time = (self.cuts.begin + self.cuts.end) / 2
         columns = []
         for number, which in enumerate(self.passes):
-            mine = np.where((self.cuts.cut == which)[:, None], slope, 0.0)
-            columns += [mine, mine * (time - self.middle[number])[:, None]]
+            by_phase = np.where((self.cuts.cut == which)[:, None], slope, 0.0)
+            columns += [by_phase, by_phase * (time - self.middle[number])[:, None]]
         return np.stack(columns, axis=2)
 
     def design(self, used: Bools, split: Transition | None) -> tuple[Bools, Floats, int]:
-        """Return rows and columns of the coefficients, with what places the cutter beside them. See the base.
+        """Return the rows and columns of the final fit, see `Rows.design`, with phase and speed of each pass.
 
-        Its place follows best from when the limit is crossed, so that all rows take part; how the forces depend on
-        the limit is one more unknown.
+        The cutter angle is determined best by the crossing of the limit, so all rows are used, and the limit is an
+        additional unknown.
         """
         if split is None or self.cuts.whole_turns:
             limit, place = np.inf, self.place()
         else:
             used, limit, place = np.ones_like(used), split.value, self.place(beyond=True)
-        every = self.columns(limit)
-        columns = every[:, :, place]
-        answer, whole = Fit(self, used).solve(columns)[0], np.zeros(every.shape[2])
-        whole[place] = answer
-        found = [columns, self.unknown(whole, limit)]
+        all_columns = self.columns(limit)
+        columns = all_columns[:, :, place]
+        answer, parameters = Fit(self, used).solve(columns)[0], np.zeros(all_columns.shape[2])
+        parameters[place] = answer
+        blocks = [columns, self.unknown(parameters, limit)]
         if split is not None and limit < np.inf:
             step = max((split.high - split.low) / 4, 1e-4 * limit)
             slope = (self.columns(limit + step) - self.columns(limit - step))[:, :, place] @ answer
-            found.append(slope[:, :, None])
-        return used, np.concatenate(found, axis=2), len(place)
+            blocks.append(slope[:, :, None])
+        return used, np.concatenate(blocks, axis=2), len(place)
 
     def synchronise(self, answer: Floats | None, limit: float) -> None:
-        """Find speed and phase of each pass: from the harmonics first, then by least squares."""
+        """Estimate speed and phase of each pass: first from the harmonics, then by least squares."""
         if self.cuts.whole_turns:
             return
         if answer is None:
             for number in range(self.passes.size):
-                self._catch(number)
-            self._look_at_chips()
+                self._estimate_phase(number)
+            self._update_thickest()
             return
         moved = Fit(self).solve(np.concatenate((self.columns(limit), self.unknown(answer, limit)), axis=2))[0]
         size = answer.size
         self.phase = self.phase + moved[size::2]
         self.speed = self.speed + moved[size + 1 :: 2]
-        self._look_at_chips()
+        self._update_thickest()
 
-    def _catch(self, number: int) -> None:
-        """Find speed and phase of one pass without knowing either well."""
+    def _estimate_phase(self, number: int) -> None:
+        """Estimate speed and phase of one pass from the harmonics of its forces."""
         rows = np.flatnonzero(self.cuts.cut == self.passes[number])
         time = (self.cuts.begin + self.cuts.end)[rows] / 2 - self.middle[number]
         force = self.cuts.force[rows] - self.cuts.force[rows].mean(axis=0)
@@ -349,45 +352,49 @@ class InterruptedRows(EdgeRows):
         turn = 2 * np.pi / nominal
         if block > turn / 4:
             raise InputError(
-                f"the stretches are {block:.3g} s long and the cutter turns once in {turn:.3g} s: take at most a "
-                "quarter of that, or average over whole turns"
+                f"block must be at most {turn / 4:.3g} s (a quarter of a revolution), got {block:.3g} s: reduce it, or "
+                "average over whole revolutions"
             )
         most = max(1, min(24, int(turn / block / 3)))
         order = np.arange(1, most + 1)
         reach = float(np.ptp(time)) + block
-        count = int(np.ceil(OFF_SPEED * nominal * reach * most / 0.5))
+        count = int(np.ceil(SPINDLE_SPEED_TOL * nominal * reach * most / 0.5))
         if count > 40_000:
-            order, count = order[:4], int(np.ceil(OFF_SPEED * nominal * reach * 8))
-        speeds = nominal * (1 + OFF_SPEED * np.linspace(-1, 1, 2 * count + 1))
+            order, count = order[:4], int(np.ceil(SPINDLE_SPEED_TOL * nominal * reach * 8))
+        speeds = nominal * (1 + SPINDLE_SPEED_TOL * np.linspace(-1, 1, 2 * count + 1))
 
-        def heard(speed: float) -> Complexes:
+        def harmonics(speed: float) -> Complexes:
             return np.asarray(np.exp(-1j * speed * np.outer(order, time)) @ force / rows.size)
 
-        power = np.array([(np.abs(heard(one)) ** 2).sum() for one in speeds])
+        power = np.array([(np.abs(harmonics(speed)) ** 2).sum() for speed in speeds])
         speed = float(speeds[int(np.argmax(power))])
-        said = heard(speed)
-        # The harmonics of both coefficients, as the means over stretches show them.
+        measured = harmonics(speed)
+        # Harmonics of both coefficients, averaged over the intervals.
         tables = self._tables(np.inf)[self.of[number]]
-        model = np.fft.rfft(tables, axis=0)[order] / GRID * np.sinc(order * block * speed / (2 * np.pi))[:, None, None]
+        model = (
+            np.fft.rfft(tables, axis=0)[order]
+            / TABLE_ANGLES
+            * np.sinc(order * block * speed / (2 * np.pi))[:, None, None]
+        )
         phases = np.linspace(0, 2 * np.pi, 1440, endpoint=False)
-        left = np.empty(phases.size)
+        squares = np.empty(phases.size)
         for i, phase in enumerate(phases):
             table = (np.exp(1j * order * phase)[:, None, None] * model).reshape(-1, model.shape[2])
             table = np.concatenate((table.real, table.imag))
-            right = np.concatenate((said.reshape(-1).real, said.reshape(-1).imag))
+            right = np.concatenate((measured.reshape(-1).real, measured.reshape(-1).imag))
             size = np.maximum(np.linalg.norm(table, axis=0), TINY)
-            found = np.linalg.lstsq(table / size, right, rcond=1e-10)[0]
-            wrong = (found[:: self.parts] < 0).any()
-            left[i] = np.inf if wrong else float(((right - table / size @ found) ** 2).sum())
-        if not np.isfinite(left).any():
+            answer = np.linalg.lstsq(table / size, right, rcond=1e-10)[0]
+            negative = (answer[:: self.parts] < 0).any()
+            squares[i] = np.inf if negative else float(((right - table / size @ answer) ** 2).sum())
+        if not np.isfinite(squares).any():
             raise InputError(
-                f"at no position of the cutter do the forces of pass {number + 1} point as those of a cut do: check "
-                "the channels, their signs, the speed of the spindle and the geometry"
+                f"the forces of pass {number + 1} have the direction of a cut at no cutter angle: check the channels, "
+                "their signs, the spindle speed and the geometry"
             )
-        self.speed[number], self.phase[number] = speed, phases[int(np.argmin(left))]
+        self.speed[number], self.phase[number] = speed, phases[int(np.argmin(squares))]
 
-    def _look_at_chips(self) -> None:
-        """Find the thickest place of the edge while each row lasts, a row before and after with it."""
+    def _update_thickest(self) -> None:
+        """Update the maximum chip thickness during each row, including the rows before and after it."""
         self.thickest = np.zeros(self.cuts.cut.size)
         for number, which in enumerate(self.passes):
             rows = np.flatnonzero(self.cuts.cut == which)
@@ -399,27 +406,27 @@ class InterruptedRows(EdgeRows):
             chip = np.zeros(at.shape)
             for tooth in range(teeth):
                 turned = np.mod(at - tooth * 2 * np.pi / teeth - borders[0], 2 * np.pi) + borders[0]
-                one = np.interp(turned, (borders[1:] + borders[:-1]) / 2, strips.thickest, right=0.0)
-                chip = np.maximum(chip, np.where(turned <= borders[-1], one, 0.0))
+                tooth_chip = np.interp(turned, (borders[1:] + borders[:-1]) / 2, strips.thickest, right=0.0)
+                chip = np.maximum(chip, np.where(turned <= borders[-1], tooth_chip, 0.0))
             self.thickest[rows] = chip.max(axis=1)
 
 
-def _typical(strips: Sequence[_Strips]) -> float:
-    """Return the geometric mean of the thicknesses, each counted by its area."""
-    area = np.concatenate([one.area.reshape(-1) for one in strips])
-    chip = np.concatenate([one.middle.reshape(-1) for one in strips])
+def _mean_thickness(strips: Sequence[_Strips]) -> float:
+    """Return the geometric mean of the thicknesses, weighted by area."""
+    area = np.concatenate([strip.area.reshape(-1) for strip in strips])
+    chip = np.concatenate([strip.middle.reshape(-1) for strip in strips])
     return float(np.exp((area[chip > 0] @ np.log(chip[chip > 0])) / area[chip > 0].sum()))
 
 
 class _Harmonics:
-    """What takes the forces of a tooth at its angles to the first harmonics of a turn."""
+    """Transform from forces at the angles of a tooth to the harmonics of a revolution."""
 
     def __init__(self, borders: Floats, factor: Complexes) -> None:
-        """Take the borders of the angles, and what each harmonic is multiplied by."""
+        """Take the borders of the angles, and a factor for each harmonic."""
         from scipy.signal import ZoomFFT  # noqa: PLC0415 - costly to import
 
         wide, count = float(borders[1] - borders[0]), factor.size
-        # The angles are no share of a turn, so that a plain transform has none of the harmonics.
+        # The angles do not divide a revolution evenly, so a plain FFT does not give its harmonics.
         self.transform = ZoomFFT(borders.size - 1, [0, count], count, fs=2 * np.pi / wide)
         order, first = np.arange(count), float(borders[0] + borders[1]) / 2
         self.factor = factor * np.exp(-1j * order * first) * np.sinc(order * wide / (2 * np.pi)) * wide / (2 * np.pi)
@@ -430,111 +437,113 @@ class _Harmonics:
 
 
 def _harmonics(borders: Floats, number: int, cuts: InterruptedCuts) -> tuple[_Harmonics, Complexes]:
-    """Return what takes the forces of a tooth at its angles to the harmonics of a turn, and what filters leave."""
+    """Return the transform to the harmonics of a revolution, and the transfer matrix of the filters."""
     geometry, speed = cuts.geometry[number], cuts.spindle_rpm[number] * 2 * np.pi / 60
     teeth = geometry.teeth if isinstance(geometry, SlotMill) else 1
     turn = 2 * np.pi / speed
     block = float((cuts.end - cuts.begin).min())
-    order = np.arange(1 if cuts.whole_turns else min(HARMONICS, int(np.ceil(8 * turn / block))))
+    order = np.arange(1 if cuts.whole_turns else min(MAX_HARMONICS, int(np.ceil(8 * turn / block))))
     half = np.pi * order * speed / (2 * np.pi) / cuts.rate_hz
     order, half = order[half < np.pi / 2], half[half < np.pi / 2]
-    passed = np.tile(np.eye(len(cuts.components), dtype=np.complex128), (order.size, 1, 1))
+    transfer = np.tile(np.eye(len(cuts.components), dtype=np.complex128), (order.size, 1, 1))
     if cuts.passband is not None:
-        passed = np.asarray(cuts.passband(np.asarray(order * speed / (2 * np.pi), dtype=np.float64)))
-        heard = np.flatnonzero(np.abs(passed).max(axis=(1, 2)) > 0)
-        last = int(heard[-1]) + 1 if heard.size else 1
-        order, half, passed = order[:last], half[:last], passed[:last]
-    # A mean of samples is a little more than the mean over the time between the first and the last.
+        transfer = np.asarray(cuts.passband(np.asarray(order * speed / (2 * np.pi), dtype=np.float64)))
+        nonzero = np.flatnonzero(np.abs(transfer).max(axis=(1, 2)) > 0)
+        last = int(nonzero[-1]) + 1 if nonzero.size else 1
+        order, half, transfer = order[:last], half[:last], transfer[:last]
+    # Correction for the mean of samples against the mean over time.
     factor = np.where(order % teeth == 0, teeth, 0) / np.sinc(half / np.pi)
-    return _Harmonics(borders, factor.astype(np.complex128)), passed
+    return _Harmonics(borders, factor.astype(np.complex128)), transfer
 
 
-def _looked_up(table: Floats, turns: Floats, whole: Floats | None = None) -> Floats:
-    """Return a periodic table at some turns, between its entries by lines; ``whole`` is what a turn adds to it."""
-    place = turns * GRID
+def _interpolate_periodic(table: Floats, turns: Floats, per_turn: Floats | None = None) -> Floats:
+    """Interpolate a periodic table linearly at angles in turns; ``per_turn`` is its increase per revolution."""
+    place = turns * TABLE_ANGLES
     low = np.floor(place).astype(np.int64)
     column = (-1, *[1] * (table.ndim - 1))
-    found, after = (np.take(table, at, axis=0, mode="wrap") for at in (low, low + 1))
-    after -= found
-    if whole is not None:
-        after += ((low + 1) % GRID == 0).reshape(column) * whole
-        found += (low // GRID).reshape(column) * whole
-    after *= (place - low).reshape(column)
-    found += after
-    return found
+    values, increase = (np.take(table, at, axis=0, mode="wrap") for at in (low, low + 1))
+    increase -= values
+    if per_turn is not None:
+        increase += ((low + 1) % TABLE_ANGLES == 0).reshape(column) * per_turn
+        values += (low // TABLE_ANGLES).reshape(column) * per_turn
+    increase *= (place - low).reshape(column)
+    values += increase
+    return values
 
 
-def _weigh(rows: EdgeRows, limit: float) -> float:
-    """Weigh each component by its noise, within the ductile range and beyond apart; return the correlation time."""
+def _update_weights(rows: EdgeRows, limit: float) -> float:
+    """Set the weight of each component from its noise on either side of a limit; return the correlation time."""
     thick = rows.engaged & (rows.thickest > limit)
     if not rows.stated:
-        apart = min(np.count_nonzero(thick), np.count_nonzero(~thick)) > 2 * FEWEST
+        separate = min(np.count_nonzero(thick), np.count_nonzero(~thick)) > 2 * MIN_ROWS
         floor = 1e-9 * np.abs(rows.force).max(axis=0) + TINY
         rows.weights = np.ones_like(rows.force)
         for _ in range(2):
-            left = Fit(rows).solve(rows.columns(limit))[2] / rows.weights
-            weights = np.empty_like(left)
-            for group in (thick, ~thick) if apart else (np.ones_like(thick),):
-                weights[group] = 1 / np.maximum(np.sqrt((left[group] ** 2).mean(axis=0)), floor)
+            residual = Fit(rows).solve(rows.columns(limit))[2] / rows.weights
+            weights = np.empty_like(residual)
+            for group in (thick, ~thick) if separate else (np.ones_like(thick),):
+                weights[group] = 1 / np.maximum(np.sqrt((residual[group] ** 2).mean(axis=0)), floor)
             rows.weights = weights
-    left = Fit(rows).solve(rows.columns(limit))[2]
-    return max(rows.together(left, one) for one in (thick, rows.engaged & ~thick, ~rows.engaged))
+    residual = Fit(rows).solve(rows.columns(limit))[2]
+    return max(rows.correlation(residual, group) for group in (thick, rows.engaged & ~thick, ~rows.engaged))
 
 
 def _transition(rows: EdgeRows, confidence: float) -> Transition | None:
-    """Find the thickness beyond which elements of the edge leave the ductile line, and all that could be it."""
+    """Return the critical thickness with its interval; ``None`` if the forces show no transition."""
     from scipy.stats import f  # noqa: PLC0415 - costly to import
 
     ascending = np.sort(rows.thickest[rows.engaged])
-    low, high = max(ascending[FEWEST - 1], ascending[-1] / 50), ascending[-FEWEST]
-    _weigh(rows, np.inf)
-    if not low < high * (1 - 1e-6) or ascending.size < 2 * FEWEST:
+    low, high = max(ascending[MIN_ROWS - 1], ascending[-1] / 50), ascending[-MIN_ROWS]
+    _update_weights(rows, np.inf)
+    if not low < high * (1 - 1e-6) or ascending.size < 2 * MIN_ROWS:
         return None
-    fit = Fit(rows)  # as the rows are weighed now
-    grid = np.geomspace(low, high * (1 - 1e-9), LOOKED)
+    fit = Fit(rows)  # with the current weights
+    grid = np.geomspace(low, high * (1 - 1e-9), TRIAL_THICKNESSES)
 
     def squares(limit: float) -> float:
         columns = rows.columns(limit)
         answer, least = fit.solve(columns)[:2]
-        beside = rows.unknown(answer, limit)
-        return fit.solve(np.concatenate((columns, beside), axis=2))[1] if beside.shape[2] else least
+        unknown = rows.unknown(answer, limit)
+        return fit.solve(np.concatenate((columns, unknown), axis=2))[1] if unknown.shape[2] else least
 
     rough = grid[::3]
-    tau = _weigh(rows, float(rough[int(np.argmin([squares(float(one)) for one in rough]))]))
+    tau = _update_weights(rows, float(rough[int(np.argmin([squares(float(limit)) for limit in rough]))]))
     fit = Fit(rows)
-    profile = np.array([squares(float(one)) for one in grid])
+    profile = np.array([squares(float(limit)) for limit in grid])
     exact = 1e-4 * float(grid[int(np.argmin(profile))])
     best, least, within = interval(squares, grid, profile, exact, every=True)
     columns = rows.columns(best)
     number, size = rows.force.size, columns.shape[2]
     free = max(number / tau - size - rows.drift.shape[1] * rows.force.shape[1], 1.0)
-    answer, _, left = fit.solve(columns)
-    # Weights were made from the residuals, so that a square counts as number over degrees of freedom.
+    answer, _, residual = fit.solve(columns)
+    # The weights come from the residuals, so the sum of squares is divided by the degrees of freedom.
     eta = tau * max(
-        least / max(number - size, 1), 1.0 if rows.stated else 0.0, _told_by(fit, columns, answer, left, best)
+        least / max(number - size, 1),
+        1.0 if rows.stated else 0.0,
+        _variance_ratio(fit, columns, answer, residual, best),
     )
     limit = hansen(confidence) if rows.even else float(f.ppf(confidence, 1, free))
-    ends = within(limit * eta, (0.0, float(ascending[-1])), HALVED)
-    more = 2 * len(rows.told)
-    gain = (squares(np.inf) - least) / eta / more
-    chance = float(min(1.0, rows.engaged.sum() * f.sf(gain, more, free)))
-    which = [tuple(NAMES).index(name) for name in rows.told]
-    # What could as well begin at no thickness at all is no transition: forces are out of proportion everywhere.
-    if chance > CERTAIN or ends[0] == 0 or rows.remaining(which[0], answer, float(ascending[-1])) >= 1:
+    ends = within(limit * eta, (0.0, float(ascending[-1])), BISECTIONS)
+    extra = 2 * len(rows.determined)
+    gain = (squares(np.inf) - least) / eta / extra
+    chance = float(min(1.0, rows.engaged.sum() * f.sf(gain, extra, free)))
+    which = [tuple(FORCE_NAMES).index(name) for name in rows.determined]
+    # An interval that includes 0 is not a transition: the forces are not proportional anywhere.
+    if chance > MAX_CHANCE or ends[0] == 0 or rows.remaining(which[0], answer, float(ascending[-1])) >= 1:
         return None
-    remaining = tuple(rows.remaining(one, answer, best) for one in which)
+    remaining = tuple(rows.remaining(coefficient, answer, best) for coefficient in which)
     return Transition(best, min(ends[0], best), max(ends[1], best), remaining, chance)
 
 
-def _told_by(fit: Fit, columns: Floats, answer: Floats, left: Floats, limit: float) -> float:
-    """Return the noise of what tells the limit over that of independent components; those of a row may hang together.
+def _variance_ratio(fit: Fit, columns: Floats, answer: Floats, residual: Floats, limit: float) -> float:
+    """Return the noise variance of the score for the limit, over that of independent components.
 
-    What fracture does to one component it does to all.
+    The components of a row may be correlated, since fracture affects all of them.
     """
     rows, step = fit.rows, 0.01 * limit
     slope = (rows.columns(limit + step) - rows.columns(limit - step)) @ answer
     target, table = fit.table(slope[:, :, None]).reshape(-1), fit.table(columns).reshape(-1, columns.shape[2])
     table = table / np.maximum(np.linalg.norm(table, axis=0), TINY)
-    rest = target - table @ np.linalg.lstsq(table, target, rcond=1e-10)[0]
-    whole = float(rest @ rest)
-    return float(((rest.reshape(left.shape) * left).sum(axis=1) ** 2).sum() / whole) if whole else 0.0
+    free = target - table @ np.linalg.lstsq(table, target, rcond=1e-10)[0]
+    total = float(free @ free)
+    return float(((free.reshape(residual.shape) * residual).sum(axis=1) ** 2).sum() / total) if total else 0.0

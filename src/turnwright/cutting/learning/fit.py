@@ -1,4 +1,4 @@
-"""Least squares of forces, drift and coefficients together, and what numbers are uncertain by."""
+"""Weighted least squares of coefficients and drift, with uncertainties and intervals."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ if TYPE_CHECKING:
     from turnwright._arrays import Bools, Floats
     from turnwright.cutting.learning.rows import Rows
 
-__all__ = ["CERTAIN", "TINY", "UNLIKELY", "Fit", "Solved", "hansen", "interval"]
+__all__ = ["MAX_CHANCE", "TINY", "WARNING_CONFIDENCE", "Fit", "Solved", "hansen", "interval"]
 
-CERTAIN = 0.01
-"""A transition is reported if chance would make one as clear in less than this share of experiments."""
+MAX_CHANCE = 0.01
+"""Probability of a chance result below which a transition is reported."""
 
-UNLIKELY = 0.999
-"""A departure from proportion is reported outside this interval."""
+WARNING_CONFIDENCE = 0.999
+"""Confidence level of the interval outside which a deviation is reported."""
 
-MANY = 50
-"""Rows in time from which on each brings its own noise."""
+MIN_ROBUST_ROWS = 50
+"""Number of rows in time above which the covariance is estimated from the residual of each row."""
 
-ALIKE = 1e8
-"""Condition of the columns beyond which they cannot be told apart."""
+MAX_CONDITION = 1e8
+"""Condition number of the columns above which they are not distinguishable."""
 
 TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True, slots=True)
 class Solved:
-    """Numbers, standard uncertainties, half intervals, and how the numbers hang on each component. (k,), (k, c)."""
+    """Parameters, standard uncertainties, half intervals (k,), and the contribution of each component (k, c)."""
 
     value: Floats
     sigma: Floats
@@ -42,10 +42,10 @@ class Solved:
 
 
 class Fit:
-    """Weighted least squares of some rows, every component with a drift of its own."""
+    """Weighted least squares of rows; every component has its own drift."""
 
     def __init__(self, rows: Rows, used: Bools | None = None) -> None:
-        """Take the rows, as they are weighed now, and those of them that are used; all if not given."""
+        """Take the rows with their current weights, and the mask of those used; all by default."""
         self.rows, self.used = rows, np.ones(rows.engaged.size, dtype=np.bool_) if used is None else used
         self.weight = rows.weights[self.used]
         self.force = rows.force[self.used] * self.weight
@@ -56,98 +56,99 @@ class Fit:
         self.free_force = self.without_drift(self.force[:, :, None])[:, :, 0]
 
     def without_drift(self, columns: Floats) -> Floats:
-        """Take out of columns what the drift explains. (n, components, k)."""
+        """Project the drift out of columns. (n, components, k)."""
         free = np.empty_like(columns)
         for component, basis in enumerate(self.drift):
             free[:, component] = columns[:, component] - basis @ (basis.T @ columns[:, component])
         return free
 
     def table(self, columns: Floats) -> Floats:
-        """Return the columns of the rows that are used, weighted and without drift. (n, components, k)."""
+        """Return the weighted columns of the used rows without drift. (n, components, k)."""
         return self.without_drift(columns[self.used] * self.weight[:, :, None])
 
     def solve(self, columns: Floats) -> tuple[Floats, float, Floats]:
-        """Return the parameters, the residual squares, and the residual of each row. (k,), (n, components)."""
+        """Return the parameters (k,), the sum of squares, and the residuals (n, components)."""
         table = self.table(columns)
         size = np.maximum(np.sqrt((table**2).sum(axis=(0, 1))), TINY)
         flat = (table / size).reshape(-1, size.size)
-        # Columns of the brittle side may be one; a touch of the diagonal decides.
+        # The columns of the brittle side may be collinear: regularise.
         normal = flat.T @ flat + 1e-11 * np.eye(size.size)
         answer = np.linalg.solve(normal, flat.T @ self.free_force.reshape(-1))
-        left = self.free_force - (flat @ answer).reshape(self.force.shape)
-        return answer / size, float((left**2).sum()), left
+        residual = self.free_force - (flat @ answer).reshape(self.force.shape)
+        return answer / size, float((residual**2).sum()), residual
 
-    def estimate(self, columns: Floats, confidence: float, told: int | None = None) -> Solved:
-        """Return the first parameters with their uncertainties, all of them if ``told`` is not given."""
+    def estimate(self, columns: Floats, confidence: float, count: int | None = None) -> Solved:
+        """Return the first ``count`` parameters with their uncertainties; all by default."""
         from scipy.stats import t  # noqa: PLC0415 - costly to import
 
         rows, components = self.rows, self.force.shape[1]
-        told = columns.shape[2] if told is None else told
+        first = columns.shape[2] if count is None else count
         table = self.table(columns)
         size = np.sqrt((table**2).sum(axis=(0, 1)))
-        # What says nothing here, such as the speed of a pass without ductile rows, is left out.
-        kept = size > 1e-12 * size.max()
-        kept[:told] = size[:told] > 0
-        scaled = table[:, :, kept] / size[kept]
+        # Columns without effect, such as the speed of a pass without ductile rows, are excluded.
+        effective = size > 1e-12 * size.max()
+        effective[:first] = size[:first] > 0
+        scaled = table[:, :, effective] / size[effective]
         flat = scaled.reshape(-1, scaled.shape[2])
-        if flat.shape[0] <= flat.shape[1] or not kept[:told].all() or np.linalg.cond(flat) > ALIKE:
+        if flat.shape[0] <= flat.shape[1] or not effective[:first].all() or np.linalg.cond(flat) > MAX_CONDITION:
             raise InputError(
-                f"the {flat.shape[0]} ductile forces do not tell the {kept.size} coefficients from each other, edge "
-                "force and drift: measure more thin chips, vary thickness, depth or feed, measure one more component, "
-                "or drop these"
+                f"the {flat.shape[0]} ductile forces do not determine the {effective.size} coefficients, edge forces "
+                "and drift: measure more thin chips, vary thickness, depth or feed, or measure one more component"
             )
         inverse = np.linalg.inv(flat.T @ flat)
         answer = np.linalg.lstsq(flat, self.free_force.reshape(-1), rcond=None)[0]
-        left = self.free_force - (flat @ answer).reshape(self.force.shape)
-        residual = np.zeros(rows.force.shape)
-        residual[self.used] = left
-        tau = max(rows.together(residual, self.used & side) for side in (rows.engaged, ~rows.engaged))
-        count, drifts = self.force.shape[0], sum(basis.shape[1] for basis in self.drift)
+        residual = self.free_force - (flat @ answer).reshape(self.force.shape)
+        all_residuals = np.zeros(rows.force.shape)
+        all_residuals[self.used] = residual
+        tau = max(rows.correlation(all_residuals, self.used & side) for side in (rows.engaged, ~rows.engaged))
+        n, drifts = self.force.shape[0], sum(basis.shape[1] for basis in self.drift)
         free = max(flat.shape[0] / tau - flat.shape[1] - drifts, 1.0)
-        if rows.in_time and count > MANY:
-            # Noise in the cut and in air differ and components of a row may hang together: each row brings its own.
+        if rows.in_time and n > MIN_ROBUST_ROWS:
+            # Heteroscedasticity-consistent covariance: the noise differs between cut and air, and components of a row
+            # may be correlated.
             leverage = np.einsum("rp,pq,rq->r", scaled[:, 0], inverse, scaled[:, 0]) + (self.drift[0] ** 2).sum(axis=1)
-            own = left * np.sqrt(count / max(count - flat.shape[1] - drifts, 1))
-            own = left / (1 - np.minimum(leverage, 0.9))[:, None] if components == 1 else own
-            each = np.einsum("rcp,rc->rp", scaled, own)
-            cover = tau * inverse @ (each.T @ each) @ inverse
+            corrected = residual * np.sqrt(n / max(n - flat.shape[1] - drifts, 1))
+            corrected = residual / (1 - np.minimum(leverage, 0.9))[:, None] if components == 1 else corrected
+            score = np.einsum("rcp,rc->rp", scaled, corrected)
+            covariance = tau * inverse @ (score.T @ score) @ inverse
         else:
-            # Stated uncertainties are not made smaller by a lucky fit.
-            scale = float((left**2).sum()) / free * tau
-            cover = (max(scale, 1.0) if rows.stated else scale) * inverse
-        size = size[kept][:told]
-        sigma = np.sqrt(np.diag(cover))[:told] / size
+            # Stated uncertainties are never reduced by a good fit.
+            scale = float((residual**2).sum()) / free * tau
+            covariance = (max(scale, 1.0) if rows.stated else scale) * inverse
+        size = size[effective][:first]
+        sigma = np.sqrt(np.diag(covariance))[:first] / size
         by = [inverse @ scaled[:, c].T @ self.free_force[:, c] for c in range(components)]
-        # Few rows know the noise of each component only so well (Welch and Satterthwaite).
-        parts = np.stack([np.diag(inverse @ (one.T @ one) @ inverse)[:told] for one in scaled.transpose(1, 0, 2)])
+        # Effective degrees of freedom of the noise of each component (Welch and Satterthwaite).
+        parts = np.stack([np.diag(inverse @ (part.T @ part) @ inverse)[:first] for part in scaled.transpose(1, 0, 2)])
         ratio = parts / parts.sum(axis=0)
-        each_free = np.maximum(count / tau - drifts / components - flat.shape[1] * ratio, 1.0)
-        freedom = np.full(told, free) if rows.stated else 1 / (ratio**2 / each_free).sum(axis=0)
+        component_free = np.maximum(n / tau - drifts / components - flat.shape[1] * ratio, 1.0)
+        freedom = np.full(first, free) if rows.stated else 1 / (ratio**2 / component_free).sum(axis=0)
         half = t.ppf(0.5 + confidence / 2, freedom) * sigma
-        return Solved(answer[:told] / size, sigma, half, np.stack(by, axis=1)[:told] / size[:, None])
+        return Solved(answer[:first] / size, sigma, half, np.stack(by, axis=1)[:first] / size[:, None])
 
 
 def interval(
     squares: Callable[[float], float], grid: Floats, profile: Floats, exact: float, *, every: bool = False
 ) -> tuple[float, float, Callable[[float, tuple[float, float], int], tuple[float, float]]]:
-    """Find the least of squares between the places of a grid, and what gives the interval about it.
+    """Minimise a sum of squares over a grid and between its nodes, and return its likelihood interval.
 
     Parameters
     ----------
     squares
-        What is left at some place.
+        Sum of squares over the parameter.
     grid, profile
-        Places that ascend and what is left there. Each (n,)
+        Ascending parameter values, and the sum of squares there. Each (n,)
     exact
-        Error that the place may have.
+        Tolerance of the minimum.
     every
-        Whether the interval holds every place that leaves little enough, or ends at the first that leaves more.
+        Whether the interval extends to the outermost value within reach, or ends at the first one beyond it.
 
     Returns
     -------
     tuple
-        The place, what is left there, and a function that returns the interval. It takes by how much more may be left,
-        the ends where the grid does not close it, and the number of bisections for each end.
+        Parameter at the minimum, sum of squares there, and a function for the interval. Its arguments are the allowed
+        excess of the sum of squares, the ends to use if the grid does not bound the interval, and the number of
+        bisections for each end.
     """
     from scipy.optimize import minimize_scalar  # noqa: PLC0415 - costly to import
 
@@ -160,11 +161,11 @@ def interval(
         ends = []
         for beyond, end in zip((grid[grid < best][::-1], grid[grid > best]), open_ends, strict=True):
             near = profile[np.searchsorted(grid, beyond)] - least <= reach
-            held = int(np.flatnonzero(near).max(initial=-1)) + 1 if every else int(np.argmin([*near, False]))
-            if held == beyond.size:
+            count = int(np.flatnonzero(near).max(initial=-1)) + 1 if every else int(np.argmin([*near, False]))
+            if count == beyond.size:
                 ends.append(end)
                 continue
-            inside, outside = float(beyond[held - 1]) if held else best, float(beyond[held])
+            inside, outside = float(beyond[count - 1]) if count else best, float(beyond[count])
             for _ in range(halved):
                 middle = (inside + outside) / 2
                 inside, outside = (middle, outside) if squares(middle) - least <= reach else (inside, middle)
@@ -175,5 +176,5 @@ def interval(
 
 
 def hansen(confidence: float) -> float:
-    """Return the limit of the likelihood ratio of the place of a jump."""
+    """Return the critical value of the likelihood ratio for the position of a jump."""
     return float(-2 * np.log(1 - np.sqrt(confidence)))

@@ -1,4 +1,4 @@
-"""What forces tell of a material, as numbers with intervals and as sentences."""
+"""Results of a material fit: estimates with confidence intervals, and a report in sentences."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from turnwright._arrays import Floats, frozen
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["NAMES", "Estimate", "ForceFit", "LearnedMaterial", "Transition", "said_of"]
+__all__ = ["FORCE_NAMES", "Estimate", "ForceFit", "LearnedMaterial", "Transition", "report_estimates"]
 
-NAMES = {"cutting": "cutting force", "thrust": "thrust"}
-"""The coefficients, and the forces that they make."""
+FORCE_NAMES = {"cutting": "cutting force", "thrust": "thrust"}
+"""Force that belongs to each coefficient."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """A number that was learned, and the interval that holds the truth with the stated confidence.
+    """Estimate of a quantity, with its confidence interval.
 
     Parameters
     ----------
@@ -34,24 +34,24 @@ class Estimate:
 
     @classmethod
     def around(cls, value: float, half: float) -> Estimate:
-        """Return an estimate with so much of its interval on either side."""
+        """Return an estimate with a symmetric interval of the given half width."""
         return cls(value=float(value), low=float(value - half), high=float(value + half))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ForceFit:
-    """Forces of the rows that are cuts, beside what was learned makes of them.
+    """Measured and fitted forces of the cuts.
 
     Parameters
     ----------
     components
-        Which forces.
+        Names of the force components.
     thickness
-        Thickest place of each chip. (n,) [mm]
+        Maximum uncut chip thickness of each cut. (n,) [mm]
     measured
-        The forces, drift taken out. (n, components) [N]
+        Measured forces with the drift removed. (n, components) [N]
     fitted
-        The same as they follow from what was learned. (n, components) [N]
+        Forces from the fitted coefficients. (n, components) [N]
     """
 
     components: tuple[str, ...]
@@ -67,7 +67,7 @@ class ForceFit:
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """A critical thickness that was found, its interval, and what share of each force remains beyond."""
+    """Ductile-to-brittle transition: critical thickness, its interval, and the remaining fraction of each force."""
 
     value: float
     low: float
@@ -78,36 +78,36 @@ class Transition:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LearnedMaterial:
-    """What forces tell of a material.
+    """Force coefficients and critical chip thickness estimated from measured forces.
 
     Parameters
     ----------
     cutting, thrust
-        Coefficients Kc and Kt of the ductile range; ``None`` for one that the measured forces do not tell. [N/mm²]
+        Coefficients Kc and Kt of the ductile regime; ``None`` if the measured components do not determine one. [N/mm²]
     uncertainty
-        Their standard uncertainties. (2) [N/mm²]
+        Standard uncertainties of ``cutting`` and ``thrust``. (2) [N/mm²]
     critical
-        Critical thickness; ``None`` where the forces show no transition. [mm]
+        Critical chip thickness; ``None`` if the forces show no transition. [mm]
     confidence
-        Of the intervals.
+        Confidence level of the intervals. [1]
     ductile, brittle
-        Rows that are ductile, and brittle, beyond doubt.
+        Number of rows that are certainly ductile, and certainly brittle.
     thickest
-        Thickest chip of all rows. [mm]
+        Maximum uncut chip thickness of all rows. [mm]
     remaining
-        Force beyond the transition as a share of what the ductile line has there, for each coefficient that is told;
-        1 where the forces go on without a drop; ``None`` without a transition.
+        Force just beyond the transition over the ductile force, for each determined coefficient; 1 for a transition
+        without a drop, ``None`` without a transition. [1]
     fit
-        The forces beside what was learned makes of them.
+        Measured and fitted forces.
     chance
-        At most this share of experiments without a transition would show one as clear, wherever and of whichever kind,
-        if their noise is normal and as large in all cuts, or larger on the brittle side.
+        Upper bound of the probability that an experiment without a transition shows one as clear, of any kind and at
+        any thickness; for normal noise that is equal in all cuts, or larger on the brittle side. [1]
     sentences
-        What a person should know before relying on it.
+        Report of the result, with warnings.
     exponents
-        Powers with which the coefficients fall as the chip grows; ``None`` where that was not asked for. (2)
+        Exponents of the size effect; ``None`` if it was not fitted. (2)
     reference_thickness
-        Chip thickness at which the coefficients then are what they are. [mm]
+        Chip thickness at which the coefficients of a size effect are stated; ``None`` without one. [mm]
     """
 
     cutting: Estimate | None
@@ -126,23 +126,25 @@ class LearnedMaterial:
     reference_thickness: float | None = None
 
 
-def said_of(
+def report_estimates(
     estimates: dict[str, Estimate], split: Transition | None, thickest: float, confidence: float
 ) -> Sequence[str]:
-    """Say what was learned."""
-    said = [
-        f"the {name} coefficient is {one.value:.5g} N/mm^2, {confidence:.0%} interval {one.low:.5g} to "
-        f"{one.high:.5g} N/mm^2"
-        for name, one in estimates.items()
+    """Report the estimates and the transition, one sentence each."""
+    report = [
+        f"the {name} coefficient is {estimate.value:.5g} N/mm^2, {confidence:.0%} interval {estimate.low:.5g} to "
+        f"{estimate.high:.5g} N/mm^2"
+        for name, estimate in estimates.items()
     ]
     if split is None:
-        none = (
+        no_transition = (
             f"the forces show no transition up to the thickest chip of {thickest * 1e6:.4g} nm: the critical thickness "
-            "is beyond, or the cuts are too few or too noisy to tell"
+            "is larger, or the cuts are too few or too noisy to show it"
         )
-        return [*said, none]
-    shares = [f"{share:.0%} of the {NAMES[name]}" for name, share in zip(estimates, split.remaining, strict=True)]
-    beyond = f"{' and '.join(shares)} {'remain' if len(shares) > 1 else 'remains'}"
-    if all(share == 1 for share in split.remaining):
+        return [*report, no_transition]
+    fractions = [
+        f"{ratio:.0%} of the {FORCE_NAMES[name]}" for name, ratio in zip(estimates, split.remaining, strict=True)
+    ]
+    beyond = f"{' and '.join(fractions)} {'remain' if len(fractions) > 1 else 'remains'}"
+    if all(ratio == 1 for ratio in split.remaining):
         beyond = "the forces grow more slowly, without a drop"
-    return [*said, f"the critical thickness is {split.value * 1e6:.4g} nm; beyond it {beyond}"]
+    return [*report, f"the critical thickness is {split.value * 1e6:.4g} nm; beyond it {beyond}"]

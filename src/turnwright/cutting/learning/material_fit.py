@@ -1,7 +1,7 @@
-"""From measured forces to the coefficients of a material and the chip it bears, each with its interval.
+"""Estimate the force coefficients and the critical chip thickness of a material from measured forces.
 
-Coefficients, drift and forces beyond the critical thickness are found in one regression, whatever was cut; see
-`straight` for chips of one thickness along the edge, and `edge_rows` for others.
+One regression gives coefficients, drift and the forces beyond the critical thickness. See `straight` for chips of
+uniform thickness along the edge, and `edge_rows` for other chips.
 """
 
 from __future__ import annotations
@@ -14,10 +14,17 @@ from turnwright._arrays import Bools, frozen
 from turnwright._validate import between
 from turnwright.cutting.learning.cuts import Cuts, NoseCuts
 from turnwright.cutting.learning.edge_rows import InterruptedRows, TurningRows
-from turnwright.cutting.learning.fit import TINY, UNLIKELY, Fit, Solved
-from turnwright.cutting.learning.learned import NAMES, Estimate, ForceFit, LearnedMaterial, Transition, said_of
-from turnwright.cutting.learning.rows import FEWEST, Rows
-from turnwright.cutting.learning.saturation import SOLID, rail, saturated
+from turnwright.cutting.learning.fit import TINY, WARNING_CONFIDENCE, Fit, Solved
+from turnwright.cutting.learning.learned import (
+    FORCE_NAMES,
+    Estimate,
+    ForceFit,
+    LearnedMaterial,
+    Transition,
+    report_estimates,
+)
+from turnwright.cutting.learning.rows import MIN_ROWS, Rows
+from turnwright.cutting.learning.saturation import MIN_FILL, find_clipped, find_saturated
 from turnwright.cutting.learning.straight import StraightRows
 from turnwright.errors import InputError
 
@@ -28,27 +35,26 @@ if TYPE_CHECKING:
 
 __all__ = ["learn_material"]
 
-WILD = 10.0
-"""Scatter in the cut over that in air beyond which something is likely not as stated."""
+MAX_SCATTER_RATIO = 10.0
+"""Ratio of the scatter in the cut to that in air above which a warning is reported."""
 
-EXACT = 1e-6
-"""Share of the thickest chip below which a departure from proportion is that of the arithmetic."""
+OFFSET_TOL = 1e-6
+"""Offset of the chip thickness, relative to the thickest chip, that counts as rounding."""
 
-ROUNDS = 20
-"""Steps of Newton for the power of a size effect."""
+MAX_NEWTON_STEPS = 20
+"""Newton steps for the exponents of a size effect."""
 
-SETTLED = 1e-10
-"""Change of a power at which these end."""
+EXPONENT_TOL = 1e-10
+"""Change of an exponent at which the Newton steps end."""
 
-CLEAR = 5.0
-"""Times the scatter in air that a force must have for its cut to be found beyond doubt, as `engagements` looks for it.
-"""
+DETECTION_SIGMA = 5.0
+"""Force, in standard deviations of the noise in air, at which a cut is detected reliably; as in `engagements`."""
 
-SOFTEST, HARDEST = 10.0, 1e5
-"""Cutting coefficients that materials have; beyond, a unit is likely not as stated. [N/mm²]"""
+MIN_COEFFICIENT, MAX_COEFFICIENT = 10.0, 1e5
+"""Range of plausible cutting coefficients; outside it a unit is probably wrong. [N/mm²]"""
 
-THICKEST = 0.1
-"""Uncut chip beyond which a thickness is likely not in mm: that of a diamond is below. [mm]"""
+MAX_THICKNESS_MM = 0.1
+"""Largest plausible uncut chip thickness in diamond turning; above it a unit is probably wrong."""
 
 
 def learn_material(
@@ -62,45 +68,45 @@ def learn_material(
     thickness_uncertainty: float = 0.0,
     confidence: float = 0.95,
 ) -> LearnedMaterial:
-    """Learn the coefficients and the critical thickness of a material.
+    """Estimate the force coefficients and the critical chip thickness of a material.
 
     Parameters
     ----------
     cuts
-        Forces and what was cut: chips of one thickness along the edge, round noses, or mills and fly-cutters.
+        Forces and cuts: chips of uniform thickness along the edge, round noses, or end mills and fly-cutters.
     drift
         Degree of the polynomial in time that the forces in air follow; ``None`` for forces without drift.
     edge_force
-        Whether a force in proportion to the engaged edge alone, which rubs, is taken out of the coefficients.
+        Whether to fit an edge force (rubbing), proportional to the engaged length of the edge.
     size_effect
-        Whether the coefficients fall with a power of the chip thickness, :math:`K_0 (h/h_0)^{-m}`; :math:`h_0` is the
-        geometric mean of all thicknesses, along an edge each counted by its area.
+        Whether to fit a size effect, coefficients :math:`K_0 (h/h_0)^{-m}`; :math:`h_0` is the geometric mean of all
+        thicknesses, weighted by area along an edge.
     calibration
-        Standard uncertainty of each measured component, as a share that is common to all rows: of the dynamometer,
-        see `Dynamometer.relative_uncertainty`. (components)
+        Relative standard uncertainty of each measured component, common to all rows; that of the dynamometer, see
+        `Dynamometer.relative_uncertainty`. (components) [1]
     area_uncertainty
-        Standard uncertainty that is common to all areas of chips, such as that of width or depth, as a share.
+        Relative standard uncertainty common to all chip areas, such as that of width or depth. [1]
     thickness_uncertainty
-        Standard uncertainty that is common to all thicknesses, such as that of where the cut began. [mm]
+        Standard uncertainty common to all chip thicknesses, such as that of the start of the cut. [mm]
     confidence
-        Of all intervals.
+        Confidence level of all intervals. [1]
 
     Raises
     ------
     InputError
-        If there are too few cuts to tell, or a channel is saturated, all zero, or of the wrong sign or unit.
+        If there are too few cuts, or a channel is saturated, all zero, or of the wrong sign or unit.
 
     Sources
     -------
-    The force model of [Troutman2016]_; [Hansen2000]_ for a transition where forces jump. Oracles: forces made from
-    known coefficients, along an edge by brute force from the shapes that it leaves, in a hundred random experiments;
-    Student's t of a regression; weighted least squares by SciPy.
+    Force model of [Troutman2016]_; [Hansen2000]_ for a transition with a jump of the forces. Oracles: forces from
+    known coefficients, integrated by brute force along the edge, in a hundred random experiments; Student's t of a
+    regression; weighted least squares by SciPy.
     """
     from scipy.stats import norm  # noqa: PLC0415 - costly to import
 
     between(confidence, "confidence", 0.5, 0.999, "")
     if edge_force and size_effect:
-        raise InputError("edge_force and size_effect are both asked for, the limit is 1: forces do not tell them apart")
+        raise InputError("only one of edge_force and size_effect can be fitted, got both: choose one")
     rows: Rows
     match cuts:
         case Cuts():
@@ -111,38 +117,39 @@ def learn_material(
             rows = InterruptedRows(cuts, drift)
     _require_plausible(rows)
     components = rows.force.shape[1]
-    shares = np.zeros(components) if calibration is None else frozen(calibration, "calibration")
-    if shares.size != components or not ((shares >= 0) & (shares <= 1)).all():
+    relative = np.zeros(components) if calibration is None else frozen(calibration, "calibration")
+    if relative.size != components or not ((relative >= 0) & (relative <= 1)).all():
         raise InputError(
-            f"calibration is {shares.tolist()} and the cuts have {components} components: give each a share of 0 to 1"
+            f"calibration must be {components} numbers of 0 to 1, one for each component, got {relative.tolist()}"
         )
     rows.synchronise(None, np.inf)
-    rows.told = rows.which_are_told()
+    rows.determined = rows.find_determined()
     rows.edge, rows.power = edge_force, [0.0, 0.0] if size_effect else None
-    split, ductile = _settled(rows, confidence)
-    wide = float(norm.ppf(0.5 + confidence / 2))
+    split, ductile = _iterate(rows, confidence)
+    coverage = float(norm.ppf(0.5 + confidence / 2))
     estimates: dict[str, Estimate] = {}
     standard: dict[str, float] = {}
     powers: dict[str, Estimate] = {}
     between(area_uncertainty, "area_uncertainty", 0.0, 1.0, "")
-    for part, share in rows.groups(shares):
-        found = _coefficients(part, ductile | ~rows.engaged, confidence, split)
-        for k, name in enumerate(part.told):
+    for part, component_relative in rows.groups(relative):
+        solution = _fit_coefficients(part, ductile | ~rows.engaged, confidence, split)
+        for k, name in enumerate(part.determined):
             at = k * rows.parts
-            value, half = float(found.value[at]), float(found.half[at])
+            value, half = float(solution.value[at]), float(solution.half[at])
             _require_material(name, value, value + half)
-            common = float(np.hypot(np.linalg.norm(share * found.by_component[at]), area_uncertainty * value))
-            estimates[name] = Estimate.around(value, float(np.hypot(half, wide * common)))
-            standard[name] = float(np.hypot(found.sigma[at], common))
+            calibration_part = np.linalg.norm(component_relative * solution.by_component[at])
+            common = float(np.hypot(calibration_part, area_uncertainty * value))
+            estimates[name] = Estimate.around(value, float(np.hypot(half, coverage * common)))
+            standard[name] = float(np.hypot(solution.sigma[at], common))
             if rows.power is not None:
-                power = rows.power[list(NAMES).index(name)]
-                powers[name] = Estimate.around(power, float(found.half[at + 1]) / abs(value))
+                power = rows.power[list(FORCE_NAMES).index(name)]
+                powers[name] = Estimate.around(power, float(solution.half[at + 1]) / abs(value))
     critical = None
     if split is not None:
-        more = wide * between(thickness_uncertainty, "thickness_uncertainty", 0.0, np.inf, "mm")
-        critical = Estimate(value=split.value, low=max(split.low - more, 0.0), high=split.high + more)
-    thickest, fitted = float(rows.thickest.max()), _shown(rows, np.inf if split is None else split.value)
-    said = [*said_of(estimates, split, thickest, confidence), *rows.questions(split, ductile)]
+        margin = coverage * between(thickness_uncertainty, "thickness_uncertainty", 0.0, np.inf, "mm")
+        critical = Estimate(value=split.value, low=max(split.low - margin, 0.0), high=split.high + margin)
+    thickest, fitted = float(rows.thickest.max()), _compare_forces(rows, np.inf if split is None else split.value)
+    report = [*report_estimates(estimates, split, thickest, confidence), *rows.find_warnings(split, ductile)]
     return LearnedMaterial(
         cutting=estimates.get("cutting"),
         thrust=estimates.get("thrust"),
@@ -154,18 +161,18 @@ def learn_material(
         thickest=thickest,
         remaining=None if split is None else split.remaining,
         chance=1.0 if split is None else split.chance,
-        sentences=(*said, *_misfits(rows, ductile, fitted)),
+        sentences=(*report, *_find_misfits(rows, ductile, fitted)),
         fit=fitted,
         exponents=(powers.get("cutting"), powers.get("thrust")) if size_effect else None,
         reference_thickness=rows.reference if size_effect else None,
     )
 
 
-def _settled(rows: Rows, confidence: float) -> tuple[Transition | None, Bools]:
-    """Return the transition and which rows are ductile, when powers and the place of a cutter no longer change."""
+def _iterate(rows: Rows, confidence: float) -> tuple[Transition | None, Bools]:
+    """Return the transition and the ductile rows, after convergence of exponents and cutter positions."""
     for _ in range(3 if rows.turns else 0):
         rows.synchronise(Fit(rows).solve(rows.columns(np.inf))[0], np.inf)
-    for turn in range(ROUNDS + 1):
+    for turn in range(MAX_NEWTON_STEPS + 1):
         split = rows.transition(confidence)
         ductile = rows.engaged & rows.surely_ductile(np.inf if split is None else split.low)
         if rows.turns:
@@ -173,127 +180,130 @@ def _settled(rows: Rows, confidence: float) -> tuple[Transition | None, Bools]:
             rows.synchronise(Fit(rows).solve(rows.columns(limit))[0], limit)
         if rows.power is None and not turn and rows.turns:
             continue
-        if rows.power is None or turn == ROUNDS:
+        if rows.power is None or turn == MAX_NEWTON_STEPS:
             break
         answer = Fit(rows, ductile | ~rows.engaged).solve(rows.columns(np.inf))[0]
-        steps = [answer[2 * k + 1] / answer[2 * k] if one in rows.told else 0.0 for k, one in enumerate(NAMES)]
+        steps = [
+            answer[2 * k + 1] / answer[2 * k] if name in rows.determined else 0.0 for k, name in enumerate(FORCE_NAMES)
+        ]
         rows.power = [float(np.clip(old + step, -2, 2)) for old, step in zip(rows.power, steps, strict=True)]
-        if max(abs(step) for step in steps) < SETTLED:
+        if max(abs(step) for step in steps) < EXPONENT_TOL:
             break
     return split, ductile
 
 
-def _coefficients(rows: Rows, used: Bools, confidence: float, split: Transition | None = None) -> Solved:
-    """Return the coefficients that are told from some rows, each with its edge force or power."""
-    used, columns, told = rows.design(used, split)
-    return Fit(rows, used).estimate(columns, confidence, told)
+def _fit_coefficients(rows: Rows, used: Bools, confidence: float, split: Transition | None = None) -> Solved:
+    """Return the coefficients from the used rows, each with its edge force or exponent."""
+    used, columns, count = rows.design(used, split)
+    return Fit(rows, used).estimate(columns, confidence, count)
 
 
-def _shown(rows: Rows, limit: float) -> ForceFit:
-    """Return the forces of the cuts without drift, and what was learned makes of them."""
+def _compare_forces(rows: Rows, limit: float) -> ForceFit:
+    """Return the measured forces of the cuts without drift, and the fitted forces."""
     columns = rows.columns(limit)
     fitted = columns @ Fit(rows).solve(columns)[0]
     measured = rows.force.copy()
     for component, weight in enumerate(rows.weights.T if rows.drift.size else ()):
-        rest = (measured - fitted)[:, component] * weight
-        measured[:, component] -= rows.drift @ np.linalg.lstsq(rows.drift * weight[:, None], rest, rcond=None)[0]
+        residual = (measured - fitted)[:, component] * weight
+        measured[:, component] -= rows.drift @ np.linalg.lstsq(rows.drift * weight[:, None], residual, rcond=None)[0]
     cut = rows.engaged
     return ForceFit(
         components=rows.components, thickness=rows.thickest[cut], measured=measured[cut], fitted=fitted[cut]
     )
 
 
-def _misfits(rows: Rows, ductile: Bools, fitted: ForceFit) -> list[str]:
-    """Say what no interval accounts for."""
-    said = []
+def _find_misfits(rows: Rows, ductile: Bools, fitted: ForceFit) -> list[str]:
+    """Return warnings of deviations from the model that the intervals do not cover."""
+    warnings = []
     used = ductile | ~rows.engaged
-    if rows.in_time and min(np.count_nonzero(~rows.engaged), np.count_nonzero(ductile)) >= FEWEST:
-        left = Fit(rows, used).solve(rows.columns(np.inf))[2] / rows.weights[used]
-        air = np.maximum(left[~rows.engaged[used]].std(axis=0), TINY)
-        wild = float((left[rows.engaged[used]].std(axis=0) / air)[rows.clearest].max())
-        if wild > WILD:
-            said.append(
-                f"the forces in the cut scatter {wild:.3g} times as much as in air, more than {WILD:g} times: check "
-                "that no air is counted as cut, and that chips, geometry and feeds are as stated"
+    if rows.in_time and min(np.count_nonzero(~rows.engaged), np.count_nonzero(ductile)) >= MIN_ROWS:
+        residual = Fit(rows, used).solve(rows.columns(np.inf))[2] / rows.weights[used]
+        air = np.maximum(residual[~rows.engaged[used]].std(axis=0), TINY)
+        scatter_ratio = float((residual[rows.engaged[used]].std(axis=0) / air)[rows.judged].max())
+        if scatter_ratio > MAX_SCATTER_RATIO:
+            warnings.append(
+                f"the forces in the cut scatter {scatter_ratio:.3g} times as much as in air, the limit is "
+                f"{MAX_SCATTER_RATIO:g}: check that no air is counted as cut, and that chips, geometry and feeds are "
+                "as stated"
             )
         if not rows.turns:
-            clear = int(np.argmax((np.abs(fitted.fitted).max(axis=0) / air)[rows.clearest]))
-            said += _too_weak(float(np.abs(fitted.fitted[:, clear]).min()), float(air[clear]))
-    if rows.edge or rows.power is not None or np.unique(rows.thickest[ductile]).size < FEWEST:
-        return said
+            component = int(np.argmax((np.abs(fitted.fitted).max(axis=0) / air)[rows.judged]))
+            warnings += _check_weakest_cut(float(np.abs(fitted.fitted[:, component]).min()), float(air[component]))
+    if rows.edge or rows.power is not None or np.unique(rows.thickest[ductile]).size < MIN_ROWS:
+        return warnings
     rows.edge = True
     try:
-        found = [(part.told, _coefficients(part, used, UNLIKELY)) for part, _ in rows.groups()]
+        solutions = [(part.determined, _fit_coefficients(part, used, WARNING_CONFIDENCE)) for part, _ in rows.groups()]
     except InputError:
-        return said  # cuts too alike to tell an edge force
+        return warnings  # the cuts are too similar to determine an edge force
     finally:
         rows.edge = False
-    for names, one in found:
-        for name, value, edge, half in zip(names, one.value[::2], one.value[1::2], one.half[1::2], strict=True):
-            if abs(edge) > max(half, EXACT * abs(value) * rows.thickest.max()):
-                said.append(
-                    f"the {NAMES[name]} is not in proportion to the chip: it is as if the chips were "
-                    f"{abs(edge / value) * 1e6:.3g} nm {'thicker' if edge > 0 else 'thinner'} than stated, so the "
-                    "intervals do not hold: check where the cut begins, feed, depth and nose, or take a force of the "
-                    "edge or a size effect into account"
+    for names, solution in solutions:
+        value_edge_half = (solution.value[::2], solution.value[1::2], solution.half[1::2])
+        for name, value, edge, half in zip(names, *value_edge_half, strict=True):
+            if abs(edge) > max(half, OFFSET_TOL * abs(value) * rows.thickest.max()):
+                warnings.append(
+                    f"the {FORCE_NAMES[name]} is not proportional to the chip thickness: the forces are those of chips "
+                    f"{abs(edge / value) * 1e6:.3g} nm {'thicker' if edge > 0 else 'thinner'} than stated, and the "
+                    "intervals do not hold: check the start of the cut, feed, depth and nose radius, or fit an edge "
+                    "force or a size effect"
                 )
-    return said
+    return warnings
 
 
-def _too_weak(weakest: float, scatter: float) -> list[str]:
-    """Say if cuts may have been taken for air, since their forces do not stand out of the noise there."""
-    if weakest >= CLEAR * scatter:
+def _check_weakest_cut(weakest: float, scatter: float) -> list[str]:
+    """Return a warning if the weakest cuts are not clearly above the noise in air."""
+    limit = DETECTION_SIGMA * scatter
+    if weakest >= limit:
         return []
-    said = (
-        f"the weakest cuts press with {weakest * 1e3:.3g} mN and forces in air scatter by {scatter * 1e3:.3g} mN, so "
-        f"that cuts below {CLEAR * scatter * 1e3:.3g} mN, {CLEAR:g} times that, may have been taken for air, and chips "
-        "then be thicker than stated: do not rely on the intervals; leave the thinnest chips out, cut wider, filter "
-        "more, or state when the cuts begin and end"
+    warning = (
+        f"the weakest cuts have {weakest * 1e3:.3g} mN, reliable detection needs {limit * 1e3:.3g} mN "
+        f"({DETECTION_SIGMA:g} times the noise in air): thinner cuts may have been taken for air, and the intervals do "
+        "not hold; remove the thinnest chips, cut wider, lower the low-pass, or state begin and end of the cuts"
     )
-    return [said]
+    return [warning]
 
 
 def _require_plausible(rows: Rows) -> None:
-    """Raise for chips that are no diamond's, and for channels that measured nothing or are saturated."""
+    """Raise for implausible chip thicknesses, and for channels that are all zero or saturated."""
     thickness, forces = rows.thickest, dict(zip(rows.labels, rows.force.T, strict=True))
     thickest = float(thickness.max(initial=0.0))
-    if thickest > THICKEST:
+    if thickest > MAX_THICKNESS_MM:
         raise InputError(
-            f"the thickest chip is {thickest:g} mm, the limit is {THICKEST:g} mm: state thicknesses in mm, of which 1 "
-            "um is 0.001"
+            f"the thickest chip is {thickest:g} mm, the limit is {MAX_THICKNESS_MM:g} mm: state thicknesses in mm (1 "
+            "um is 0.001 mm)"
         )
     for name, force in forces.items():
         if not force[rows.engaged].any():
-            raise InputError(f"the {name} of all cuts is 0 N, it must be measured: check its channel")
+            raise InputError(f"the {name} of all cuts is 0 N, at least one must not be: check its channel")
     order = np.flatnonzero(rows.engaged)
     order = order[np.argsort(thickness[order], kind="stable")]
     for name, force in forces.items():
-        clipped = saturated(force[order])
-        solid = clipped.size >= SOLID * (np.ptp(clipped) + 1 if clipped.size else 1)
-        # Without noise all forces may be constant beyond a transition; a range ends for one of them.
-        others = [other[order[clipped]] for other in forces.values()]
-        if not solid or (len(forces) > 1 and not any(np.ptp(other) for other in others)):
-            clipped = rail(rows.load[order], force[order])
+        clipped = find_saturated(force[order])
+        contiguous = clipped.size >= MIN_FILL * (np.ptp(clipped) + 1 if clipped.size else 1)
+        # Without noise all forces may be constant beyond a transition; saturation affects only one of them.
+        same_rows = [component[order[clipped]] for component in forces.values()]
+        if not contiguous or (len(forces) > 1 and not any(np.ptp(values) for values in same_rows)):
+            clipped = find_clipped(rows.load[order], force[order])
         if not clipped.size:
             continue
         at = order[clipped]
         largest = force[at[np.argmax(np.abs(force[at]))]]
         raise InputError(
-            f"the {name} is saturated: it stands at {largest:.6g} N in {at.size} of {order.size} cuts, of chips from "
-            f"{thickness[at].min() * 1e6:.4g} to {thickness[at].max() * 1e6:.4g} nm, closer together than its noise: "
-            "record with a larger range, or leave these cuts out"
+            f"the {name} is saturated: it is {largest:.6g} N, closer than its noise, in {at.size} of {order.size} "
+            f"cuts, with chips of {thickness[at].min() * 1e6:.4g} to {thickness[at].max() * 1e6:.4g} nm: record with a "
+            "larger range, or remove these cuts"
         )
 
 
 def _require_material(name: str, value: float, high: float) -> None:
-    """Raise for a coefficient of cutting force or thrust that no material has."""
+    """Raise for a force coefficient outside the range of materials."""
     if not value > 0 and (name == "cutting" or high < 0):
         raise InputError(
-            f"the {name} coefficient comes out as {value:.4g} N/mm^2, it must be above 0: check the signs of both "
-            "channels"
+            f"the {name} coefficient is {value:.4g} N/mm^2, it must be above 0: check the signs of both channels"
         )
-    if abs(value) > HARDEST or (name == "cutting" and value < SOFTEST):
+    if abs(value) > MAX_COEFFICIENT or (name == "cutting" and value < MIN_COEFFICIENT):
         raise InputError(
-            f"the {name} coefficient comes out as {value:.4g} N/mm^2, materials have {SOFTEST:g} to {HARDEST:.0e}: "
-            "state forces in N, and thickness and width of the chip in mm"
+            f"the {name} coefficient is {value:.4g} N/mm^2, materials have {MIN_COEFFICIENT:g} to "
+            f"{MAX_COEFFICIENT:.0e} N/mm^2: state forces in N, and thickness and width of the chip in mm"
         )

@@ -1,4 +1,4 @@
-"""Saturated channels: an amplifier or converter stands at the end of its range while the force goes on."""
+"""Detection of saturated channels: an amplifier or converter at the end of its measuring range."""
 
 from __future__ import annotations
 
@@ -12,35 +12,35 @@ from turnwright.errors import InputError
 if TYPE_CHECKING:
     from turnwright._arrays import Floats, Ints
 
-__all__ = ["rail", "require_unsaturated", "saturated"]
+__all__ = ["find_clipped", "find_saturated", "require_unsaturated"]
 
 MIN_RUN = 5
-"""Neighbouring values that stand exactly at one end of a range before it counts as saturated."""
+"""Length of a run of equal extreme values that counts as saturated."""
 
-EXACT = 1e-9
-"""Scatter over the force below which forces are exact but for rounding."""
+NOISELESS_TOL = 1e-9
+"""Scatter over force below which forces have no noise except rounding."""
 
 MIN_LEVELS = 6
-"""Different values below which a channel is too coarse to judge."""
+"""Number of different values that a channel needs to be judged."""
 
-LOOKED = 400
-"""Numbers of values, of those that may stand at the end of a range, that are looked at."""
+TRIAL_COUNTS = 400
+"""Number of trial sizes of a saturated group."""
 
-LEVEL = 1e-6
-"""Chance below which noise like that of the other values would keep so many of them so close together."""
+SIGNIFICANCE = 1e-6
+"""Probability below which a group of close extreme values is not explained by noise."""
 
-SOLID = 0.9
-"""Share of the values from the first to the last at the end of a range that stand there, if that is the range."""
+MIN_FILL = 0.9
+"""Fraction of the values between the first and the last saturated one that must be saturated."""
 
-LONGER = 2
-"""Times that values must stand at the end longer than anywhere else; forces without noise stand still everywhere."""
+MIN_RUN_RATIO = 2
+"""Ratio of the longest run at the extreme to the longest elsewhere; forces without noise have long runs everywhere."""
 
 
-def saturated(values: Floats) -> Ints:
-    """Return which values stand at the largest or the smallest of all because their channel is saturated. (k,).
+def find_saturated(values: Floats) -> Ints:
+    """Return the indices of saturated values: long runs of exactly the largest or the smallest value. (k,).
 
-    Noise parts neighbours: where some stand at an extreme, exactly and for longer than at any other value, that is the
-    end of the range. A value of 0 is no such end.
+    Noise makes neighbours differ, so a run at an extreme that is longer than any other run is the end of the range.
+    The value 0 is not taken as an end.
     """
     borders = np.concatenate(([0], np.flatnonzero(np.diff(values)) + 1, [values.size]))
     length, level = np.diff(borders), values[borders[:-1]]
@@ -49,19 +49,19 @@ def saturated(values: Floats) -> Ints:
         if end == 0 or inside.all() or not inside.any():
             continue
         longest = int(length[inside].max())
-        if longest < MIN_RUN or longest <= LONGER * int(length[~inside].max()):
+        if longest < MIN_RUN or longest <= MIN_RUN_RATIO * int(length[~inside].max()):
             continue
         if np.unique(level).size >= MIN_LEVELS:
             return np.flatnonzero(values == end)
     return np.zeros(0, dtype=np.int64)
 
 
-def rail(load: Floats, values: Floats) -> Ints:
-    """Return which averages stand at the end of the range of their channel while the load goes on. (k,).
+def find_clipped(load: Floats, values: Floats) -> Ints:
+    """Return the indices of averages at the end of the measuring range while the load still increases. (k,).
 
-    They are the largest of all, those of the largest loads, and closer together than the noise of the others lets them
-    be: some k of n neighbours lie within w standard deviations by a chance of n k (w / sqrt(2 pi))^(k - 1) at most.
-    Forces that stay the same beyond a transition keep their noise.
+    They are the largest averages, have the largest loads, and are closer together than noise allows: the probability
+    that k of n values lie within w standard deviations is at most n k (w / sqrt(2 pi))^(k - 1). Forces that are
+    constant beyond a transition keep their noise and are not taken.
     """
     if values.size < 2 * MIN_RUN:
         return np.zeros(0, dtype=np.int64)
@@ -69,32 +69,32 @@ def rail(load: Floats, values: Floats) -> Ints:
 
     order = np.argsort(load, kind="stable")
     load, forces = load[order], values[order] * (1.0 if np.median(values) >= 0 else -1.0)
-    down = np.lexsort((-np.arange(forces.size), -forces))  # of equal ones the last comes first
+    down = np.lexsort((-np.arange(forces.size), -forces))  # of equal values the last comes first
     first, last = np.minimum.accumulate(down), np.maximum.accumulate(down)
-    found, least = 0, np.log(LEVEL)
-    for k in np.unique(np.geomspace(MIN_RUN, values.size - MIN_RUN, LOOKED).astype(np.int64)):
+    count, least = 0, np.log(SIGNIFICANCE)
+    for k in np.unique(np.geomspace(MIN_RUN, values.size - MIN_RUN, TRIAL_COUNTS).astype(np.int64)):
         span = int(last[k - 1] - first[k - 1]) + 1
-        if k < SOLID * span or last[k - 1] < SOLID * values.size:
+        if k < MIN_FILL * span or last[k - 1] < MIN_FILL * values.size:
             continue
         noise = _noise(load, forces, int(first[k - 1]))
-        if noise <= EXACT * abs(forces[down[0]]):
+        if noise <= NOISELESS_TOL * abs(forces[down[0]]):
             continue
-        near = max(forces[down[0]] - forces[down[k - 1]], _step(forces[: first[k - 1]]), EXACT * noise) / noise
+        near = max(forces[down[0]] - forces[down[k - 1]], _step(forces[: first[k - 1]]), NOISELESS_TOL * noise) / noise
         ways = gammaln(span + 1) - gammaln(k + 1) - gammaln(span - k + 1)
         chance = np.log(values.size * k) + ways + (k - 1) * np.log(near / np.sqrt(2 * np.pi))
         if chance < least:
-            found, least = int(k), chance
-    return np.sort(order[down[:found]])
+            count, least = int(k), chance
+    return np.sort(order[down[:count]])
 
 
 def _step(values: Floats) -> float:
-    """Return the step of the converter that values show, which repeat if it is coarse; else 0."""
+    """Return the quantisation step if values repeat, else 0."""
     levels = np.unique(values)
     return float(np.diff(levels).min(initial=np.inf)) if levels.size < values.size else 0.0
 
 
 def _noise(load: Floats, forces: Floats, before: int) -> float:
-    """Return the scatter of forces about the lines between their neighbours, below some row."""
+    """Return the scatter of forces about linear interpolation of their neighbours, before a row."""
     load, forces = load[:before], forces[:before]
     if before < MIN_RUN + 1:
         return 0.0
@@ -109,7 +109,7 @@ def require_unsaturated(label: str, channel: str, values: Floats, at: Ints, rate
     """Raise if samples of a channel of a record are saturated."""
     if at.size:
         raise InputError(
-            f"{label} is saturated: {at.size} of {values.size} samples of channel {channel!r} stand at "
+            f"{label} is saturated: {at.size} of {values.size} samples of channel {channel!r} are at "
             f"{values[at[0]]:.6g} N, between {at[0] / rate_hz:.4g} and {at[-1] / rate_hz:.4g} s: record with a larger "
-            "range, or leave that part out"
+            "range, or remove that part"
         )

@@ -1,11 +1,11 @@
-r"""Forces over time, and what makes numbers of them: drift, filters, engagement, averages that know their uncertainty.
+r"""Processing of force records: drift, low-pass, detection of cuts, and averages with their uncertainty.
 
-Neighbouring samples of a force hang together, so that n of them say less than n independent ones would. Wherever an
-uncertainty is stated here, they count as n/τ, with the integrated correlation time
+Neighbouring samples of a force are correlated. Every uncertainty here counts n samples as n/τ independent ones, where
+τ is the integrated correlation time
 
 .. math:: \tau = 1 + 2 \sum_{k=1}^{M} \rho_k
 
-of their own autocorrelation ρ, summed up to the first M of at least 5 τ [Sokal1997]_.
+of their autocorrelation ρ, summed up to the first M ≥ 5 τ [Sokal1997]_.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, frozen, robust_scatter
 from turnwright._validate import between, check_numbers, positive
-from turnwright.cutting.learning.saturation import require_unsaturated, saturated
+from turnwright.cutting.learning.saturation import find_saturated, require_unsaturated
 from turnwright.errors import InputError
 from turnwright.units import MOST
 
@@ -35,44 +35,44 @@ __all__ = [
     "remove_drift",
 ]
 
-WINDOW = 5.0
-"""Correlation is summed over this many correlation times."""
+SUM_WINDOW = 5.0
+"""Range of the sum of autocorrelations, in correlation times."""
 
-HIGHEST_ORDER = 10
-"""Order of a low-pass beyond which it rings more than it helps."""
+MAX_FILTER_ORDER = 10
 
-HIGHEST_DRIFT = 6
-"""Degree of a drift beyond which it follows the cuts."""
+MAX_DRIFT_DEGREE = 6
+"""A polynomial of higher degree would follow the cuts."""
 
-CLEAR = 5.0
-"""A force this many times the noise above the level in air is one of cutting."""
+CUT_SIGMA = 5.0
+"""Height of a cutting force above the level in air, in standard deviations of the noise."""
 
-ROUGHEST = 2.0
-"""Times the noise that what is taken for air may depart from a smooth level; beyond, it is a cut or another drift."""
+MAX_AIR_RESIDUAL_SIGMA = 2.0
+"""Largest residual of the drift in air, in standard deviations of the noise."""
 
-BELOW = 1e-3
-"""Weight of samples above the level in air, against 1 below it, where the level is first looked for."""
+ABOVE_WEIGHT = 1e-3
+"""Weight of samples above the level in air, relative to those below, in its first estimate."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ForceRecord:
-    """Forces that were sampled at even steps of time.
+    """Forces sampled at a constant rate.
 
     Parameters
     ----------
     force
-        A column for each channel. (n, channels) [N]
+        One column for each channel. (n, channels) [N]
     rate_hz
-        Samples per second. [Hz]
+        Sampling rate. [Hz]
     channels
-        What each column is called.
+        Name of each column.
     name
-        What was recorded.
+        Name of the record, for messages.
 
     Raises
     ------
     InputError
-        If the columns have not as many names, names repeat, a value is not finite, or a channel is saturated.
+        If the number of names differs from that of the columns, names repeat, a value is not finite, or a channel is
+        saturated.
 
     >>> record = ForceRecord(force=[[0.0, 1.0], [2.0, 3.0]], rate_hz=10.0, channels=("Fx", "Fz"))
     >>> record.channel("-Fz").tolist()
@@ -95,17 +95,17 @@ class ForceRecord:
         object.__setattr__(self, "rate_hz", positive(self.rate_hz, "rate_hz", "Hz"))
         if self.force.shape[1] != len(self.channels) or len(set(self.channels)) != len(self.channels):
             raise InputError(
-                f"{label} has {self.force.shape[1]} columns and the channels {', '.join(self.channels) or 'none'}: "
-                "give each column a name of its own"
+                f"{label} must have one unique channel name for each column, got {self.force.shape[1]} columns and the "
+                f"channels {', '.join(self.channels) or 'none'}"
             )
         if self.force.shape[0] < 2:
-            raise InputError(f"{label} has {self.force.shape[0]} samples, it needs at least 2: record for longer")
+            raise InputError(f"{label} must have at least 2 samples, got {self.force.shape[0]}")
         for name, column in zip(self.channels, self.force.T, strict=True):
-            require_unsaturated(label, name, column, saturated(column), self.rate_hz)
+            require_unsaturated(label, name, column, find_saturated(column), self.rate_hz)
 
     @property
     def samples(self) -> int:
-        """Samples of each channel."""
+        """Number of samples of each channel."""
         return int(self.force.shape[0])
 
     @property
@@ -114,38 +114,38 @@ class ForceRecord:
         return np.arange(self.samples) / self.rate_hz
 
     def channel(self, name: str) -> Floats:
-        """Return one column, or its negative where a minus stands before its name. (n,) [N]."""
+        """Return one column, negated if its name is preceded by a minus sign. (n,) [N]."""
         sign, plain = (-1.0, name[1:]) if name.startswith("-") and name not in self.channels else (1.0, name)
         if plain not in self.channels:
             raise InputError(
-                f"the force record {self.name!r} has no channel {plain!r}, it has {', '.join(self.channels)}: name "
-                "one of these, with a minus before it to turn it round"
+                f"the force record {self.name!r} has no channel {plain!r}, it has {', '.join(self.channels)}: choose "
+                "one of these, with a minus sign to reverse its direction"
             )
         return sign * self.force[:, self.channels.index(plain)]
 
 
 def low_pass(record: ForceRecord, cutoff_hz: float, order: int) -> ForceRecord:
-    r"""Take fast changes out of a record without moving slow ones in time.
+    r"""Low-pass a force record without phase shift.
 
-    A Butterworth filter of the stated order runs forth and back, so that phases cancel and gains multiply:
+    A Butterworth filter is applied forward and backward, so that its phases cancel and its gains multiply:
 
     .. math:: |G(f)| = \frac{1}{1 + (\tan(\pi f/f_s) / \tan(\pi f_c/f_s))^{2n}}
 
-    at the cut-off that is one half, -6 dB.
+    which is 1/2 (-6 dB) at the cut-off frequency.
 
     Parameters
     ----------
     record
-        The forces.
+        Force record.
     cutoff_hz
-        Frequency of the gain 1/2. [Hz]
+        Cut-off frequency, with a gain of 1/2. [Hz]
     order
-        Of the one-way filter, 1 to 10.
+        Order n of the one-way filter, 1 to 10.
 
     Raises
     ------
     InputError
-        If the cut-off is not below half the rate, the order is none, or the record is too short.
+        If the cut-off frequency is not between 0 and half the sampling rate, or the order is out of range.
 
     Sources
     -------
@@ -155,22 +155,22 @@ def low_pass(record: ForceRecord, cutoff_hz: float, order: int) -> ForceRecord:
 
     half = record.rate_hz / 2
     if not 0 < cutoff_hz < half:
-        raise InputError(f"cutoff_hz is {cutoff_hz:g} Hz, the limits are 0 and {half:g} Hz, half the rate: lower it")
-    if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= HIGHEST_ORDER:
-        raise InputError(f"the order of a low-pass is {order!r}, the limits are 1 to {HIGHEST_ORDER}: give a number")
-    # The ends are continued by a turned copy of as many samples as the filter remembers.
+        raise InputError(f"cutoff_hz must be between 0 and {half:g} Hz (half the sampling rate), got {cutoff_hz:g} Hz")
+    if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= MAX_FILTER_ORDER:
+        raise InputError(f"the order of a low-pass must be an integer, 1 to {MAX_FILTER_ORDER}, got {order!r}")
+    # The ends are extended by odd reflection over the impulse response of the filter.
     pad = min(record.samples - 1, int(np.ceil(4 * order * record.rate_hz / cutoff_hz)))
     sections = butter(order, cutoff_hz, fs=record.rate_hz, output="sos")
     return replace(record, force=sosfiltfilt(sections, record.force, axis=0, padlen=pad))
 
 
 def correlation_time(values: ArrayLike) -> float:
-    r"""Return the integrated correlation time of evenly sampled values: so many of them say as much as one.
+    r"""Compute the integrated correlation time of evenly sampled values: the samples per independent value.
 
     Parameters
     ----------
     values
-        Samples; their mean is taken out. (n,) [any unit]
+        Samples; their mean is subtracted. (n,) [any unit]
 
     Returns
     -------
@@ -184,13 +184,13 @@ def correlation_time(values: ArrayLike) -> float:
 
     Sources
     -------
-    [Sokal1997]_ section 3; [Wolff2004]_ for what the mean takes. Oracle: (1 + a)/(1 - a) of a first-order
+    [Sokal1997]_ section 3; [Wolff2004]_ for the bias due to the mean. Oracle: (1 + a)/(1 - a) of a first-order
     autoregression.
     """
     series = frozen(values, "values")
     n = series.size
     if n < 2:
-        raise InputError(f"{n} values have no correlation, the least is 2: give more")
+        raise InputError(f"a correlation time needs at least 2 values, got {n}")
     centred = series - series.mean()
     padded = 1 << (2 * n - 1).bit_length()
     spectrum = np.abs(np.fft.rfft(centred, padded)) ** 2
@@ -198,26 +198,26 @@ def correlation_time(values: ArrayLike) -> float:
     if not auto[0] > 0:
         return 1.0
     tau = 2 * np.cumsum(auto / auto[0]) - 1
-    enough = np.flatnonzero(np.arange(n) >= WINDOW * tau)
+    enough = np.flatnonzero(np.arange(n) >= SUM_WINDOW * tau)
     window = int(enough[0]) if enough.size else int(np.argmax(tau))
-    # The mean that was taken out holds a share of what hangs together.
+    # Correction for the bias due to the subtracted mean.
     return float(max(1.0, tau[window] * (1 + (2 * window + 1) / n)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ForceAverage:
-    """Mean force over a stretch of a record.
+    """Mean force over an interval of a record.
 
     Parameters
     ----------
     mean
-        Of each channel. (channels,) [N]
+        Mean of each channel. (channels,) [N]
     uncertainty
-        Standard uncertainty of each mean, from samples that hang together. (channels,) [N]
+        Standard uncertainty of each mean, including the correlation of samples. (channels,) [N]
     samples
-        How many were averaged.
+        Number of averaged samples.
     independent
-        How many independent ones say as much. (channels,)
+        Equivalent number of independent samples. (channels,)
     """
 
     mean: Floats
@@ -227,22 +227,20 @@ class ForceAverage:
 
 
 def average_force(record: ForceRecord, start: int, stop: int) -> ForceAverage:
-    """Average the samples from ``start`` up to, but without, ``stop``.
+    """Average the samples from ``start`` up to, but not including, ``stop``.
 
     Raises
     ------
     InputError
-        If that is not a stretch of the record of at least 8 samples.
+        If this is not an interval of at least 8 samples within the record.
     """
     if not 0 <= start < stop <= record.samples or stop - start < 8:
-        raise InputError(
-            f"samples {start} to {stop} are not a stretch of at least 8 out of {record.samples}: take a longer one"
-        )
+        raise InputError(f"start and stop must span at least 8 of the {record.samples} samples, got {start} to {stop}")
     piece = record.force[start:stop]
     tau = np.array([correlation_time(column) for column in piece.T])
     independent = np.maximum((stop - start) / tau, 1.0)
     spread = piece.std(axis=0)
-    # The variance about a mean of m independent values is too small by (m-1)/m.
+    # The variance about the mean of m independent values is biased by (m-1)/m.
     uncertainty = spread / np.sqrt(np.maximum(independent - 1, 0.5))
     return ForceAverage(
         mean=frozen(piece.mean(axis=0), "mean"),
@@ -252,17 +250,17 @@ def average_force(record: ForceRecord, start: int, stop: int) -> ForceAverage:
     )
 
 
-def _runs(mask: Bools) -> Ints:
-    """Return the stretches of true values. (m, 2)."""
+def _find_runs(mask: Bools) -> Ints:
+    """Return the intervals of true values. (m, 2)."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
     return edges.reshape(-1, 2).astype(np.int64)
 
 
-def _envelope(values: Floats, basis: Floats) -> Floats:
-    """Return the smooth level that lies below nearly all values: least squares that hardly minds what is above."""
+def _fit_lower_level(values: Floats, basis: Floats) -> Floats:
+    """Return a smooth level below nearly all values, by least squares with a small weight for values above it."""
     level = basis @ np.linalg.lstsq(basis, values, rcond=None)[0]
     for _ in range(60):
-        weight = np.sqrt(np.where(values > level, BELOW, 1.0))
+        weight = np.sqrt(np.where(values > level, ABOVE_WEIGHT, 1.0))
         after = basis @ np.linalg.lstsq(basis * weight[:, None], values * weight, rcond=None)[0]
         if np.allclose(after, level, rtol=0, atol=1e-9 * np.ptp(values)):
             return after
@@ -271,36 +269,35 @@ def _envelope(values: Floats, basis: Floats) -> Floats:
 
 
 def engagements(record: ForceRecord, channel: str, *, shortest: float, drift: int = 1, lead: float = 0.0) -> Ints:
-    """Find where the tool cuts.
+    """Find the cuts in a force record.
 
-    The level in air is a polynomial in time below the force; what stands clear of it by five times the noise is
-    cutting. Each entry and exit is then put where two levels on either side fit best, to the sample.
+    The level in air is a polynomial in time below the force. Forces above it by five standard deviations of the noise
+    are cuts. Each entry and exit is then located, to the sample, by the best fit of a step.
 
     Parameters
     ----------
     record
-        The forces; the tool must be in air for a part of the time.
+        Force record; the tool must be in air for part of the time.
     channel
-        The one that tells cutting from air best, usually the cutting force; it must be positive in the cut ("-Fy" for
-        the negative of "Fy").
+        Channel that distinguishes best between cut and air, usually the cutting force. It must be positive in the cut
+        ("-Fy" for the negative of "Fy").
     shortest
-        What is shorter, in the cut or in air, is taken for noise. [s]
+        Shorter cuts and shorter gaps are treated as noise. [s]
     drift
         Degree of the polynomial.
     lead
-        For so long the tool is in air for sure, at the beginning and at the end of the record: a slow ramp then cannot
-        be taken for drift. Without it the level in air is the smooth curve below nearly all of the force, which needs
-        air here and there. [s]
+        Time in air at the beginning and at the end of the record. It separates a slow ramp from the drift. Without it
+        the level in air is a smooth curve below nearly all of the force, which needs air throughout the record. [s]
 
     Returns
     -------
     Ints
-        First sample in the cut and first one after it, in order. (m, 2)
+        First sample of each cut and first one after it, in order. (m, 2)
 
     Raises
     ------
     InputError
-        If nothing stands clear, or the tool is never in air.
+        If no cut is found, the tool is never in air, or what is taken for air is not a smooth drift.
     """
     force = record.channel(channel)
     least = round(positive(shortest, "shortest", "s") * record.rate_hz)
@@ -308,65 +305,68 @@ def engagements(record: ForceRecord, channel: str, *, shortest: float, drift: in
     count = record.samples // block
     if least < 8 or count < 32:
         raise InputError(
-            f"shortest is {shortest:g} s, that is {least} of {record.samples} samples, the limits are 8 and "
-            f"{record.samples // 4}: choose it between, or record faster or longer"
+            f"shortest must span 8 to {record.samples // 4} samples, got {shortest:g} s, which is {least} of "
+            f"{record.samples} samples"
         )
     means = force[: count * block].reshape(count, block).mean(axis=1)
-    basis = np.asarray(np.polynomial.legendre.legvander(np.linspace(-1, 1, count), _degree(drift)), dtype=np.float64)
-    # Differences of neighbours tell the noise whatever the level.
+    basis = np.asarray(
+        np.polynomial.legendre.legvander(np.linspace(-1, 1, count), _checked_degree(drift)), dtype=np.float64
+    )
+    # Differences of neighbours give the noise independent of the level.
     noise = robust_scatter(np.diff(means)) / np.sqrt(2)
     noise = max(noise, 1e-9 * float(np.ptp(means)), 1e-12 * float(np.abs(means).max()), np.finfo(np.float64).tiny)
-    sure = round(between(lead, "lead", 0.0, record.samples / record.rate_hz / 2, "s") * record.rate_hz) // block
-    if sure:
-        air = (np.arange(count) < sure) | (np.arange(count) >= count - sure)
+    lead_blocks = round(between(lead, "lead", 0.0, record.samples / record.rate_hz / 2, "s") * record.rate_hz) // block
+    if lead_blocks:
+        air = (np.arange(count) < lead_blocks) | (np.arange(count) >= count - lead_blocks)
     else:
-        air = means < _envelope(means, basis) + 2 * CLEAR * noise
-    level = means  # where too little air is known to tell the drift
+        air = means < _fit_lower_level(means, basis) + 2 * CUT_SIGMA * noise
+    level = means  # if there is too little air to fit the drift
     for _ in range(50):
         if np.count_nonzero(air) < max(8, basis.shape[1] + 2):
             break
         level = basis @ np.linalg.lstsq(basis[air], means[air], rcond=None)[0]
-        after = np.abs(means - level) < CLEAR * noise if sure else means < level + CLEAR * noise
+        after = np.abs(means - level) < CUT_SIGMA * noise if lead_blocks else means < level + CUT_SIGMA * noise
         if (after == air).all():
             break
         air = after
-    rough = float((means - level)[air].std()) / noise if air.any() else 0.0
-    if not sure and rough > ROUGHEST:
+    residual = float((means - level)[air].std()) / noise if air.any() else 0.0
+    if not lead_blocks and residual > MAX_AIR_RESIDUAL_SIGMA:
         raise InputError(
-            f"what was taken for air in channel {channel} of the force record {record.name!r} departs from a drift of "
-            f"degree {drift} by {rough:.3g} times the noise, the limit is {ROUGHEST:g}: give lead, for how long the "
-            "tool is in air at both ends, another degree of the drift, or the other sign of the channel"
+            f"the forces in air of channel {channel} of the force record {record.name!r} deviate from a drift of "
+            f"degree {drift} by {residual:.3g} times the noise, the limit is {MAX_AIR_RESIDUAL_SIGMA:g}: state lead "
+            "(the time in air at both ends), change the degree of the drift, or reverse the channel"
         )
     shape = max(1, least // block)
-    # Gaps are closed first: a weak cut falls below the limit here and there.
-    cut = _without_short(~_without_short(air, shape), shape)
-    found = _runs(cut)
-    if not found.size or np.count_nonzero(~cut) < 8:
-        state = "is always in air" if not found.size else "is never in air"
+    # Gaps are closed first: a weak cut may fall below the limit in places.
+    cut = _drop_short_runs(~_drop_short_runs(air, shape), shape)
+    runs = _find_runs(cut)
+    if not runs.size or np.count_nonzero(~cut) < 8:
+        state = "is always in air" if not runs.size else "is never in air"
         raise InputError(
             f"by channel {channel} of the force record {record.name!r} the tool {state}: record air before and after "
-            "the cut, check the sign of the channel, or choose another value of shortest"
+            "the cut, check the sign of the channel, or change shortest"
         )
-    sharp = [(_edge(force, first * block, 4 * block), _edge(force, last * block, 4 * block)) for first, last in found]
-    return np.array([pair for pair in sharp if pair[1] - pair[0] >= least // 2], dtype=np.int64).reshape(-1, 2)
+    reach = 4 * block
+    spans = [(_find_step(force, first * block, reach), _find_step(force, last * block, reach)) for first, last in runs]
+    return np.array([span for span in spans if span[1] - span[0] >= least // 2], dtype=np.int64).reshape(-1, 2)
 
 
-def _degree(drift: int) -> int:
-    if isinstance(drift, bool) or not isinstance(drift, int) or not 0 <= drift <= HIGHEST_DRIFT:
-        raise InputError(f"the degree of the drift is {drift!r}, the limits are 0 to {HIGHEST_DRIFT}: give a number")
+def _checked_degree(drift: int) -> int:
+    if isinstance(drift, bool) or not isinstance(drift, int) or not 0 <= drift <= MAX_DRIFT_DEGREE:
+        raise InputError(f"the degree of the drift must be an integer, 0 to {MAX_DRIFT_DEGREE}, got {drift!r}")
     return drift
 
 
-def _without_short(mask: Bools, least: int) -> Bools:
-    kept = mask.copy()
-    for first, last in _runs(mask):
+def _drop_short_runs(mask: Bools, least: int) -> Bools:
+    long_runs = mask.copy()
+    for first, last in _find_runs(mask):
         if last - first < least:
-            kept[first:last] = False
-    return kept
+            long_runs[first:last] = False
+    return long_runs
 
 
-def _edge(force: Floats, near: int, reach: int) -> int:
-    """Return the sample within reach at which a step splits its surroundings into two levels best."""
+def _find_step(force: Floats, near: int, reach: int) -> int:
+    """Return the sample, within ``reach`` of ``near``, at which a step between two levels fits best."""
     low, high = max(near - 2 * reach, 0), min(near + 2 * reach, force.size)
     if near <= low + 1 or near >= high - 1:
         return int(np.clip(near, 0, force.size))
@@ -380,7 +380,7 @@ def _edge(force: Floats, near: int, reach: int) -> int:
 
 
 def in_air(samples: int, cuts: ArrayLike, *, guard: int = 0) -> Bools:
-    """Return which samples lie in none of the cuts, nor within ``guard`` samples of one. (samples,)."""
+    """Return the mask of samples that are at least ``guard`` samples away from every cut. (samples,)."""
     air = np.ones(samples, dtype=np.bool_)
     for first, last in np.asarray(cuts, dtype=np.int64).reshape(-1, 2):
         air[max(first - guard, 0) : last + guard] = False
@@ -388,39 +388,41 @@ def in_air(samples: int, cuts: ArrayLike, *, guard: int = 0) -> Bools:
 
 
 def remove_drift(record: ForceRecord, air: Bools, *, degree: int | None) -> ForceRecord:
-    """Take out what the forces do in air: the drift of amplifier and temperature.
+    """Subtract the drift of amplifier and temperature, estimated from the forces in air.
 
     Parameters
     ----------
     record
-        The forces.
+        Force record.
     air
-        Which samples are in air, see `in_air`. (n,)
+        Mask of the samples in air, see `in_air`. (n,)
     degree
-        Of one polynomial in time through all samples in air; ``None`` for straight lines between the means of the
-        stretches in air, held before the first and after the last.
+        Degree of a polynomial in time through all samples in air; ``None`` for linear interpolation between the means
+        of the intervals in air, constant before the first and after the last.
 
     Raises
     ------
     InputError
-        If too few samples are in air to tell the drift.
+        If too few samples are in air.
     """
     air = np.asarray(air, dtype=np.bool_)
     if air.shape != (record.samples,):
-        raise InputError(f"air has the shape {air.shape} and the record {record.samples} samples: give one per sample")
+        raise InputError(f"air must have the shape ({record.samples},) of the samples, got {air.shape}")
     if degree is None:
-        stretches = _runs(air)
-        if not stretches.size:
-            raise InputError("0 samples are in air, at least one stretch is needed: record air beside the cuts")
-        middle = (stretches.sum(axis=1) - 1) / 2
-        means = np.array([record.force[first:last].mean(axis=0) for first, last in stretches])
+        intervals = _find_runs(air)
+        if not intervals.size:
+            raise InputError(
+                "at least 1 interval in air is needed, got 0 samples: record air before and after the cuts"
+            )
+        middle = (intervals.sum(axis=1) - 1) / 2
+        means = np.array([record.force[first:last].mean(axis=0) for first, last in intervals])
         every = np.arange(record.samples)
         level = np.column_stack([np.interp(every, middle, column) for column in means.T])
     else:
-        if np.count_nonzero(air) <= _degree(degree) + 1:
+        if np.count_nonzero(air) <= _checked_degree(degree) + 1:
             raise InputError(
-                f"{np.count_nonzero(air)} samples are in air, a drift of degree {degree} needs more than {degree + 1}: "
-                "record air beside the cuts"
+                f"a drift of degree {degree} needs more than {degree + 1} samples in air, got {np.count_nonzero(air)}: "
+                "record air before and after the cuts"
             )
         basis = np.polynomial.legendre.legvander(np.linspace(-1, 1, record.samples), degree)
         level = basis @ np.linalg.lstsq(basis[air], record.force[air], rcond=None)[0]

@@ -1,23 +1,23 @@
-r"""Chips that are equally thick all along the edge, and where their forces leave the ductile line.
+r"""Regression for chips of uniform thickness along the edge, with the transition out of the ductile regime.
 
-In the ductile range the forces are in proportion to the area A of the uncut chip, beyond
-the critical thickness they leave that line,
+In the ductile regime the forces are proportional to the uncut chip area A; beyond the critical thickness they leave
+that line,
 
 .. math:: F = d(t) + \begin{cases} K A & h \le h_c \\ (q_0 + q_1 h)\,A/h & h > h_c \end{cases}
 
-with the drift d of the amplifier, a polynomial that the samples in air tell, in the same fit, so that its uncertainty
-is in that of K. The critical thickness :math:`h_c` is the split at which both parts leave the least to explain. Since a
-jump is found more sharply than the noise would let a mean be, its interval is not that of a normal distribution: it is
-made of all splits that the likelihood ratio does not reject,
+where the amplifier drift d is a polynomial in time, determined by the samples in air in the same fit, so that its
+uncertainty is included in that of K. The critical thickness :math:`h_c` is the split with the smallest sum of squares.
+The position of a jump is not normally distributed; its interval consists of all splits that the likelihood ratio does
+not reject,
 
 .. math:: \frac{S(h_c) - S(\hat h_c)}{\eta^2} \le -2 \ln\!\bigl(1 - \sqrt{p}\bigr)
 
-(7.35 for p = 95 %), with the long-run variance η² of the noise on the side that would then be on the wrong part
-[Hansen2000]_. What lies within that interval takes no part in the fit of K. Correlation in time is counted in all of
-it.
+(7.35 for p = 95 %), where η² is the long-run variance of the noise on the side that the split would assign wrongly
+[Hansen2000]_. Rows within the interval are excluded from the fit of K. All variances include correlation in time.
 
-Forces may also go on without a drop and grow more slowly beyond the critical thickness. F tests choose among no
-transition, a drop and a change of slope; an edge force or a size effect, which bend forces too, is no transition.
+The forces may also grow more slowly beyond the critical thickness, without a drop. F tests choose between no
+transition, a drop and a change of slope. An edge force or a size effect, which also bends the forces, is not a
+transition.
 """
 
 from __future__ import annotations
@@ -29,34 +29,40 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints
 from turnwright.cutting.learning.cuts import Cuts
-from turnwright.cutting.learning.fit import CERTAIN, TINY, UNLIKELY, Fit, hansen
-from turnwright.cutting.learning.learned import NAMES, Transition
-from turnwright.cutting.learning.rows import FEWEST, Rows
-from turnwright.cutting.learning.slope_change import COMPONENTS, ROUNDING, SlopeChange, chance_of, slope_change
+from turnwright.cutting.learning.fit import MAX_CHANCE, TINY, WARNING_CONFIDENCE, Fit, hansen
+from turnwright.cutting.learning.learned import FORCE_NAMES, Transition
+from turnwright.cutting.learning.rows import MIN_ROWS, Rows
+from turnwright.cutting.learning.slope_change import (
+    COMPONENTS,
+    ROUNDING_VARIANCE,
+    SlopeChange,
+    bound_chance,
+    find_slope_change,
+)
 from turnwright.errors import InputError
 
 __all__ = ["StraightRows", "least_chance"]
 
-SURE = 3.0
-"""Standard uncertainties within which a slope is that of forces that stand still, or go on."""
+SLOPE_SIGMA = 3.0
+"""Coverage factor for the slope of the forces beyond a transition."""
 
-STILL = 0.05
-"""Share of the ductile slope that counts as nothing, where the place of a transition is not quite known."""
+SLOPE_TOL = 0.05
+"""Slope that counts as 0, relative to the ductile slope."""
 
-SLOW = 0.3
-"""Share of the ductile slope that these may be at most to tell one from the other."""
+MAX_SLOPE_UNCERTAINTY = 0.3
+"""Largest expanded uncertainty of a slope, relative to the ductile slope, for a decision."""
 
 
 class StraightRows(Rows):
-    """Rows of chips that are equally thick all along the edge: each component tells of one coefficient."""
+    """Rows of chips of uniform thickness along the edge: each component determines one coefficient."""
 
-    clearest = slice(0, 1)
+    judged = slice(0, 1)
 
     def __init__(self, cuts: Cuts, drift: int | None = None) -> None:
-        """Take the cuts, and the degree of their drift."""
+        """Take the cuts and the degree of their drift."""
         force, engaged = np.column_stack((cuts.cutting, cuts.thrust)), cuts.thickness > 0
         super().__init__(
-            force, tuple(NAMES), engaged, cuts.thickness,
+            force, tuple(FORCE_NAMES), engaged, cuts.thickness,
             time=cuts.time, record=cuts.record, drift=drift, uncertainty=cuts.uncertainty,
         )  # fmt: skip
         area = cuts.thickness * cuts.width if cuts.area is None else cuts.area
@@ -66,13 +72,13 @@ class StraightRows(Rows):
         )
         self.spread = np.zeros_like(cuts.thickness) if cuts.spread is None else cuts.spread
         self.reference = float(np.exp(np.log(cuts.thickness[engaged]).mean()))
-        self.load, self.labels = self.areas[:, 0], tuple(NAMES.values())
-        self.kept = np.arange(COMPONENTS)
+        self.load, self.labels = self.areas[:, 0], tuple(FORCE_NAMES.values())
+        self.selected = np.arange(COMPONENTS)
 
     def ductile(self, component: int, limit: float = np.inf) -> Floats:
-        """Return what multiplies the coefficient, and the edge's own force or the bend by a power. (n, 1 or 2).
+        """Return the columns of a coefficient and of its edge force or exponent. (n, 1 or 2).
 
-        Beyond a limit [mm] they stay, per width, what they are there.
+        Beyond ``limit`` [mm] they are constant per width.
         """
         width, thickness = self.widths[:, component], np.minimum(self.thickest, limit)
         area = width * thickness if limit < np.inf else self.areas[:, component]
@@ -83,60 +89,62 @@ class StraightRows(Rows):
         return np.column_stack((area, width)) if self.edge else area[:, None]
 
     def columns(self, limit: float) -> Floats:
-        """Return what each parameter is multiplied by. See its base."""
+        """Return the design matrix, see `Rows.columns`."""
         thin, p = (self.thickest <= limit)[:, None], self.parts
-        found = np.zeros((self.engaged.size, COMPONENTS, 2 * p + (2 * COMPONENTS if limit < np.inf else 0)))
+        columns = np.zeros((self.engaged.size, COMPONENTS, 2 * p + (2 * COMPONENTS if limit < np.inf else 0)))
         for c in range(COMPONENTS):
-            found[:, c, p * c : p * (c + 1)] = self.ductile(c) * thin
+            columns[:, c, p * c : p * (c + 1)] = self.ductile(c) * thin
             if limit < np.inf:
                 brittle = np.column_stack((self.widths[:, c], self.areas[:, c])) * ~thin
-                found[:, c, 2 * p + 2 * c : 2 * p + 2 * c + 2] = brittle
-        return found[:, self.kept]
+                columns[:, c, 2 * p + 2 * c : 2 * p + 2 * c + 2] = brittle
+        return columns[:, self.selected]
 
     def part(self, component: int) -> StraightRows:
-        """Return the rows with one component of the force."""
-        one = super().part(component)
-        assert isinstance(one, StraightRows)  # noqa: S101 - a copy
-        one.kept = self.kept[[component]]
-        return one
+        """Return the rows with one force component."""
+        single = super().part(component)
+        assert isinstance(single, StraightRows)  # noqa: S101 - a copy
+        single.selected = self.selected[[component]]
+        return single
 
-    def groups(self, shares: Sequence[float] | Floats = (0.0, 0.0)) -> Iterator[tuple[Rows, Sequence[float] | Floats]]:
-        """Return each component, which tells of its own coefficient alone."""
-        yield from ((self.part(c), shares[c : c + 1]) for c in range(COMPONENTS))
+    def groups(
+        self, relative: Sequence[float] | Floats = (0.0, 0.0)
+    ) -> Iterator[tuple[Rows, Sequence[float] | Floats]]:
+        """Return each component separately, since it determines its own coefficient only."""
+        yield from ((self.part(c), relative[c : c + 1]) for c in range(COMPONENTS))
 
     def surely_ductile(self, low: float) -> Bools:
-        """Return which rows are ductile at every limit from ``low`` on."""
+        """Return the mask of rows that are ductile for every limit of at least ``low``."""
         return np.asarray(self.thickest + self.spread <= low)
 
     def surely_brittle(self, high: float) -> Bools:
-        """Return which rows are brittle at every limit up to ``high``."""
+        """Return the mask of rows that are brittle for every limit of at most ``high``."""
         return np.asarray(self.thickest - self.spread >= high)
 
-    def questions(self, split: Transition | None, ductile: Bools) -> list[str]:
-        """Say if forces stand still, or too few are ductile."""
+    def find_warnings(self, split: Transition | None, ductile: Bools) -> list[str]:
+        """Return warnings if the forces beyond the limit are constant, or few rows are ductile."""
         if split is None:
             return []
-        said, few = _standing(self, split.value), int(np.count_nonzero(ductile))
-        if few <= FEWEST:
-            said.append(
-                f"only the {few} thinnest cuts are ductile beyond doubt, at least {FEWEST + 1} are needed to tell: if "
-                "they are brittle too, coefficients and critical thickness are wrong, so measure thinner chips"
+        warnings, count = _check_constant_forces(self, split.value), int(np.count_nonzero(ductile))
+        if count <= MIN_ROWS:
+            warnings.append(
+                f"only {count} cuts are certainly ductile, at least {MIN_ROWS + 1} are needed: coefficients and "
+                "critical thickness are wrong if these are brittle too, so measure thinner chips"
             )
-        return said
+        return warnings
 
     def transition(self, confidence: float) -> Transition | None:
-        """Return the transition that the forces ask for: none, a drop, or a change of slope."""
+        """Return the transition: none, a drop, or a change of slope."""
         return _transition(self, confidence)
 
     @property
     def free(self) -> int:
-        """Rows that are free beside the drift, a line and a limit."""
+        """Degrees of freedom after the drift, a line and a limit."""
         return int(max(self.engaged.size - self.drift.shape[1] - 3, 1))
 
 
 @dataclass(frozen=True, slots=True)
 class _Drop:
-    """The best split with a drop, and what it leaves of each component, with weights and long-run variance."""
+    """Best split with a drop: residual sum of squares and weight of each component, and long-run variance."""
 
     split: Transition
     squares: Floats
@@ -144,29 +152,29 @@ class _Drop:
     noise: float
 
 
-def _drop(rows: StraightRows, confidence: float) -> _Drop | None:
-    """Find the thickness at which the forces leave the ductile line with a jump, and all those that could be it."""
+def _find_drop(rows: StraightRows, confidence: float) -> _Drop | None:
+    """Find the thickness at which the forces jump, with its interval."""
     engaged = np.flatnonzero(rows.engaged)
     order = engaged[np.argsort(rows.thickest[engaged], kind="stable")]
     ascending = rows.thickest[order]
-    # Number of rows on the thin side; rows of one thickness stay together.
+    # Number of rows on the thin side; rows of equal thickness are not split.
     after = np.flatnonzero(np.diff(ascending) > 0) + 1
-    after = after[(after >= FEWEST) & (after <= ascending.size - FEWEST)]
+    after = after[(after >= MIN_ROWS) & (after <= ascending.size - MIN_ROWS)]
     if not after.size:
         return None
     middle = (ascending[after - 1] + ascending[after]) / 2
-    squares = np.array([_left(rows, component, order, after) for component in range(COMPONENTS)])
+    squares = np.array([_split_squares(rows, component, order, after) for component in range(COMPONENTS)])
     scale = np.maximum(squares.min(axis=1) / rows.free, TINY)
     rough = int(np.argmin((squares / scale[:, None]).sum(axis=0)))
-    # The two components weigh as the noise of the ductile side tells.
-    weight = 1 / np.diag(_sides(rows, order, int(after[rough]), float(middle[rough]))[0])
+    # The weights of the components follow from the noise of the ductile side.
+    weight = 1 / np.diag(_compare_sides(rows, order, int(after[rough]), float(middle[rough]))[0])
     joint = weight @ squares
     best = int(np.argmin(joint))
     at = float(middle[best])
-    thin, thick, gone, left, answer = _sides(rows, order, int(after[best]), at)
-    jump = max(float(weight @ gone**2), TINY)
-    eta = [float((weight * gone) @ side @ (weight * gone) / jump) for side in (thin, thick)]
-    # A split below the best one would make ductile what is brittle, and is judged by the noise of the brittle side.
+    thin, thick, drop, residual, answer = _compare_sides(rows, order, int(after[best]), at)
+    jump = max(float(weight @ drop**2), TINY)
+    eta = [float((weight * drop) @ side @ (weight * drop) / jump) for side in (thin, thick)]
+    # A split below the best one assigns ductile rows to the brittle side, so the noise of the brittle side applies.
     allowed = joint - joint[best] <= hansen(confidence) * np.where(np.arange(joint.size) < best, eta[1], eta[0])
     inside = after[allowed]
     low, high = order[inside.min() - 1], order[inside.max()]
@@ -175,13 +183,13 @@ def _drop(rows: StraightRows, confidence: float) -> _Drop | None:
         low=max(float(rows.thickest[low] - rows.spread[low]), 0.0),
         high=float(rows.thickest[high] + rows.spread[high]),
         remaining=tuple(rows.remaining(component, answer, at) for component in range(COMPONENTS)),
-        chance=chance_of(rows, left, at),
+        chance=bound_chance(rows, residual, at),
     )
     return _Drop(split, squares[:, best], weight, max(eta))
 
 
-def _left(rows: StraightRows, component: int, order: Ints, after: Ints) -> Floats:
-    """Return the squares left by each split, from products of the columns that are added up once. (k,)."""
+def _split_squares(rows: StraightRows, component: int, order: Ints, after: Ints) -> Floats:
+    """Return the residual sum of squares of each split, from cumulative sums of column products. (k,)."""
     ductile, beyond = rows.ductile(component), np.column_stack((rows.widths[:, component], rows.areas[:, component]))
     table = np.column_stack((rows.drift, ductile, beyond, rows.force[:, component]))
     table = table * rows.weights[:, component, None]
@@ -191,10 +199,10 @@ def _left(rows: StraightRows, component: int, order: Ints, after: Ints) -> Float
     of_split = np.repeat([0, 1, 2, 0], [rows.drift.shape[1], ductile.shape[1], 2, 1])
     products = np.cumsum(table[order, :, None] * table[order, None, :], axis=0)
     air = table[~rows.engaged].T @ table[~rows.engaged]
-    thin, thick = (np.outer(of_split != other, of_split != other) for other in (2, 1))
+    thin, thick = (np.outer(of_split != side, of_split != side) for side in (2, 1))
     sums = products[after - 1] * thin + (products[-1] - products[after - 1]) * thick + air
     normal, right, total = sums[:, :-1, :-1], sums[:, :-1, -1], float(sums[0, -1, -1])
-    # Both columns of the brittle side are one where all its chips are as thick; a touch of the diagonal decides.
+    # The columns of the brittle side are collinear if all its chips are equally thick: regularise.
     normal = normal + 1e-11 * np.trace(normal, axis1=1, axis2=2)[:, None, None] / right.shape[1] * np.eye(
         right.shape[1]
     )
@@ -202,105 +210,109 @@ def _left(rows: StraightRows, component: int, order: Ints, after: Ints) -> Float
     return np.asarray(np.maximum(total - np.einsum("ij,ij->i", answer, right), 1e-14 * total))
 
 
-def _sides(rows: StraightRows, order: Ints, cut: int, limit: float) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Return the long-run covariances of the thin and the thick side at a split, the jump there, what is left, the fit.
+def _compare_sides(
+    rows: StraightRows, order: Ints, cut: int, limit: float
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Return long-run covariances of the thin and thick side of a split, its jump, the residuals and the parameters.
 
     (2, 2), (2, 2), (2,), (n, 2) and (k,).
     """
     fit, columns = Fit(rows), rows.columns(limit)
-    answer, _, left = fit.solve(columns)
+    answer, _, residual = fit.solve(columns)
     line, first = answer[: 2 * rows.parts], order[cut]
     jump = rows.weights[first] * (rows.columns(np.inf)[first] @ line - columns[first] @ answer)
-    covers = []
+    covariances = []
     for which in (order[:cut], order[cut:]):
         side = np.zeros(rows.engaged.size, dtype=np.bool_)
         side[which] = True
-        covers.append(rows.together(left, side) * left[which].T @ left[which] / max(which.size - 1, 1))
-    # Few rows on a side say little of its noise: then the larger of the two stands for both.
-    if min(cut, order.size - cut) < 2 * FEWEST:
-        covers = [max(covers, key=np.trace)] * 2
-    floor = np.diag(ROUNDING * (fit.force**2).mean(axis=0) + TINY)
-    return covers[0] + floor, covers[1] + floor, jump, left, answer
+        covariances.append(
+            rows.correlation(residual, side) * residual[which].T @ residual[which] / max(which.size - 1, 1)
+        )
+    # With few rows on one side, the larger covariance is used for both.
+    if min(cut, order.size - cut) < 2 * MIN_ROWS:
+        covariances = [max(covariances, key=np.trace)] * 2
+    floor = np.diag(ROUNDING_VARIANCE * (fit.force**2).mean(axis=0) + TINY)
+    return covariances[0] + floor, covariances[1] + floor, jump, residual, answer
 
 
 def least_chance(cuts: Cuts, confidence: float = 0.95) -> float:
-    """Return the chance of the clearest transition that forces show, of either kind, told or not."""
+    """Return the smallest ``chance`` of a drop or a change of slope, whether it is reported or not."""
     rows = StraightRows(cuts)
-    drop, bend = _drop(rows, confidence), slope_change(rows, confidence)
-    found = (bend, None if drop is None else drop.split)
-    return min([1.0, *(one.chance for one in found if one is not None)])
+    drop, bend = _find_drop(rows, confidence), find_slope_change(rows, confidence)
+    candidates = (bend, None if drop is None else drop.split)
+    return min([1.0, *(candidate.chance for candidate in candidates if candidate is not None)])
 
 
 def _transition(rows: StraightRows, confidence: float) -> Transition | None:
-    """Return the transition that the forces ask for: none, a drop, or a change of slope.
+    """Return the transition: none, a drop, or a change of slope.
 
-    A change of slope is the simpler one. A drop is taken where it explains more than chance would; where it may, the
-    interval holds both. Neither is taken where an edge force or a size effect explains as much.
+    A change of slope has fewer parameters. A drop is chosen if it fits significantly better; if that is undecided, the
+    interval includes both. Neither is chosen if an edge force or a size effect fits as well.
     """
     from scipy.stats import f  # noqa: PLC0415 - costly to import
 
-    drop, bend = _drop(rows, confidence), slope_change(rows, confidence)
+    drop, bend = _find_drop(rows, confidence), find_slope_change(rows, confidence)
     n = rows.engaged.size
 
     def probability(drop: _Drop, squares: Floats, numbers: int) -> float:
-        """Return how often noise alone lets a drop, with so many more numbers, explain so much more."""
-        # The noise is that of the richer model: what a drop leaves of two lines that meet would count as noise.
+        """Return the probability that noise alone lets a drop, with more parameters, fit better by as much."""
+        # The noise is that of the larger model.
         gain = float(drop.weight @ (squares - drop.squares)) / drop.noise / numbers
         return n * float(f.sf(gain, numbers, rows.free))
 
-    for one in (bend, None if drop is None else drop.split):
-        if one is not None and one.chance <= CERTAIN:
-            _standing(rows, one.value)
-    split = None if drop is None or drop.split.chance > CERTAIN or drop.split.remaining[0] >= 1 else drop.split
+    for candidate in (bend, None if drop is None else drop.split):
+        if candidate is not None and candidate.chance <= MAX_CHANCE:
+            _check_constant_forces(rows, candidate.value)
+    split = None if drop is None or drop.split.chance > MAX_CHANCE or drop.split.remaining[0] >= 1 else drop.split
     if bend is None or drop is None:
-        return _bent(bend) or split
-    if probability(drop, bend.smooth, COMPONENTS) > CERTAIN:
+        return _as_transition(bend) or split
+    if probability(drop, bend.smooth, COMPONENTS) > MAX_CHANCE:
         split = None
-    bent, chance = _bent(bend), probability(drop, bend.squares, COMPONENTS + 1)
-    if bent is None or chance < CERTAIN:
+    bent, chance = _as_transition(bend), probability(drop, bend.squares, COMPONENTS + 1)
+    if bent is None or chance < MAX_CHANCE:
         return split
-    if split is not None and chance < n * CERTAIN:
+    if split is not None and chance < n * MAX_CHANCE:
         return replace(bent, low=min(bent.low, split.low), high=max(bent.high, split.high))
     return bent
 
 
-def _bent(bend: SlopeChange | None) -> Transition | None:
-    """Return a change of slope as a transition; what could as well begin at no thickness at all is none."""
-    if bend is None or bend.chance > CERTAIN or bend.straight or not bend.falls or bend.low == 0:
+def _as_transition(bend: SlopeChange | None) -> Transition | None:
+    """Return a change of slope as a transition; ``None`` if it is not clear, or its interval includes 0."""
+    if bend is None or bend.chance > MAX_CHANCE or bend.straight or not bend.falls or bend.low == 0:
         return None
     return Transition(bend.value, bend.low, bend.high, (1.0, 1.0), bend.chance)
 
 
-def _standing(rows: StraightRows, limit: float) -> list[str]:
-    """Say if both forces stand still at their largest beyond a limit; raise if one does and the other goes on.
+def _check_constant_forces(rows: StraightRows, limit: float) -> list[str]:
+    """Return a warning if both forces are constant beyond a limit; raise if only one of them is.
 
-    Fracture changes both; the end of a range is that of a channel.
+    Fracture changes both forces; saturation changes one channel.
     """
-    level, clear, stands, goes = [], [], [], []
+    level, precise, constant, proportional = [], [], [], []
     thick = rows.thickest > limit
     for component in range(COMPONENTS):
         beyond = rows.widths[:, component] * np.maximum(rows.thickest - limit, 0.0)
         fit = Fit(rows.part(component))
-        found = fit.estimate(np.column_stack((beyond, rows.ductile(component, limit)))[:, None], UNLIKELY)
-        slope, sigma, whole = found.value[0], found.sigma[0], found.value[1]
+        solution = fit.estimate(np.column_stack((beyond, rows.ductile(component, limit)))[:, None], WARNING_CONFIDENCE)
+        slope, sigma, ductile_slope = solution.value[0], solution.sigma[0], solution.value[1]
         force = np.abs(rows.force[:, component])
         level.append(float(force[thick].mean()))
-        near = max(SURE * sigma, STILL * whole)
-        clear.append(SURE * sigma < SLOW * whole)
-        stands.append(abs(slope) < near and force[thick].max() >= force[~thick].max())
-        goes.append(abs(slope - whole) < near)
-    if all(stands):
-        question = (
-            f"both forces stand at their largest from there on, {level[0]:.4g} N and {level[1]:.4g} N: if these are "
-            "the ends of the ranges, the critical thickness is not the material's"
+        tolerance = max(SLOPE_SIGMA * sigma, SLOPE_TOL * ductile_slope)
+        precise.append(SLOPE_SIGMA * sigma < MAX_SLOPE_UNCERTAINTY * ductile_slope)
+        constant.append(abs(slope) < tolerance and force[thick].max() >= force[~thick].max())
+        proportional.append(abs(slope - ductile_slope) < tolerance)
+    if all(constant):
+        warning = (
+            f"both forces are constant beyond it, at {level[0]:.4g} N and {level[1]:.4g} N: if these are the ends of "
+            "the measuring ranges, the critical thickness is not that of the material"
         )
-        return [question]
-    names = tuple(NAMES.values())
-    for which, other in ((0, 1), (1, 0)):
-        if all(clear) and stands[which] and goes[other]:
+        return [warning]
+    names = tuple(FORCE_NAMES.values())
+    for which, second in ((0, 1), (1, 0)):
+        if all(precise) and constant[which] and proportional[second]:
             raise InputError(
-                f"the {names[which]} stands at its largest, {level[which]:.4g} N, from {limit * 1e6:.4g} nm on "
-                f"and the {names[other]} goes on in proportion: fracture changes both, so the channel is saturated; "
-                "record with a larger range, or leave these cuts out"
+                f"the {names[which]} is constant at {level[which]:.4g} N from {limit * 1e6:.4g} nm on while the "
+                f"{names[second]} stays proportional: fracture would change both, so the channel is saturated; record "
+                "with a larger range, or remove these cuts"
             )
     return []
