@@ -39,7 +39,7 @@ def grid(function, reach, count=61, *, noise=2e-6):
 def test_held_directions_are_fixed_by_the_keys_that_the_warning_names():
     sphere = {"family": "sphere", "radius": "20 mm"}
     heights = grid(tw.Sphere(radius=20.0).sag, 1.4)
-    held = [one for one in questions(sphere, 2, heights) if "no result of the fit" in one]
+    held = [one for one in questions(sphere, 2, heights) if "determined by the fit" in one]
     assert len(held) == 1
     keys = stated(held[0])
     assert keys["free"] == ["z", "tilt_x", "tilt_y"]
@@ -78,7 +78,7 @@ def test_what_pulls_at_the_pose_is_left_out_by_keys(stated_spikes):
     toroid = {"family": "toroid", "radius_x": "20 mm", "radius_y": "30 mm"}
     surface = tw.Toroid(radius_x=20.0, radius_y=30.0)
     heights = grid(lambda x, y: surface.sag(x, y) + 0.1 * (x > 1.36), 1.4)
-    pulled = [one for one in questions(toroid, 2, heights, spikes=stated_spikes) if "pull at the pose" in one]
+    pulled = [one for one in questions(toroid, 2, heights, spikes=stated_spikes) if "bias the pose" in one]
     keys = stated(pulled[0])
     assert keys["trim"] == "0.02 mm"
     assert ("spikes" in keys) == (stated_spikes == "none")

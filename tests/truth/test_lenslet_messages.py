@@ -23,9 +23,9 @@ def found(surface, heights=None, **options):
 
 
 def test_a_part_without_an_array_or_with_two_is_refused():
-    with pytest.raises(InputError, match="a Sphere, holds 0 lens arrays, it must hold 1"):
+    with pytest.raises(InputError, match="a Sphere, has 0 lens arrays, it must have 1"):
         found(SPHERE)
-    with pytest.raises(InputError, match="a Sum, holds 2 lens arrays"):
+    with pytest.raises(InputError, match="a Sum, has 2 lens arrays"):
         found(ARRAY + ARRAY)
     assert has_lenslets(SPHERE + ARRAY.placed(rotation=1.0))
     assert not has_lenslets(ARRAY + ARRAY)
@@ -39,14 +39,14 @@ def test_an_array_tilted_against_its_base_is_refused():
 
 def test_a_form_without_centre_or_sphere_is_refused():
     wedge = tw.LensArray(centres=[[0, 0]], lenslet=tw.Plane(slope=(0.1, 0.0)))
-    with pytest.raises(InputError, match=r"tells the centre along . from the other free parameters by 0"):
+    with pytest.raises(InputError, match=r"does not determine the centre along ."):
         found(wedge)
     with pytest.raises(InputError, match="curvature at its vertex is 0 per mm"):
         found(wedge, form="sphere")
 
 
 def test_a_tilt_that_is_a_shift_is_refused():
-    with pytest.raises(InputError, match=r"by .* of its effect, in squares, the limit is 0.0001: leave the tilt fixed"):
+    with pytest.raises(InputError, match=r"squared effect .* the limit is 0.0001; leave the tilt fixed"):
         found(ARRAY, tilt=True)
 
 
@@ -67,7 +67,9 @@ def test_options_out_of_range_are_named(options, words):
 def test_maps_that_hold_nothing_of_the_part_are_refused():
     with pytest.raises(InputError, match="has 0 valid heights"):
         found(ARRAY, flat(np.nan))
-    with pytest.raises(InputError, match="0 of the 10201 valid points of the map lie within the clear radius 1 mm"):
+    with pytest.raises(
+        InputError, match="none of the 10201 valid points of the map lie within the clear aperture, radius 1 mm"
+    ):
         found(ARRAY, pose=tw.Pose(shift=(50, 0, 0)))
     pixels = tw.HeightMap(x=X, y=X, z=np.zeros((101, 101)), calibrated=False)
     with pytest.raises(InputError, match="nothing of the size of its pixels"):
@@ -100,4 +102,4 @@ def test_a_scan_of_some_lenslets_may_be_one_pitch_off_and_says_so():
     array = tw.LensArray.square(pitch=1.0, rows=5, columns=5, lenslet=SPHERE, aperture=0.4, surround=0.0)
     some = tw.HeightMap(x=X, y=X, z=array.sag(X, X[:, None]))
     frame = tw.lenslets(some, tw.Part(surface=array, radius=4.0)).frame
-    assert "other poses fit nearly as well, so which lenslet is which is not certain: give a pose" in frame
+    assert "other poses fit nearly as well" in frame

@@ -95,7 +95,7 @@ def test_fewer_sections_are_said_and_too_few_refused():
     assert "2 sections fit" in found.notes[0]
     with pytest.raises(InputError, match=r"0\.48 mm long, 3 sections of 0\.2 mm"):
         profile_roughness(sine(), cutoff=0.2, sections=3)
-    with pytest.raises(InputError, match="S takes off what is shorter"):
+    with pytest.raises(InputError, match="S-filter must be below the cutoff"):
         profile_roughness(sine(), cutoff=0.08, short=0.1)
     with pytest.raises(InputError, match="uneven"):
         profile_roughness(replace(sine(), distance=np.cumsum(1 + X)), cutoff=0.08)

@@ -28,7 +28,7 @@ MAP = HeightMap(x=AXIS, y=AXIS, z=PART.surface.sag(X, Y))
         ({"terms": [Plane()]}, "the term Plane has the height 0 mm over the part"),
         ({"mask": np.ones(3, dtype=bool)}, r"the mask has the shape \(3,\) of bool, the map \(13, 13\)"),
         ({"mask": np.zeros((13, 13), dtype=bool)}, "the mask leaves 0 heights for 6 unknowns"),
-        ({"start": Pose(shift=(50, 0, 0)), "reach": 0.0}, "heights fewer than 8 come to lie within 5 mm of the part"),
+        ({"start": Pose(shift=(50, 0, 0)), "reach": 0.0}, "fewer than 8 of the .* heights of the map lie within 5 mm"),
     ],
 )
 def test_a_wrong_request_is_named(options, match):
@@ -69,9 +69,7 @@ def test_held_numbers_stay_where_the_start_has_them_and_are_named():
     assert found.pose.rotation == 0.3
     assert found.names == ("z", "tilt_x", "tilt_y")
     np.testing.assert_allclose(found.pose.apply(*found.pivot)[:2], start.apply(*found.pivot)[:2], atol=1e-12)
-    assert any(
-        one == "Left where the start has it, and no result of the fit: x, y, rotation." for one in found.sentences
-    )
+    assert any(one == "Not determined by the fit and fixed at the start: x, y, rotation." for one in found.sentences)
 
 
 def test_only_what_is_free_moves():

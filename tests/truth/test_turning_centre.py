@@ -175,4 +175,4 @@ def test_a_part_that_nothing_else_places_is_put_about_its_axis(surface):
     assert measured.axis.source == "cusps"
     at = measured.registration.pose.apply(*centre, 0.0)
     assert np.hypot(at[0], at[1]) < 0.5e-3
-    assert not any("no result of the fit" in one for one in measured.open_questions)
+    assert not any("determined by the fit" in one for one in measured.open_questions)

@@ -1,18 +1,19 @@
-r"""Lens arrays: the form of every lenslet, and where it stands.
+r"""Lens arrays: form and position of every lenslet.
 
 A lenslet is fitted with its design form :math:`f` (or a sphere) on the base :math:`b` of the part,
 
 .. math:: z = b(x, y) + h + f_0 + s\,[f(u/s, v/s) - f_0] + a\,u + c\,v, \qquad u = x - x_c,\; v = y - y_c
 
-by least squares of the vertical distance over the points within ``inner`` lens radii of the centre that is found, the
-derivatives exact. The centre :math:`(x_c, y_c)` and the height :math:`h` are always free. The scale :math:`s` of all
+by least squares of the vertical distance over the points within ``inner`` lens radii of the measured centre, with exact
+derivatives. The centre :math:`(x_c, y_c)` and the height :math:`h` are always free. The scale :math:`s` of all
 lengths turns a sphere of radius R into one of radius s R; the slopes a, c tilt the form.
 
 Sources
 -------
 [Kong2019]_ separates lenses and base by the factors 0.95 and 1.05 of the lens radius, and takes the base first. The
 lowest pixel of a lens is not its centre: noise of 20 nm moves it by :math:`\sqrt{2 R \cdot 20\,\mathrm{nm}}`, 20 um on
-a lens of R 10 mm. Uncertainties are those of [Liang1986]_: points that stand together may err together.
+a lens of R 10 mm. Uncertainties follow [Liang1986]_, which allows for spatially correlated
+errors.
 """
 
 from __future__ import annotations
@@ -75,32 +76,32 @@ MAX_REGISTRATION_POINTS = 100_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lenslet:
-    """One lenslet, as found. What could not be found is nan, and ``finding`` says why.
+    """Measured form and position of one lenslet. Undefined values are nan; ``finding`` gives the reason.
 
     Parameters
     ----------
     number
         Counted from 1, in the order of the centres of the array.
     design, centre, centre_std
-        Where its origin should be, where it is, and the standard uncertainty from noise (x, y). [mm]
+        Nominal and measured position of its origin, and the standard uncertainty from noise (x, y). [mm]
     height, height_std
-        Of its vertex above the design. [mm]
+        Height of its vertex above the design, and its standard uncertainty. [mm]
     radius, radius_error, radius_std
-        Of curvature, from a fit in which it is free; that minus the design's; standard uncertainty. [mm]
+        Radius of curvature, from a fit in which it is free; its deviation from the design; standard uncertainty. [mm]
     tilt, tilt_std
         Slopes (zx, zy) added to the form, if they were free. [rad]
     sq_nm, pv_nm
-        Of the heights that the fitted form leaves, spikes left out.
+        Of the residual heights, without outliers.
     scatter_nm
-        Rms of what no smooth form explains: noise and texture.
+        Rms of the residual without smooth form: noise and texture.
     points, outliers
-        How many points the numbers rest on, and how many spikes were left out.
+        Number of points used, and of outliers removed.
     coverage
         Share of the aperture that holds points. [1]
     finding
-        Why it was not fitted, or what is to be known of it; empty where all is well.
+        Why the lenslet was not fitted, or a remark; empty without findings.
     residual
-        What the fitted form leaves, at points about the centre. [mm]
+        Residual of the fitted form, relative to the centre. [mm]
     """
 
     number: int
@@ -130,33 +131,33 @@ class Lenslet:
 
     @property
     def dislocation(self) -> tuple[float, float]:
-        """Found centre minus design centre (x, y). [mm]."""
+        """Measured minus nominal centre (x, y). [mm]."""
         return self.centre[0] - self.design[0], self.centre[1] - self.design[1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lenslets(Sequence[Lenslet]):
-    """All lenslets of an array in the order of its centres, and what they say together.
+    """All lenslets of an array in the order of its centres, and the results for the array.
 
     Parameters
     ----------
     items
         The lenslets, also those that could not be fitted.
     form
-        ``"design"`` or ``"sphere"``, what was fitted.
+        Fitted form, ``"design"`` or ``"sphere"``.
     frame
-        Says in words what centres and dislocations refer to.
+        Description of the frame of centres and dislocations.
     pose
         From the map's frame to the frame of the centres.
     alignment
         Shift, rotation and scale of the array; ``None`` with fewer than two lenslets fitted.
     base_points
-        Points of the base, those more than ``outer`` lens radii away from every lenslet.
+        Number of points of the base, more than ``outer`` lens radii from every lenslet.
     base_sq_nm, base_pv_nm
-        Of the base minus its design at up to 300,000 of its points, spikes left out; nan without a base.
+        Of the base minus its design at up to 300,000 of its points, without outliers; nan without a base.
     base_form
-        Form of the base beyond its design in its own frame, as Zernike terms by their ANSI number, each with its height
-        at the rim; it was taken off under the lenslets. ``None`` where none was fitted. [mm]
+        Form error of the base in its own frame, as Zernike terms by ANSI number, each with its height at the rim; it
+        was subtracted under the lenslets. ``None`` if none was fitted. [mm]
     base_form_std
         Standard uncertainty of each of these. [mm]
     """
@@ -190,17 +191,17 @@ class Lenslets(Sequence[Lenslet]):
 
     @property
     def design(self) -> Floats:
-        """Where the lenslets should be. (n, 2) [mm]."""
+        """Nominal centres. (n, 2) [mm]."""
         return np.array([one.design for one in self.items])
 
     @property
     def centres(self) -> Floats:
-        """Where they are, nan where not fitted. (n, 2) [mm]."""
+        """Measured centres, nan where not fitted. (n, 2) [mm]."""
         return np.array([one.centre for one in self.items])
 
     @property
     def dislocations(self) -> Floats:
-        """Found centres minus design centres in `frame`. (n, 2) [mm]."""
+        """Measured minus nominal centres in `frame`. (n, 2) [mm]."""
         return self.centres - self.design
 
     @property
@@ -219,15 +220,15 @@ class Lenslets(Sequence[Lenslet]):
 
     @property
     def summary(self) -> str:
-        """How many were found, how far they are off without the frame, and what the base is off, in a sentence."""
+        """Number of measured lenslets, residual dislocation and base form error, in a sentence."""
         irregular = self.irregular[self.measured]
         words = f"{len(irregular)} of {len(self)} lenslets"
         if self.alignment is not None:
             off = 1e3 * float(np.sqrt(np.mean(np.sum(irregular**2, axis=1))))
-            words += f", {off:.3g} um rms off beyond shift, rotation and scale"
+            words += f", dislocations of {off:.3g} um rms beyond shift, rotation and scale"
         if self.base_form is None:
             return words
-        # What is uncertain may be as large as it is uncertain, so it is named too.
+        # An uncertain term may be as large as its uncertainty, so it is listed too.
         std = self.base_form_std
         terms = sorted(dict(self.base_form.terms).items(), key=lambda term: -np.hypot(term[1], std[term[0]]))[
             :SUMMARY_TERMS
@@ -237,7 +238,7 @@ class Lenslets(Sequence[Lenslet]):
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """What is to be known of single lenslets, one sentence each."""
+        """Findings about single lenslets, one sentence each."""
         return tuple(
             f"lens {one.number} at ({one.design[0]:g}, {one.design[1]:g}) mm: {one.finding}"
             for one in self.items
@@ -245,7 +246,7 @@ class Lenslets(Sequence[Lenslet]):
         )
 
     def table(self) -> str:
-        """Return the table that a person reads: lengths in um, forms in nm."""
+        """Return a text table: lengths in um, forms in nm."""
         heading = (
             f"{'lens':>4}{'design x, y [mm]':>20}{'dislocation x, y [um]':>23}{'+-':>8}{'irregular x, y [um]':>22}"
             f"{'height [um]':>13}{'R - design, +- [um]':>21}{'Sq [nm]':>9}{'PV [nm]':>9}{'covered':>9}"
@@ -265,7 +266,7 @@ class Lenslets(Sequence[Lenslet]):
         return "\n".join(lines)
 
     def csv(self) -> str:
-        """Return one row for each lenslet, in the units of the heading; empty cells where nothing was found."""
+        """Return comma-separated rows, one for each lenslet, in the units of the heading; undefined cells are empty."""
         heading = (
             "lens,design_x_mm,design_y_mm,centre_x_mm,centre_y_mm,centre_std_x_mm,centre_std_y_mm,dislocation_x_mm,"
             "dislocation_y_mm,irregular_x_mm,irregular_y_mm,height_mm,height_std_mm,radius_mm,radius_error_mm,"
@@ -297,43 +298,43 @@ def lenslets(
     level: bool = True,
     base_degree: int = DEFAULT_BASE_DEGREE,
 ) -> Lenslets:
-    """Find every lenslet of a measured array: its centre, its height, its radius, and the form error it has.
+    """Measure centre, height, radius and form error of every lenslet of an array.
 
-    A lenslet is found up to about half its radius from where it should be.
+    A lenslet is found up to about half its radius from its nominal position.
 
     Parameters
     ----------
     heights
-        The measured map; missing points are missing, spikes are left out.
+        The measured map; missing points and outliers are left out.
     part
-        The design: a `LensArray`, alone or added to a base, and placed as a whole or on its base.
+        The design: a `LensArray`, alone or added to a base, placed as a whole or on its base.
     inner, outer
-        Points within ``inner`` lens radii of a found centre belong to the lenslet, those beyond ``outer`` of all to
-        the base; between them lies the rim, which no instrument shows well.
+        Points within ``inner`` lens radii of a measured centre belong to the lenslet, those beyond ``outer`` lens radii
+        of all lenslets to the base. The rim in between, which instruments measure poorly, is left out.
     pose
         From the map's frame to the part's; ``Pose()`` if the map is in the part's frame already. By default the map
         is registered, see `register`.
     form
         ``"design"``, the design form; ``"sphere"``, the best sphere, its radius free.
     radius
-        Whether the radius of the design form is free: its form error is then that of the form alone.
+        Whether the radius of the design form is free; the form error is then without radius error.
     tilt
-        Whether the tilt of each lenslet is free. On a sphere a tilt is a shift, which is refused.
+        Whether the tilt of each lenslet is free; not on a sphere, where tilt and shift are equivalent.
     aperture
-        Radius of a lenslet; by default that of the array or, where lenslets fill their cells, that of the circle
-        that the cell holds. [mm]
+        Semi-diameter of a lenslet; by default that of the array or, where lenslets fill their cells, that of the
+        largest circle in the cell. [mm]
     level
-        Whether tilt, height and, where the base fixes it better than the lenslets do, rotation are those of the base:
-        base first, then the lenslets on it. Without it they are those of the pose. `Lenslets.frame` says what was done.
+        Whether tilt and height are taken from the base, and rotation too where the base determines it better than the
+        lenslets. Otherwise they are those of the pose. `Lenslets.frame` states the result.
     base_degree
-        Degree up to which the base may have a form of its own, in Zernike terms from the second degree on: fitted
-        together with its level between the rims of the lenslets that were found, and taken off under them. 0 for none;
-        without ``level``, or where lenslets fill their cells, there is none.
+        Highest degree of the form error of the base, in Zernike terms from the second degree on. It is fitted together
+        with the level between the lenslets, and subtracted under them. 0 for none; without ``level``, or where lenslets
+        fill their cells, there is none.
 
     Raises
     ------
     InputError
-        If the part has no lens array or several, the form cannot tell its own centre, a factor is out of range, or
+        If the part has no lens array or several, the form does not determine its centre, a factor is out of range, or
         the map has no heights.
 
     Sources
@@ -371,7 +372,7 @@ def lenslets(
     base = points_of_base(points, design, starts, outer)
     frame = "the part's frame: shift, rotation, tilt and height by the pose"
     base_form = BaseForm(np.empty(0), np.empty((0, 0)), np.empty(0))
-    # The second time from so near that the step is linear and what is left is form.
+    # The second time the start is so close that the step is linear and the residual is form.
     for _ in range(2 if level and base.size >= MIN_POINTS else 0):
         correction, frame, base_form = level_on_base(points, base, design, starts, seen, rotation_std)
         pose = correction.after(pose)
@@ -414,26 +415,26 @@ def lenslets(
 
 
 def _check(inner: float, outer: float, form: str, base_degree: int) -> None:
-    """Raise unless what is asked can be done."""
+    """Validate the options of `lenslets`."""
     between(inner, "inner, the share of its radius that belongs to a lenslet,", 0.1, 1.0, "lens radii")
     between(outer, "outer, where the base begins,", inner, 10.0, "lens radii")
     if form not in ("design", "sphere"):
         raise InputError(f'form is {form!r}, it can be "design" or "sphere": choose one of them')
     if not 0 <= base_degree <= MAX_BASE_DEGREE or base_degree == 1:
         raise InputError(
-            f"base_degree is {base_degree!r}, it can be 0 or 2 to {MAX_BASE_DEGREE}: the pose takes what is of degree 1"
+            f"base_degree must be 0 or 2 to {MAX_BASE_DEGREE} (degree 1 is part of the pose), got {base_degree!r}"
         )
 
 
 def base_forms(part: Part, degree: int = DEFAULT_BASE_DEGREE) -> tuple[Zernike, ...]:
-    """Return the forms that the base of a lens array may have, each 1 mm at the rim; none where lenslets leave no base.
+    """Return the form error terms of the base of a lens array, each 1 mm at the rim; none without a base.
 
     Parameters
     ----------
     part
         A `LensArray`, alone or on a base.
     degree
-        Of the Zernike terms, from the second on.
+        Highest degree of the Zernike terms, which start at the second.
     """
     return tuple(
         Zernike(terms={number: 1.0}, radius=part.radius, indexing="ansi", normalised=False)
@@ -442,27 +443,27 @@ def base_forms(part: Part, degree: int = DEFAULT_BASE_DEGREE) -> tuple[Zernike, 
 
 
 def _registered(heights: HeightMap, part: Part, degree: int) -> tuple[Pose, float, str]:
-    """Return where the map lies, how well its rotation is known [rad], and the words of a doubt.
+    """Return the part pose, the standard deviation of its rotation [rad], and a warning if it is ambiguous.
 
-    The form of the base is found along with it.
+    The form of the base is fitted together with the pose.
     """
-    # Displaced lenslets are no reason to turn the rest, so they pull less the farther off they are.
+    # A robust loss, so that displaced lenslets do not rotate the others.
     registration = register(
         _thinned(heights, MAX_REGISTRATION_POINTS), part, loss="huber", terms=base_forms(part, degree), form_error=0.0
     )
     others, doubt = len(registration.candidates), ""
     if others:
-        doubt = f"; {others} other poses fit nearly as well, so which lenslet is which is not certain: give a pose"
+        doubt = f"; {others} other poses fit nearly as well, so the numbering of the lenslets is uncertain: give a pose"
     return registration.pose, registration.std.get("rotation", float("inf")), doubt
 
 
 def has_lenslets(surface: Surface) -> bool:
-    """Say whether a surface holds one lens array, so that `lenslets` can look at it."""
+    """Return whether a surface contains exactly one lens array, as `lenslets` needs."""
     return len(arrays_in(surface)) == 1
 
 
 def _lenslet(k: int, found: Found, design: Design) -> Lenslet:
-    """Say in the part's frame what was found."""
+    """Return the result of a fit in the frame of the part."""
 
     def place(at: Floats, height: float) -> tuple[float, float]:
         x, y = at[:1].copy(), at[1:2].copy()
@@ -505,7 +506,7 @@ def _lenslet(k: int, found: Found, design: Design) -> Lenslet:
 
 
 def _thinned(heights: HeightMap, most: int) -> HeightMap:
-    """Return so many valid points of a map, chosen without a pattern that the raster could beat with."""
+    """Return a random sample of the valid points of a map; a regular one could alias with the raster."""
     valid = np.flatnonzero(~np.isnan(heights.z).ravel())
     if valid.size > most:
         valid = np.sort(np.random.default_rng(0).choice(valid, most, replace=False))
@@ -514,7 +515,7 @@ def _thinned(heights: HeightMap, most: int) -> HeightMap:
 
 
 def _each(count: int, work: Callable[[int], None]) -> None:
-    """Do the work for every lenslet, on all cores."""
+    """Run the work for every lenslet on all cores."""
 
     def some(start: int, stop: int) -> None:
         for k in range(start, stop):

@@ -1,4 +1,4 @@
-"""The fit of one lenslet, and the base between the lenslets. The formula stands in `lens_array`."""
+"""Fit of one lenslet, and of the base between the lenslets. See `lens_array` for the model."""
 
 from __future__ import annotations
 
@@ -91,20 +91,20 @@ SLOPE_TOL = 1e-9
 
 
 class Points(NamedTuple):
-    """Valid points in the frame of the array's base, sorted by squares of the plane. Each (n,)."""
+    """Valid points in the frame of the base, sorted by square cells. Each (n,)."""
 
     x: Floats
     y: Floats
     z: Floats
     departure: Floats  # from the base alone
-    weight: Floats  # the area that each stands for
-    low: Floats  # where the first square begins
-    step: float  # side of a square
-    squares: int  # of them along x and along y
-    first: Ints  # where the points of each square begin
+    weight: Floats  # area of each point
+    low: Floats  # lower corner of the first cell
+    step: float  # side of a cell
+    squares: int  # number of cells along x and along y
+    first: Ints  # index of the first point of each cell
 
     def near(self, centre: Floats, radius: float) -> Ints:
-        """Return which points lie within a radius of a centre. (k,)."""
+        """Return the indices of the points within a radius of a centre. (k,)."""
         ends = np.floor((np.stack([centre[:2] - radius, centre[:2] + radius]) - self.low) / self.step)
         (first_column, bottom), (right, top) = np.clip(ends, -1, self.squares).astype(np.int64)
         first_column, right = max(first_column, 0), min(right, self.squares - 1)
@@ -119,7 +119,7 @@ class Points(NamedTuple):
 
 
 class Design(NamedTuple):
-    """What the array should be."""
+    """The nominal array."""
 
     outer: Pose  # from the frame of base and array to the part's
     base: Surface | None  # all that is added to the array
@@ -128,20 +128,20 @@ class Design(NamedTuple):
     lens: Surface  # about its own origin, turned as the array is
     vertex: float  # height of the lens at its origin
     radius: float  # of curvature there, nan if it has none
-    surround: Surface | None  # what lies between the lenslets; None where they fill their cells
-    reach: float  # the clear radius
+    surround: Surface | None  # surface between the lenslets; None where they fill their cells
+    reach: float  # semi-diameter of the clear aperture
     terms: tuple[int, ...]  # ANSI numbers of the Zernike terms of the base's form
 
 
 class Free(NamedTuple):
-    """Which parameters are fitted, and which beside them for the radius; None if the form does not tell it."""
+    """Fitted parameters, and those of the fit for the radius; None if the form does not determine it."""
 
     columns: list[int]
     with_radius: list[int] | None
 
 
 class Smooth(NamedTuple):
-    """Which points are no spikes, the smooth form at all points, and how many terms it has."""
+    """Mask of the points that are not outliers, smooth form at all points, and number of its terms."""
 
     keep: Bools
     form: Floats
@@ -149,11 +149,11 @@ class Smooth(NamedTuple):
 
 
 class BaseForm(NamedTuple):
-    """The form of the base beyond its design: what each Zernike term has at the rim, and how well that is known."""
+    """Form error of the base: amplitudes of its Zernike terms at the rim, and their uncertainty."""
 
     amplitudes: Floats  # (k,) [mm]
     covariance: Floats  # at the rotation of the frame (k, k) [mm²]
-    turned: Floats  # what the uncertainty of that rotation adds to each, as a standard deviation (k,) [mm]
+    turned: Floats  # standard deviation of each from the uncertainty of that rotation (k,) [mm]
 
     @property
     def std(self) -> Floats:
@@ -171,12 +171,12 @@ class BaseForm(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What the fit of one lenslet gave, in the frame of the base."""
+    """Result of the fit of one lenslet, in the frame of the base."""
 
     parameters: Floats | None  # None where it was not fitted
     covariance: Floats  # (6, 6), nan for what was not free
     growth: tuple[float, float]  # scale less one, and its uncertainty
-    local: Floats  # the centre, or where it was last looked for
+    local: Floats  # the centre, or the last position of the search
     residual: HeightMap
     size_nm: tuple[float, float]
     scatter_nm: float
@@ -211,7 +211,7 @@ def shapes_at(design: Design, x: Floats, y: Floats) -> Floats:
 
 
 def take_apart(part: Part, form: str, aperture: float | None, degree: int) -> Design:
-    """Take the part apart: base, array, where both sit; the base may have a form up to a degree."""
+    """Split a part into base and array, their poses, and the form error terms of the base up to a degree."""
     outer, surface = Pose(), part.surface
     while isinstance(surface, Placed):
         outer, surface = outer.after(surface.pose), surface.surface
@@ -219,7 +219,7 @@ def take_apart(part: Part, form: str, aperture: float | None, degree: int) -> De
     arrays = [term for term in terms if arrays_in(term)]
     if len(arrays) != 1:
         raise InputError(
-            f"the surface of the part, a {type(part.surface).__name__}, holds {len(arrays)} lens arrays, it must hold "
+            f"the surface of the part, a {type(part.surface).__name__}, has {len(arrays)} lens arrays, it must have "
             "1: give a LensArray, or a base with one added to it"
         )
     others = tuple(term for term in terms if term is not arrays[0])
@@ -279,7 +279,7 @@ def lens_radii(centres: Floats, aperture: float | None, reach: float) -> Floats:
 
 
 def free_parameters(design: Design, inner: float, *, radius: bool, tilt: bool) -> Free:
-    """Return which parameters are fitted, after a look at whether the form tells them apart."""
+    """Return the fitted parameters, and raise if the form does not determine them."""
     free = [0, 1, 2, *([3] if radius else []), *([4, 5] if tilt else [])]
     reach = inner * float(design.radii.min())
     u, v = (part.ravel() for part in np.meshgrid(*2 * [np.linspace(-reach, reach, 41)]))
@@ -289,9 +289,9 @@ def free_parameters(design: Design, inner: float, *, radius: bool, tilt: bool) -
     names = ("centre along x", "centre along y", "height", "radius", "tilt along x", "tilt along y")
 
     def alone(columns: list[int]) -> dict[int, float]:
-        """Return how much of the effect of each parameter no other one can imitate, in squares."""
+        """Return the share of the squared effect of each parameter that the others cannot imitate."""
         size = np.sqrt(np.mean(slopes[:, columns] ** 2, axis=0))
-        # A slope, a height and a relative size that have less effect than this have none.
+        # Smaller effects of a slope, a height and a relative size are rounding.
         if (size <= SLOPE_TOL * np.where(np.array(columns) == 3, reach, 1.0)).any():
             return {columns[int(np.argmin(size))]: 0.0}
         scaled = slopes[:, columns] / size
@@ -305,8 +305,8 @@ def free_parameters(design: Design, inner: float, *, radius: bool, tilt: bool) -
     for column, share in alone(free).items():
         if share < MIN_INDEPENDENT_SHARE:
             raise InputError(
-                f"the form of the lenslet tells the {names[column]} from the other free parameters by {share:.1g} of "
-                f"its effect, in squares, the limit is {MIN_INDEPENDENT_SHARE:g}: "
+                f"the form of the lenslet does not determine the {names[column]}: a share of {share:.1g} of its "
+                f"squared effect is independent of the other parameters, the limit is {MIN_INDEPENDENT_SHARE:g}; "
                 + ("leave the tilt fixed" if tilt else "fit a form with more curvature, or a larger aperture")
             )
     is_separable = np.isfinite(design.radius) and min(alone(sorted({*free, 3})).values()) >= MIN_INDEPENDENT_SHARE
@@ -314,9 +314,9 @@ def free_parameters(design: Design, inner: float, *, radius: bool, tilt: bool) -
 
 
 def model(design: Design, parameters: Floats, x: Floats, y: Floats, free: list[int]) -> tuple[Floats, Floats]:
-    """Return what a lenslet adds to the base (n,), and its derivatives by the free parameters (n, k).
+    """Return the height of a lenslet over the base (n,), and its derivatives by the free parameters (n, k).
 
-    The parameters are those of the module's formula: centre x, y, height, scale less one, slopes; about the origin.
+    The parameters are those of the formula in `lens_array`: centre x, y, height, scale minus one, slopes.
     """
     at_x, at_y, height, growth, slope_x, slope_y = parameters
     dx, dy = x - at_x, y - at_y
@@ -341,7 +341,7 @@ def model(design: Design, parameters: Floats, x: Floats, y: Floats, free: list[i
 
 
 def place_points(heights: HeightMap, pose: Pose, design: Design) -> Points:
-    """Bring the map into the frame of the base, within the clear radius, sorted by squares of the plane."""
+    """Return the points of the map within the clear aperture, in the frame of the base, sorted by cells."""
     valid = ~np.isnan(heights.z)
     x, y, z = (part[valid] for part in (*heights.points(), heights.z))
     if heights.scattered:
@@ -357,7 +357,7 @@ def place_points(heights: HeightMap, pose: Pose, design: Design) -> Points:
         used &= inside
     if not used.any():
         raise InputError(
-            f"0 of the {x.size} valid points of the map lie within the clear radius {design.reach:g} mm of the part: "
+            f"none of the {x.size} valid points of the map lie within the clear aperture, radius {design.reach:g} mm: "
             "check the pose and the units"
         )
     step = max(float(design.radii.max()) / 2, design.reach / 1000)
@@ -374,7 +374,7 @@ def place_points(heights: HeightMap, pose: Pose, design: Design) -> Points:
 
 
 def without_form(points: Points, design: Design, form: BaseForm) -> Points:
-    """Return the points with the form of the base taken off their departure."""
+    """Return the points with the form error of the base subtracted."""
     if not form.amplitudes.size:
         return points
     return points._replace(departure=points.departure - form.amplitudes @ shapes_at(design, points.x, points.y))
@@ -390,13 +390,13 @@ def least_squares_step(slopes: Floats, error: Floats, weight: Floats) -> Floats:
 
 
 def find_roughly(points: Points, design: Design, k: int, inner: float) -> Floats | None:
-    """Find a lenslet roughly, from its middle outward; return its parameters, or ``None``."""
+    """Return approximate parameters of a lenslet, fitted from its centre outward, or ``None``."""
     radius, parameters = float(design.radii[k]), np.zeros(6)
     parameters[:2] = design.centres[k]
     free = [0, 1, 2]
     for share in (0.5, 0.75, inner):
         chosen = points.near(parameters, share * radius)
-        if chosen.size < MIN_POINTS:  # on coarse pixels the middle holds too few
+        if chosen.size < MIN_POINTS:  # with coarse pixels the inner zone has too few
             continue
         chosen = chosen[:: chosen.size // MAX_SEARCH_POINTS + 1]
         x, y, departure, weight = (part[chosen] for part in (points.x, points.y, points.departure, points.weight))
@@ -418,14 +418,14 @@ def find_roughly(points: Points, design: Design, k: int, inner: float) -> Floats
 
 
 def fit_smooth(x: Floats, y: Floats, error: Floats) -> Smooth:
-    """Fit a polynomial to what a form leaves, spikes left out. The points lie in [-1, 1]."""
+    """Fit a polynomial to a residual without outliers. The points lie in [-1, 1]."""
     degree = SMOOTH_DEGREE
     while degree and (degree + 1) * (degree + 2) // 2 * POINTS_PER_BLOCK > error.size:
         degree -= 1
     along_x, along_y = legvander(x, degree), legvander(y, degree)
     terms = np.stack([along_x[:, i] * along_y[:, j] for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1)
     off = np.abs(error - np.median(error))
-    # Form itself may stand out this much; what it is, the first polynomial shows.
+    # Twice the threshold at first, as the form is not yet removed.
     keep = off <= max(2 * OUTLIER_SIGMA * robust_scatter(off), MIN_OUTLIER_MM)
     normal, right, form = terms.T @ terms, terms.T @ error, error
     for _ in range(6):
@@ -440,7 +440,7 @@ def fit_smooth(x: Floats, y: Floats, error: Floats) -> Smooth:
 
 
 def number_blocks(u: Floats, v: Floats, most: int) -> tuple[Ints, float]:
-    """Number the blocks that points of the unit disc lie in, and return how much of the disc they cover. (n,)."""
+    """Return the block number of each point of the unit disc (n,), and the share of the disc that is covered."""
     count = int(np.clip(np.sqrt(u.size / POINTS_PER_BLOCK), 3, most))
     row, column = (np.clip((part + 1) / 2 * count, 0, count - 1).astype(np.int64) for part in (v, u))
     number = row * count + column
@@ -451,12 +451,12 @@ def number_blocks(u: Floats, v: Floats, most: int) -> tuple[Ints, float]:
 
 
 def clustered_covariance(slopes: Floats, rest: Floats, weight: Floats, blocks: Ints, terms: int) -> Floats:
-    """Return the covariance of fitted parameters when points of one block may err together. (k, k)."""
+    """Return the covariance of fitted parameters for errors correlated within blocks. (k, k)."""
     weighted = slopes * weight[:, None]
     inverse = np.linalg.pinv(weighted.T @ slopes, rcond=1e-15)
     score = np.stack([np.bincount(blocks, weights=column * rest) for column in weighted.T], axis=1)
     count = int(np.count_nonzero(np.bincount(blocks)))
-    # A polynomial of as many terms was taken off: it has taken its share of the scatter with it.
+    # The removed polynomial has reduced the scatter in proportion to its number of terms.
     together = score.T @ score * (count / max(count - terms, 1))
     return np.asarray(inverse @ together @ inverse)
 
@@ -467,7 +467,7 @@ def size_nm(error: Floats, weight: Floats) -> tuple[float, float]:
 
 
 def missing(parameters: Floats, count: int, coverage: float, finding: str) -> Found:
-    """Return a lenslet that could not be fitted."""
+    """Return the result for a lenslet that could not be fitted."""
     empty = np.empty(0)
     nan = float("nan")
     return Found(
@@ -479,25 +479,25 @@ def missing(parameters: Floats, count: int, coverage: float, finding: str) -> Fo
 def fit_lenslet(
     points: Points, design: Design, k: int, starts: Floats, free: Free, inner: float, base: BaseForm
 ) -> Found:  # fmt: skip
-    """Fit one lenslet over the points around its own centre."""
+    """Fit one lenslet to the points around its measured centre."""
     parameters, reach = starts[k].copy(), inner * float(design.radii[k])
     apart = np.hypot(*(starts[:, :2] - starts[k, :2]).T)
     grain = 0.0
     rivals = starts[(apart < 2.2 * reach) & (apart > 0), :2]
     for _ in range(MAX_ITERATIONS):
         chosen = points.near(parameters, reach + grain)
-        for rival in rivals:  # where cells touch, a lenslet's neighbour may stand inside of its circle
+        for rival in rivals:  # where cells touch, a neighbour may overlap the circle
             x, y = points.x[chosen], points.y[chosen]
             distance_squared = (x - parameters[0]) ** 2 + (y - parameters[1]) ** 2
             chosen = chosen[distance_squared <= (x - rival[0]) ** 2 + (y - rival[1]) ** 2]
         if chosen.size < MIN_POINTS:
-            words = f"{chosen.size} points within {inner:g} of its radius, a fit needs {MIN_POINTS}: measure more of it"
+            words = f"{chosen.size} points within {inner:g} lens radii, a fit needs {MIN_POINTS}: measure more of it"
             return missing(parameters, chosen.size, 0.0, words)
         x, y, departure, weight = (part[chosen] for part in (points.x, points.y, points.departure, points.weight))
         before = parameters[:2].copy()
         value, _ = model(design, parameters, x, y, free.columns)
         u, v, error = (x - before[0]) / reach, (y - before[1]) / reach, departure - value
-        # A point at the rim counts with the share of its pixel that lies within, so that no point jumps in or out.
+        # A point at the rim counts with the share of its pixel inside, so that the sums are continuous.
         grain = reach * float(np.sqrt(np.pi / chosen.size)) / 2
         weight = weight * np.clip((reach * (1 - np.hypot(u, v)) / grain + 1) / 2, 0, 1)
         valid = np.isfinite(error) & (weight > 0)
@@ -511,7 +511,7 @@ def fit_lenslet(
         x, y, u, v, departure, weight = (part[smooth.keep] for part in (x, y, u, v, departure, weight))
         gauss_newton(design, parameters, x, y, departure, weight, free.columns)
         if not np.hypot(*(parameters[:2] - design.centres[k])) < design.radii[k]:
-            words = f"no such form within its radius of {design.radii[k]:g} mm: check the pose and the design"
+            words = f"no lenslet found within its radius of {design.radii[k]:g} mm: check the pose and the design"
             return missing(starts[k], x.size, 0.0, words)
         if np.hypot(*(parameters[:2] - before)) < CENTRE_TOL * reach:
             break
@@ -521,7 +521,7 @@ def fit_lenslet(
 def gauss_newton(
     design: Design, parameters: Floats, x: Floats, y: Floats, departure: Floats, weight: Floats, free: list[int]
 ) -> Floats:
-    """Improve the parameters in place until they stay; return the derivatives at the end. (n, k)."""
+    """Iterate the parameters in place to convergence; return the final derivatives. (n, k)."""
     reach = np.ptp(x) + 1e-300
     for _ in range(MAX_ITERATIONS):
         value, slopes = model(design, parameters, x, y, free)
@@ -538,7 +538,7 @@ def gauss_newton(
 def judge(
     design: Design, free: Free, parameters: Floats, data: tuple[Floats, ...], smooth: Smooth, base: BaseForm
 ) -> Found:  # fmt: skip
-    """Say what a fit is worth."""
+    """Return the result of a fit with its uncertainty, or why there is none."""
     x, y, u, v, departure, weight = data
     value, slopes = model(design, parameters, x, y, free.columns)
     error = departure - value
@@ -551,8 +551,8 @@ def judge(
     mean_square = float(np.average(error**2, weights=weight))
     if mean_square > spread / 2:
         words = (
-            f"the form leaves {np.sqrt(mean_square) * NM:.0f} nm rms of {np.sqrt(spread) * NM:.0f} nm, so there is no "
-            "such lenslet: check the pose and the design"
+            f"the residual is {np.sqrt(mean_square) * NM:.0f} nm rms of {np.sqrt(spread) * NM:.0f} nm, no lenslet of "
+            "this form: check the pose and the design"
         )
         return missing(parameters, x.size, coverage, words)
     residual = error - fit_smooth(u, v, error).form
@@ -561,7 +561,7 @@ def judge(
         slopes, residual, weight, blocks, smooth.terms
     )
     if base.amplitudes.size:
-        # What the form of the base is off moves what stands on it.
+        # Uncertainty of the base form moves the lenslet.
         moved = np.stack([least_squares_step(slopes, one, weight) for one in shapes_at(design, x, y)], axis=1)
         covariance[np.ix_(free.columns, free.columns)] += moved @ base.covariance @ moved.T
     growth = float("nan"), float("nan")
@@ -596,7 +596,7 @@ def points_of_base(points: Points, design: Design, centres: Floats, outer: float
 
 
 def errors_of_base(points: Points, base: Ints, design: Design) -> tuple[Floats, Floats]:
-    """Return how far the base is off (m,), and what a turn of the points about x, y, z and a shift along z does to it.
+    """Return the form error of the base, and its derivatives by rotations about x, y, a shift along z, and about z.
 
     Returns
     -------
@@ -619,9 +619,9 @@ def errors_of_base(points: Points, base: Ints, design: Design) -> tuple[Floats, 
 def level_on_base(
     points: Points, base: Ints, design: Design, starts: Floats, seen: Bools, rotation_std: float
 ) -> tuple[Pose, str, BaseForm]:
-    """Return turn and shift along z that bring the base onto its design, words for the frame, and the base's form.
+    """Return the pose that levels the base, a description of the frame, and the form error of the base.
 
-    ``rotation_std`` is that of the pose where too few lenslets are seen to tell it. [rad]
+    ``rotation_std`` is that of the pose, used if too few lenslets determine the rotation. [rad]
     """
     base = base[:: base.size // MAX_LEVELLING_POINTS + 1]
     weight = points.weight[base]
@@ -634,7 +634,7 @@ def level_on_base(
     smooth = fit_smooth(u, v, error)
     base = base[smooth.keep]
     u, v, error, slopes, weight = (part[smooth.keep] for part in (u, v, error, slopes, weight))
-    # Tilts, height and form together, and next to them the rotation.
+    # Tilts, height and form are fitted together; the rotation is separate.
     shapes, turned = shapes_at(design, points.x[base], points.y[base]).T, slopes[:, 3]
     level, slopes = slopes[:, :3], np.concatenate([slopes[:, :3], -shapes], axis=1)
     blocks, _ = number_blocks(u, v, 2 * BLOCKS_PER_LENSLET)
@@ -648,12 +648,12 @@ def level_on_base(
     if tells is not None:
         rotation_known, base_std = tells
         by_base = base_std < (rotation_std if lattice is None else lattice.rotation_std)
-        if lattice is not None:  # what the lenslets contradict is form
+        if lattice is not None:  # a rotation that the lenslets contradict is form error
             gap = abs(float(rotation_known[-1]) + lattice.rotation)
             by_base &= gap <= AGREEMENT_SIGMA * float(np.hypot(base_std, lattice.rotation_std))
         if by_base:
             chosen, unsure = rotation_known, base_std
-    # What the terms leave errs together over a block, so it counts as it does.
+    # The residual is correlated within blocks.
     residual = error + slopes @ chosen[:-1] + turned * chosen[-1]
     spread = fit_smooth(u, v, residual)
     covariance = clustered_covariance(slopes, residual, weight, blocks, spread.terms)[3:, 3:]
@@ -668,7 +668,7 @@ def level_on_base(
 
 
 def _words(by_base: bool, unsure: float) -> str:
-    """Say what the rotation is by, and how well it is known."""
+    """Return the reference of the rotation and its uncertainty, in words."""
     name = "base" if by_base else "pose"
     return f"{name} within {unsure * 1e6:.2g} urad" if np.isfinite(unsure) else name
 
@@ -677,10 +677,10 @@ def _rotation_of_base(
     design: Design, data: tuple[Floats, Floats, Floats, Floats, Ints], level: Floats, shapes: Floats, turned: Floats,
     alike: Floats,
 ) -> tuple[Floats, float] | None:  # fmt: skip
-    """Return level, form and rotation by the base, and how unsure the last is; ``None`` where it has no effect.
+    """Return level, form and rotation by the base, and the standard deviation of the rotation; ``None`` if undefined.
 
-    The form that passes for the rotation, ``alike`` for each rad, is left out: it is taken to be as large as the
-    largest of those that do not, which are seen.
+    The form that cannot be distinguished from the rotation, ``alike`` for each rad, is left out. It is assumed to be as
+    large as the largest of the other terms, which are fitted.
     """
     u, v, error, weight, blocks = data
     along = turned - level @ least_squares_step(level, turned, weight)
@@ -699,7 +699,7 @@ def _rotation_of_base(
     form = np.average(smooth.form**2, weights=weight) - smooth.terms * np.average(texture**2, weights=weight) / u.size
     variance = float(noise) + max(float(form), 0.0) / strength**2
     if alike.size:
-        # By so much the base seems turned for each mm of that form.
+        # Apparent rotation of the base for each mm of that form.
         leak = float(least_squares_step(apart, shapes @ way, weight)[-1])
         variance += (leak * max(float(np.abs(correction[3:-1]).max()), MIN_HIDDEN_FORM_MM)) ** 2
     return correction, float(np.sqrt(variance))

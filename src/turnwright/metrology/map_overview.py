@@ -1,4 +1,4 @@
-"""What can be said of a measurement without its part: header, size, missing heights, Sq."""
+"""Overview of a measurement without a part: header, size, missing heights, Sq."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ MAX_VALUE_CHARACTERS = 120
 
 
 def level(heights: HeightMap, form: Form = "plane") -> HeightMap:
-    """Return a map without its form, whatever its points stand on; one without lengths counts pixels for it.
+    """Return a map without its form. Maps of unknown pixel size are treated in pixels.
 
     Parameters
     ----------
     heights
-        On a grid, or scattered, of which the mean or the plane is taken off.
+        On a grid; or scattered points, from which only the mean or the plane is removed.
     form
         See `remove_form`.
     """
@@ -47,14 +47,14 @@ def level(heights: HeightMap, form: Form = "plane") -> HeightMap:
 
 
 def overview(heights: HeightMap, form: Form = "plane") -> tuple[tuple[str, str], ...]:
-    """Return what a measured map says by itself, as names and values.
+    """Return header, size, missing heights, Sq and PV of a measured map, as names and values.
 
     Parameters
     ----------
     heights
         Of any kind.
     form
-        Taken off before Sq and PV, see `remove_form`.
+        Form removed before Sq and PV; see `remove_form`.
 
     >>> from turnwright.heightmap import HeightMap
     >>> x = 0.002 * np.arange(50)

@@ -1,4 +1,4 @@
-"""The noise of a map, from the map itself: white from neighbours, correlated from what smooth terms leave."""
+"""Noise of a map estimated from the map: white from neighbours, correlated from the residual of smooth terms."""
 
 from __future__ import annotations
 
@@ -56,11 +56,10 @@ CELL_POINTS, MAX_CELLS = 4, 64
 
 
 class MapNoise(NamedTuple):
-    """What a map's noise is.
+    """White and correlated noise of a map.
 
-    ``white`` is the standard deviation of what is independent from point to point [mm], ``correlated`` that of the rest
-    [mm], ``length`` the radius within which the latter errs together [mm], and ``area`` what one independent cell of it
-    covers over that of one point: so many points err as one.
+    ``white`` and ``correlated`` are standard deviations [mm], ``length`` is the correlation radius [mm], and ``area``
+    the area of an independent cell of the correlated noise relative to that of a point.
     """
 
     white: float
@@ -70,17 +69,17 @@ class MapNoise(NamedTuple):
 
     @property
     def effective(self) -> float:
-        """Standard deviation of independent heights that would leave a pose as uncertain. [mm]."""
+        """Standard deviation of independent noise with the same effect on a pose. [mm]."""
         return float(np.sqrt(self.white**2 + self.correlated**2 * max(self.area, 1.0)))
 
 
 def map_noise(problem: Problem, some: Problem, state: Floats, heights: HeightMap, which: Ints) -> MapNoise:
-    """Return the noise of a map, about a pose near enough for its residual to be smooth from neighbour to neighbour.
+    """Return the noise of a map about a pose so close that the residual is smooth between neighbours.
 
     Parameters
     ----------
     problem, some
-        All points, and those of them that a correlation is judged by.
+        All points, and the sample for the correlation.
     state
         The pose.
     heights, which
@@ -93,7 +92,7 @@ def map_noise(problem: Problem, some: Problem, state: Floats, heights: HeightMap
 
 
 def _in_runs(problem: Problem, state: Floats, heights: HeightMap, which: Ints) -> float:
-    """Return the scatter of third differences over a grid, along the direction of cutting where it can be. [mm]."""
+    """Return the scatter of third differences over a grid, along the cutting direction if possible. [mm]."""
     measured = np.zeros(heights.z.shape, dtype=np.bool_)
     measured.ravel()[which] = True
     place = np.cumsum(measured.ravel()) - 1
@@ -126,7 +125,7 @@ def _in_runs(problem: Problem, state: Floats, heights: HeightMap, which: Ints) -
 
 
 def _lateral(problem: Problem, state: Floats) -> Floats:
-    """Return where points lie on the part across its axis. (2, n) [mm]."""
+    """Return the lateral positions of the points on the part. (2, n) [mm]."""
     return np.asarray(turns(state)[0][:2] @ problem.points + state[:2, None])
 
 
@@ -144,7 +143,7 @@ def _begins(known: Bools, axis: int) -> Ints:
 
 
 def _scatter(size: Floats) -> float:
-    """Return the standard deviation that magnitudes stand for, robustly; their rms where most of them are zero."""
+    """Return the robust standard deviation of magnitudes; their rms where most are zero."""
     if size.size == 0:
         return 0.0
     return robust_scatter(size) or float(np.sqrt(np.mean(size**2)))
@@ -182,7 +181,7 @@ def _in_cells(problem: Problem, state: Floats) -> float:
 
 
 def _correlated(some: Problem, state: Floats, white: float, count: int) -> MapNoise:
-    """Add what errs together: its variance, and its power at long wavelengths, from means over cells."""
+    """Add the correlated noise: its variance, and its power at long wavelengths from means over cells."""
     sample = rows(some, state, slice(0, some.points.shape[1]))
     if sample.residual.size < MIN_CORRELATION_POINTS:
         return MapNoise(white, 0.0, 0.0, 0.0)
@@ -215,14 +214,14 @@ def _correlated(some: Problem, state: Floats, white: float, count: int) -> MapNo
     counts = np.bincount(ring[valid])
     correlation = sums / np.maximum(weight, 1.0)
     correlation[0] -= white**2 * float(np.mean(1 / points[there]))
-    # Up to where it first changes its sign: what lies beyond is the form that the smooth terms left, and chance.
+    # Up to the first change of sign; beyond are residual form and chance.
     below = correlation <= 0
     end = int(np.argmax(below)) if below.any() else correlation.size
     power = float((correlation[:end] * counts[:end]).sum()) * side * side
     if excess <= 0 or power <= 0:
         return MapNoise(white, 0.0, 0.0, 0.0)
     covered = float(np.count_nonzero(there)) * side * side
-    # As many of its independent cells as there were smooth terms went with them.
+    # The smooth terms have removed as many independent cells as there are terms.
     share = max(1 - terms.shape[1] * power / excess / covered, MIN_NOISE_SHARE)
     excess, power = excess / share, power / share
     per_point = covered / count * some.points.shape[1] / residual.size

@@ -25,7 +25,7 @@ MAX_POINTS = 10_000_000
 
 
 def without_form(profile: Profile, form: Form) -> Profile:
-    """Return a profile without what `remove_form` would take off a map: of a profile nothing, a mean, a line, a degree.
+    """Remove a form from a profile: none, the mean, a line or a polynomial, as `remove_form` for maps.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def line_profile(
 ) -> Profile:
     """Return the heights along a line, interpolated on the map's own grid.
 
-    A height is missing where any of the points that it is interpolated from is, and outside the map.
+    A height is missing outside the map and where any point used for its interpolation is missing.
 
     Parameters
     ----------
@@ -65,11 +65,11 @@ def line_profile(
         Instead of ``end``: the line's direction from +x toward +y, from border to border of the map. 0 is a horizontal
         line, π/2 a vertical one; with the axis of the part as ``start`` it is a diameter. [rad]
     step
-        Distance of the points; up to an ``end`` a little smaller, so that a whole number fits. By default the finer
+        Distance of the points; with ``end`` slightly reduced to fit a whole number of steps. By default the finer
         mean step of the grid, or the radial one. [mm]
     method
-        ``"linear"``, between 2 x 2 points: exact for planes. ``"cubic"``, through 4 x 4 points: exact for cubics, and
-        four times as shy of holes.
+        ``"linear"``, between 2 x 2 points: exact for planes. ``"cubic"``, through 4 x 4 points: exact for cubics, but
+        widens holes more.
 
     Raises
     ------
@@ -86,8 +86,8 @@ def line_profile(
         raise InputError(f'the method is {method!r}, it can be "linear" or "cubic": choose one of them')
     if (end is None) == (angle is None):
         raise InputError(
-            f"a line is given {'no' if end is None else 'both an'} end and angle, it takes one of them: give the end, "
-            "or the angle of a line from border to border"
+            f"a line needs either end or angle, got {'neither' if end is None else 'both'}: give the end, or the "
+            "angle of a line from border to border"
         )
     for name, point in (("start", start), ("end", (0.0, 0.0) if end is None else end)):
         finite_tuple(point, f"the {name} of a line", 2)
@@ -113,7 +113,7 @@ def line_profile(
 def _distances(
     heights: HeightMap, start: tuple[float, float], end: tuple[float, float] | None, angle: float | None, step: float
 ) -> tuple[Floats, Floats]:
-    """Return how far the points of a line are from its start (n,), and its direction (2,)."""
+    """Return the distances of the points of a line from its start (n,), and its direction (2,)."""
     origin = np.array(start, dtype=np.float64)
     if end is not None:
         way = np.array(end, dtype=np.float64) - origin
@@ -121,7 +121,7 @@ def _distances(
         way = way / (last or 1.0)
     else:
         way = np.array([np.cos(angle or 0.0), np.sin(angle or 0.0)])
-        # A cosine of pi/2 is not quite 0: the line would leave the map a million widths away.
+        # The cosine of pi/2 is not exactly 0.
         way[np.abs(way) < 1e-15] = 0.0
         first, last = _borders(heights, origin, way)
     if not last > first:
@@ -135,12 +135,12 @@ def _distances(
         )
     if end is not None:
         return np.linspace(0, last, max(int(np.ceil(last / step * (1 - 1e-9))), 1) + 1), way
-    # From border to border whole steps count from the start, so that they meet the points of the grid.
+    # Between borders, steps count from the start, so that they meet the points of the grid.
     return np.arange(np.ceil(first / step - 1e-9), np.floor(last / step + 1e-9) + 1) * step, way
 
 
 def _borders(heights: HeightMap, origin: Floats, way: Floats) -> tuple[float, float]:
-    """Return where a line enters and leaves the map. [mm]."""
+    """Return the distances at which a line enters and leaves the map. [mm]."""
     if heights.radius is not None:
         middle = -float(origin @ way)
         square = float(heights.radius[-1]) ** 2 - float(origin @ origin) + middle**2
@@ -168,7 +168,7 @@ def _interpolated(heights: HeightMap, grid: Grid, x: Floats, y: Floats, nodes: i
             rows = np.concatenate([rows[-nodes:] - 2 * np.pi, rows, rows[:nodes] + 2 * np.pi])
             z = np.concatenate([z[-nodes:], z, z[:nodes]])
         else:
-            # An angle a rounding below the first one is the first one, not a turn later.
+            # An angle below the first one by rounding only is the first one, not a full turn later.
             along = np.where(along > rows[0] + 2 * np.pi - 1e-9, rows[0], along)
     column, column_share, column_in = _shares(columns, across, nodes)
     row, row_share, row_in = _shares(rows, along, nodes)
@@ -176,13 +176,13 @@ def _interpolated(heights: HeightMap, grid: Grid, x: Floats, y: Floats, nodes: i
     for i in range(nodes):
         for j in range(nodes):
             share = row_share[i] * column_share[j]
-            # A node of no weight may be missing.
+            # A node of zero weight may be missing.
             total += np.where(share == 0, 0.0, share * z[row + i, column + j])
     return np.where(column_in & row_in, total, np.nan)
 
 
 def _shares(axis: Floats, at: Floats, nodes: int) -> tuple[np.ndarray, Floats, np.ndarray]:
-    """Return the first node for each place, the weights of the nodes (nodes, n), and whether it is inside the axis."""
+    """Return the first node of each point, the weights of the nodes (nodes, n), and whether it is inside the axis."""
     slack = 1e-9 * float(np.diff(axis).min())
     inside = (at >= axis[0] - slack) & (at <= axis[-1] + slack)
     at = np.clip(at, axis[0], axis[-1])

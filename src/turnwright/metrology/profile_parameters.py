@@ -1,7 +1,7 @@
 r"""Parameters of a roughness profile after ISO 21920-2.
 
-The S-filter takes off what is shorter than ``short``, the F-operation a polynomial, the L-filter what is longer than
-``cutoff``; both filters are Gaussian. The section length is the cutoff, and the evaluation length a whole number of
+The S-filter removes waves shorter than ``short``, the F-operation a polynomial, the L-filter waves longer than
+``cutoff``; both filters are Gaussian. The section length is the cutoff. The evaluation length is a whole number of
 sections, five by default, in the middle of the profile.
 """
 
@@ -37,7 +37,7 @@ MIN_LENGTH_SHARE = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProfileRoughness:
-    """Parameters of a roughness profile. What cannot be stated is nan, and ``notes`` says why.
+    """Parameters of a roughness profile. Undefined parameters are nan; ``notes`` gives the reason.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class ProfileRoughness:
     sections
         Number of sections evaluated.
     notes
-        What was left out.
+        Remarks on undefined parameters and omitted parts.
     """
 
     ra_nm: float
@@ -79,23 +79,23 @@ def profile_roughness(
 ) -> ProfileRoughness:
     r"""Return Ra, Rq, Rsk, Rku, Rp, Rv, Rz, Rt and RSm of a profile.
 
-    Rz is the mean over the sections of highest minus lowest, not that of the whole. For RSm the profile is parted where
-    it crosses its mean line; a hill or dale of less than 10 % of Rz in height, or of 1 % of the section in length,
-    belongs to what is before it. Missing heights weigh nothing. A gap wide enough to hide such a hill or dale, which is
-    1 % of the section, is no part of an element: those that reach it do not count for RSm.
+    Rz is the mean over the sections of highest minus lowest. For RSm the profile is divided where it crosses its mean
+    line; a hill or dale below 10 % of Rz in height, or 1 % of the section in length, is merged with the preceding one.
+    Missing heights have zero weight. Elements that reach a gap of 1 % of the section or more, which could hide a hill
+    or a dale, do not count for RSm.
 
     Parameters
     ----------
     profile
         In even steps.
     cutoff
-        Nesting index of the L-filter, :math:`\lambda_c`, such as 0.08 or 0.25 mm: what is longer is waviness. [mm]
+        Nesting index of the L-filter, :math:`\lambda_c`, such as 0.08 or 0.25 mm: longer waves are waviness. [mm]
     short
-        Nesting index of the S-filter, :math:`\lambda_s`, such as 0.0025 mm: what is shorter is noise. [mm]
+        Nesting index of the S-filter, :math:`\lambda_s`, such as 0.0025 mm: shorter waves are noise. [mm]
     form
-        Degree of the polynomial that is taken off first.
+        Degree of the polynomial removed first.
     sections
-        How many; by default five, or as many as fit.
+        Number of sections; by default five, or as many as fit.
 
     Raises
     ------
@@ -117,8 +117,7 @@ def profile_roughness(
     positive(cutoff, "the cutoff", "mm")
     if short is not None and positive(short, "the S-filter", "mm") >= cutoff:
         raise InputError(
-            f"the S-filter is {short:g} mm, the limit is the cutoff, {cutoff:g} mm: S takes off what is shorter, "
-            "L what is longer"
+            f"the S-filter must be below the cutoff, {cutoff:g} mm, got {short:g} mm: S removes the shorter waves"
         )
     step = profile.step
     length = float(np.ptp(profile.distance)) + step
@@ -138,7 +137,7 @@ def profile_roughness(
     if short is not None:
         line = filter_map(line, short, along="x")
     z = (line.z - filter_map(line, cutoff, along="x").z)[0]
-    # Whole sections in the middle: the filters are least sure at the ends.
+    # Whole sections in the middle: the filters are least certain at the ends.
     many = round(cutoff / step)
     first = (z.size - wanted * many) // 2
     parts = z[max(first, 0) :][: wanted * many]
@@ -178,7 +177,7 @@ def profile_roughness(
 def _element_spacing(z: Floats, step: float, height: float, length: float) -> tuple[float, int]:
     """Return the mean spacing of profile elements, and how many reach a gap and do not count. [mm].
 
-    An element is from where one hill begins to where the next one does.
+    An element extends from the start of one hill to the start of the next.
     """
     valid = np.flatnonzero(~np.isnan(z))
     if valid.size < 2:
@@ -188,7 +187,7 @@ def _element_spacing(z: Floats, step: float, height: float, length: float) -> tu
     z = np.interp(np.arange(z.size), valid, z[valid])
     above = z > 0
     turns = np.flatnonzero(above[1:] != above[:-1])
-    # Where the straight line between two points crosses the mean line, in steps.
+    # Linearly interpolated crossings of the mean line, in steps.
     crossing = turns + z[turns] / (z[turns] - z[turns + 1])
     borders = np.concatenate([[0.0], crossing, [z.size - 1.0]])
     pieces = np.split(z, turns + 1)

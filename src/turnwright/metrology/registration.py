@@ -1,4 +1,4 @@
-"""Registration: where a measured map lies on the part, and what the surface cannot tell about it."""
+"""Registration: pose of a measured map on the part, and the degrees of freedom that the surface does not determine."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from turnwright.part import Part
 
 DoubtKind: TypeAlias = Literal["undetermined", "tails", "held", "lost", "ambiguous", "symmetric"]
-"""What may put a pose in doubt."""
+"""Kinds of findings that make a pose uncertain."""
 
 __all__ = ["PoseCandidate", "Registration", "Undetermined", "register"]
 
@@ -108,7 +108,7 @@ DEFAULT_CLOCKING_RAD = np.deg2rad(30)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseCandidate:
-    """Another place where the map lies on the part as well.
+    """Another pose that fits equally or nearly as well.
 
     Parameters
     ----------
@@ -120,8 +120,8 @@ class PoseCandidate:
         Mean square of the residual there over that at `Registration.pose`: 1 fits as well; with white noise alone it
         has an F distribution.
     symmetric
-        Whether the design moved from the one pose to the other is the same surface, so that the two are equivalent and
-        no measurement of the surface tells them apart.
+        Whether a symmetry of the design makes the two poses equivalent, so that no measurement of the surface can
+        distinguish them.
     """
 
     pose: Pose
@@ -132,19 +132,19 @@ class PoseCandidate:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Undetermined:
-    """A direction in which the part can move without the map showing it.
+    """A direction in which the part can move without an effect on the map.
 
     Parameters
     ----------
     direction
         Change of (x, y, z, rotation, tilt_x, tilt_y) that moves the rim of the map by 1 mm. (6,) [mm, rad]
     std
-        Standard deviation along it, as movement of the rim: inf where nothing but rounding changes. [mm]
+        Standard deviation along it, as movement of the rim; inf if only rounding changes. [mm]
     cause
-        "surface", if the design moved along it is the same surface; "form", if a plausible error of form looks like
-        it; "noise", if noise alone leaves it open.
+        "surface", if the design is invariant along it; "form", if a plausible form error cannot be distinguished from
+        it; "noise", if noise alone leaves it undetermined.
     words
-        The same in a sentence.
+        The finding in a sentence.
     """
 
     direction: Floats
@@ -155,61 +155,59 @@ class Undetermined:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Registration:
-    """Where a map lies on a part.
+    """Pose of a map on a part. See `register`.
 
     Parameters
     ----------
     pose
-        From the frame of the map to that of the part: a measured point (x, y, z) is at ``pose.apply(x, y, z)`` of the
-        part.
+        From the frame of the map to that of the part: ``pose.apply(x, y, z)`` are the part coordinates of a measured
+        point.
     names
-        The numbers that were fitted, of "x", "y", "z", "rotation", "tilt_x", "tilt_y". The first three are the place,
-        in the part frame, of the ``pivot`` [mm]; the others are the angles of `Pose` [rad], counter-clockwise about the
+        Fitted degrees of freedom, of "x", "y", "z", "rotation", "tilt_x", "tilt_y". The first three are the position of
+        the ``pivot`` in the part frame [mm]; the others are the angles of `Pose` [rad], counter-clockwise about the
         part's z, then about x and y as `Pose` says.
     pivot
-        The point of the map, in its own frame, that the map was turned about: the middle of its valid points. [mm]
+        Point of the map, in its own frame, about which it was rotated: the centre of its valid points. [mm]
     covariance
-        Of the fitted numbers from noise alone. Stated noise is independent from point to point; without, it is that of
-        ``noise_nm`` and, counted by its independent cells, ``correlated_nm``; on a lens array residuals that hang
-        together within a lenslet, or an eighth of the map, count as they do. (k, k) [mm, rad]
+        Covariance of the fitted degrees of freedom from noise alone. Stated noise is independent from point to point;
+        otherwise the noise is ``noise_nm`` and, by independent cells, ``correlated_nm``; on a lens array, residuals may
+        be correlated within a lenslet or an eighth of the map. (k, k) [mm, rad]
     form_covariance
-        Of the same from errors of form of the size ``form_error``. (k, k) [mm, rad]
+        The same from form errors of size ``form_error``. (k, k) [mm, rad]
     form_error
-        Height at the rim of each Zernike form of degree 2 to 4 that the part was taken to have, as a standard
-        deviation. [mm]
+        Assumed standard deviation of each Zernike form of degree 2 to 4, as height at the rim. [mm]
     amplitudes, amplitudes_std
-        What each of the caller's terms was multiplied by, and its standard deviation from noise. (n_terms,)
+        Fitted amplitude of each of ``terms``, and its standard deviation from noise. (n_terms,)
     residual
-        What neither pose nor terms explain, measured minus design: on the grid, or at the scattered points, of the map
-        that was given, so ``x`` and ``y`` are those of the map's frame, while the heights are along the part's z (or,
-        with ``distance="normal"``, along the normal of the design). nan where the map has no height, was masked, or
-        lies outside of the part. [mm]
+        Measured minus design, without the fitted terms, at the points of the map. ``x`` and ``y`` are in the frame of
+        the map, heights along z of the part (with ``distance="normal"``, along the normal of the design). nan where the
+        map has no height, was masked, or lies off the part. [mm]
     error
-        The same with the caller's terms left in: cut minus design at this pose.
+        The same including the fitted terms: measured minus design at this pose.
     candidates
-        Other poses that fit as well or nearly so, the best first. Empty if the pose stands alone within the search.
+        Other poses that fit as well or nearly so, the best first. Empty if the pose is unique within the search.
     undetermined
-        Directions of the pose in which the rim may be off by more than 0.1 mm, by noise or by an error of form that
-        passes for a move. They are fitted nevertheless where the noise fixes them.
+        Directions in which the position of the rim is uncertain by more than 0.1 mm, because of noise or of a form
+        error that acts like a movement. They are fitted nevertheless if the noise allows it.
     held
-        Numbers that were left where ``start`` has them, where the edge of the part leaves room for the map, or where
-        the search ended, because nothing fixes them. Every other number, and its uncertainty, is for these as they are.
+        Degrees of freedom that nothing determines. They are fixed at ``start``, at a position within the edge of the
+        part, or where the search ended; all other results and uncertainties hold for these values.
     start
-        The pose that the search started from.
+        Start of the search.
     outliers
-        Points that a robust loss flagged, six times the scatter or more away. The shape of the map.
+        Points flagged by a robust loss, at six times the scatter or more. The shape of the map.
     count
-        Points that were fitted.
+        Number of fitted points.
     lost
-        Points of the map that come to lie beyond the part and so do not count.
+        Number of points that lie off the part at this pose and do not count.
     rms_nm
-        Root mean square of ``residual`` over its area, outliers left out: the form error where nothing is held. [nm]
+        Root mean square of ``residual`` over its area, without outliers: the form error if nothing is fixed. [nm]
     noise_nm
-        Standard deviation of what is independent from point to point: as stated, or from the differences of
-        neighbours, along the direction of cutting where the grid allows it, so that cusps are not in it. [nm]
+        Standard deviation of the white noise: as stated, or from differences of neighbours, along the cutting direction
+        where the grid allows it, so that cusps do not contribute. [nm]
     correlated_nm, correlation_length
-        Standard deviation of what smooth terms of degree 6 leave beyond that, and the radius within which it errs
-        together: one independent cell is a circle of that radius. 0 where the noise is stated. [nm], [mm]
+        Standard deviation of the correlated noise, the residual of smooth terms of degree 6 beyond the white noise, and
+        its correlation radius: an independent cell is a circle of that radius. 0 if the noise is stated. [nm], [mm]
     iterations
         Steps of least squares over all points.
     distance
@@ -242,13 +240,13 @@ class Registration:
 
     @property
     def std(self) -> dict[str, float]:
-        """Standard deviation of each fitted number, noise and form together. [mm, rad]."""
+        """Standard deviation of each fitted degree of freedom, noise and form error together. [mm, rad]."""
         both = np.sqrt(np.diag(self.covariance + self.form_covariance))
         return dict(zip(self.names, both.tolist(), strict=True))
 
     @property
     def correlation(self) -> Floats:
-        """Correlation of the fitted numbers, noise and form together. (k, k)."""
+        """Correlation of the fitted degrees of freedom, noise and form error together. (k, k)."""
         both = self.covariance + self.form_covariance
         size = np.sqrt(np.diag(both))
         return np.asarray(both / np.outer(size, size))
@@ -260,7 +258,7 @@ class Registration:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What a person should know, one sentence each."""
+        """Result and findings, one sentence each."""
         shift = ", ".join(f"{one:.6g}" for one in self.pose.shift)
         angles = ", ".join(f"{1e3 * one:.6g}" for one in (self.pose.rotation, *self.pose.tilt))
         along = "part z" if self.distance == "vertical" else "normal"
@@ -276,7 +274,7 @@ class Registration:
 
     @property
     def findings(self) -> tuple[tuple[DoubtKind, str], ...]:
-        """What puts the pose in doubt: of which kind, and in a sentence."""
+        """Findings that make the pose uncertain: kind and sentence."""
         findings: list[tuple[DoubtKind, str]] = [("undetermined", one.words) for one in self.undetermined]
         most = scatter(self.residual.z[~self.outliers]) * NM
         if self.rms_nm > MAX_TAIL_RATIO * most and self.rms_nm > 1:
@@ -284,16 +282,18 @@ class Registration:
                 (
                     "tails",
                     (
-                        f"Most points scatter by {most:.3g} nm only: spikes, displaced lenslets or something beside "
-                        "the part pull at the pose."
+                        f"Most points scatter by only {most:.3g} nm: outliers, displaced lenslets or points off the "
+                        "part bias the pose."
                     ),
                 )
             )
         if self.held:
-            findings.append(("held", f"{self._held_where}, and no result of the fit: {', '.join(self.held)}."))
+            findings.append(("held", f"Not determined by the fit and {self._held_where}: {', '.join(self.held)}."))
         if self.lost > MIN_LOST_SHARE * (self.count + self.lost):
             total = np.count_nonzero(self.outliers) + self.count + self.lost
-            findings.append(("lost", f"{self.lost} of the map's {total} points lie beyond the part and do not count."))
+            findings.append(
+                ("lost", f"{self.lost} of the {total} points of the map lie off the part and do not count.")
+            )
         near = self.rivals
         if near:
             first = ", ".join(f"{one:.4g}" for one in near[0].pose.shift)
@@ -318,8 +318,8 @@ class Registration:
                 (
                     "symmetric",
                     (
-                        f"The part is symmetric: turned by {', '.join(f'{one:.4g}' for one in turned)} deg the pose is "
-                        "equivalent, and only a mark on the part can tell which one it is."
+                        f"The part is symmetric: rotated by {', '.join(f'{one:.4g}' for one in turned)} deg the pose "
+                        "is equivalent, and only a fiducial on the part distinguishes them."
                     ),
                 )
             )
@@ -327,13 +327,13 @@ class Registration:
 
     @property
     def _held_where(self) -> str:
-        """Say where the held numbers are."""
+        """Where the undetermined degrees of freedom are fixed."""
         at, start = (np.array(pose.apply(*self.pivot)[:2]) for pose in (self.pose, self.start))
         moved = any(name in self.held and abs(at[k] - start[k]) > 1e-9 for k, name in enumerate("xy"))
         turned = "rotation" in self.held and abs(self.pose.rotation - self.start.rotation) > 1e-9
         if turned:
-            return "Left where the search ended"
-        return "Left where the map lies within the edge of the part" if moved else "Left where the start has it"
+            return "fixed where the search ended"
+        return "fixed at a position within the edge of the part" if moved else "fixed at the start"
 
     @property
     def rivals(self) -> tuple[PoseCandidate, ...]:
@@ -342,7 +342,7 @@ class Registration:
 
 
 class _Task(NamedTuple):
-    """What is asked, ready to compute."""
+    """Validated input of a registration."""
 
     problem: Problem
     pivot: Floats
@@ -372,58 +372,58 @@ def register(
     form_error: float | None = None,
     weak: Literal["fit", "hold", "raise"] = "fit",
 ) -> Registration:
-    r"""Find where a measured map lies on a part: least squares of its distance to the exact prescription.
+    r"""Find the pose of a measured map on a part by least squares of its distance to the exact prescription.
 
-    The heights are laid on the design at every lateral place within ``reach`` and every turn within ``clocking`` (over
-    one cell of a lens pattern first, then over its repeats), levelled at each, and the best places slide into their
-    valleys. Valleys are compared with the number of points held: one that does not come to lie on the part costs as
-    much as an outlier. The best is fitted to all points, each counting with the area that it stands for on the grid of
-    the map; scattered ones count alike. Every direction is fitted that the heights fix at their noise. Others that fit
-    nearly as well are listed, and directions that an error of form could pass for are named.
+    The map is compared with the design at every lateral position within ``reach`` and every rotation within
+    ``clocking`` (for a lens pattern over one cell first, then over its repeats), levelled at each. A descent from the
+    best positions finds the minima. They are compared over all points: a point off the part costs as much as an
+    outlier. The best minimum is fitted to all points, weighted by their areas on the grid of the map; scattered points
+    have equal weights. Every direction that the heights determine at their noise is fitted. Other poses that fit nearly
+    as well are listed, and so are directions that cannot be distinguished from a form error.
 
     Parameters
     ----------
     heights
         The measured map.
     part
-        What it was measured on. Points farther from its axis than its radius do not count.
+        The measured part. Points farther from its axis than its radius do not count.
     free
-        What may move: any of "x", "y", "z", "rotation", "tilt_x", "tilt_y"; see `Registration.names`.
+        Free degrees of freedom: any of "x", "y", "z", "rotation", "tilt_x", "tilt_y"; see `Registration.names`.
     terms
-        Errors of form to fit along with the pose, each a surface in the part frame whose amplitude is found:
+        Form errors to fit together with the pose, each a surface in the part frame whose amplitude is fitted:
         Zernike(terms={5: 1.0}, ...) has its amplitude in mm.
     distance
         Along the part's z, or along the normal of the design.
     loss
-        "linear" for least squares; "huber" or "tukey" where dust and spikes must not pull. On a lens array whose
-        lenslets are displaced take "huber": Tukey's loss would drop the lenslets.
+        "linear" for least squares; "huber" or "tukey" to limit the effect of dust and outliers. For a lens array with
+        displaced lenslets use "huber": Tukey's loss would reject the lenslets.
     start
-        Roughly where the map lies. By default the frame of the map is taken as that of the part; if then part of the
-        map lies beyond the part and the reach, its middle is put on the part's axis.
+        Approximate pose of the map. By default the frames of map and part coincide, or, if the map then extends beyond
+        the part by more than 5 mm, its centre is on the axis of the part.
     reach
-        How far the map may be from the start along x and along y; 0 with ``clocking=0`` skips the search. [mm]
+        Range of the search about the start along x and along y; 0 with ``clocking=0`` skips the search. [mm]
     clocking
-        How far its rotation may be from the start, 30 degrees by default, π for any. [rad]
+        Range of the search in rotation about the start, 30 degrees by default, π for all. [rad]
     within
         Radius about the part's axis inside which points count; by default that of the part. [mm]
     mask
         True where heights count. The shape of the map.
     noise_nm
-        Standard deviation of a height, independent from point to point; by default the map tells it, see
+        Standard deviation of a height, independent from point to point; by default estimated from the map, see
         `Registration.noise_nm`. [nm]
     form_error
-        Height at the rim by which each low form (Zernike degrees 2 to 4) may be off: what it does to the pose is
-        stated, and not what the part is off. By default 1 um; give 0 where ``terms`` are all that the form may be. [mm]
+        Standard deviation of each low-order form error (Zernike degrees 2 to 4), as height at the rim, from which the
+        uncertainty of the pose is computed. By default 1 um; 0 if ``terms`` contain all form errors. [mm]
     weak
-        What to do with directions in which a form error may move the rim by more than 0.1 mm: fit them and say so
-        ("fit"), leave as many numbers where the start has them ("hold"), or "raise". Directions that the noise leaves
-        open by as much are left where the start has them in any case, unless the heights contradict it there.
+        Treatment of directions in which a form error may move the rim by more than 0.1 mm: fit and report them ("fit"),
+        fix as many degrees of freedom at the start ("hold"), or "raise". Directions left undetermined by the noise are
+        always fixed at the start, unless the heights contradict it.
 
     Raises
     ------
     InputError
         If the map has too few heights on the part, an option is out of range, or with ``weak="raise"`` the surface does
-        not fix the pose.
+        not determine the pose.
 
     Notes
     -----
@@ -442,18 +442,18 @@ def register(
     few, some = (
         task.problem.only(_sample(task.problem.points.shape[1], count)) for count in (SEARCH_POINTS, STATISTICS_POINTS)
     )
-    # What nothing fixes is not looked for.
+    # The rotation of an axisymmetric part is not searched for.
     alike = not task.problem.terms and axisymmetric(part.surface, task.problem.within)
     sought = [k for k in task.free if k != ROTATION_INDEX or not alike]
     on_part = [one for one in search(few, task.start, sought, task.size, reach, clocking) if _enough(one)]
     on_part = _on_the_part(few, on_part, sought, task.size)
     if not on_part:
         raise InputError(
-            f"of the map's {task.which.size} heights fewer than {len(task.free) + 2} come to lie within "
-            f"{task.problem.within:g} mm of the part's axis from this start: check units and start, or give a larger "
-            "reach"
+            f"fewer than {len(task.free) + 2} of the {task.which.size} heights of the map lie within "
+            f"{task.problem.within:g} mm of the axis of the part from this start: check units and start, or give a "
+            "larger reach"
         )
-    # As many points as lay on the part where the search ended are to stay there.
+    # The fit must not lose points that the search had on the part.
     seen = on_part[0].used / few.points.shape[1]
     best = fit(some, on_part[0].state, sought, task.size, close=1e-10, least=MIN_COVER_SHARE, seen=seen)
     if task.noise is None:
@@ -478,7 +478,7 @@ def _task(
     noise_nm: float | None,
     form_error: float | None,
 ) -> _Task:
-    """Check what is asked and put the points about their middle."""
+    """Validate the input and centre the points."""
     heights.require_calibrated()
     unknown = sorted(set(free) - set(NAMES))
     if unknown or not free:
@@ -510,7 +510,7 @@ def _task(
     x, y = heights.points()
     points = np.stack([one.ravel()[index] for one in (x, y, heights.z)])
     area = point_areas(heights).ravel()[index]
-    # One height that an instrument has set to 1e9 is neither in the middle nor at the rim.
+    # Robust against single gross heights such as 1e9.
     pivot = np.array([points[0].mean(), points[1].mean(), np.median(points[2])])
     points -= pivot[:, None]
     rim = float(np.hypot(np.hypot(points[0], points[1]).max(), np.quantile(np.abs(points[2]), HEIGHT_QUANTILE))) or 1.0
@@ -545,7 +545,7 @@ HEIGHT_QUANTILE = 0.99
 
 
 def _bends(surface: Surface, radius: float) -> Floats:
-    """Return where the centres of curvature of a surface lie, see `turnwright._kernels.registration.bend`. (6,)."""
+    """Return the centres of curvature of a surface, see `turnwright._kernels.registration.bend`. (6,)."""
     axis = np.linspace(-radius, radius, 41)
     x, y = np.meshgrid(axis, axis)
     disc = x * x + y * y <= radius * radius
@@ -571,7 +571,7 @@ def _bends(surface: Surface, radius: float) -> Floats:
 
 
 def _largest(term: Surface, radius: float) -> float:
-    """Return the largest height of a term over the part; steps are scaled by it. [mm]."""
+    """Return the largest height of a term over the part, which scales the steps. [mm]."""
     axis = np.linspace(-radius, radius, 41)
     x, y = np.meshgrid(axis, axis)
     disc = x * x + y * y <= radius * radius
@@ -586,24 +586,23 @@ def _largest(term: Surface, radius: float) -> float:
 
 
 def _sample(count: int, most: int) -> Ints:
-    """Return points drawn evenly at random, always the same ones."""
+    """Return a reproducible stratified random sample of the points."""
     if count <= most:
         return np.arange(count)
-    # One from each of so many stretches of the map: nothing is left out and no raster beats with a pattern.
+    # One point from each of equal intervals: even coverage without aliasing with the raster.
     edges = np.linspace(0, count, most + 1)
     return (edges[:-1] + np.random.default_rng(0).random(most) * np.diff(edges)).astype(np.int64)
 
 
 def _enough(one: Fit) -> bool:
-    """Say whether more points lie on the part than there are unknowns."""
+    """Return whether more points lie on the part than there are unknowns."""
     return one.used > one.state.size + 1
 
 
 def _on_the_part(few: Problem, found: list[Fit], free: list[int], size: Floats) -> list[Fit]:
-    """Add fits that begin with the map within the edge of the part where one has left it, and return the best first.
+    """Add fits started from within the edge of the part for those that have left it, and return the best first.
 
-    A form error that the design can imitate by a shift leads a fit off the part; the edge of the map says how far the
-    shift can be.
+    A form error that acts like a shift leads a fit off the part; the edge of the map limits the shift.
     """
     lateral = [k for k in (0, 1) if k in free]
     within = []
@@ -616,7 +615,7 @@ def _on_the_part(few: Problem, found: list[Fit], free: list[int], size: Floats) 
 
 
 def _within_edge(problem: Problem, state: Floats, at: Floats, lateral: Sequence[int]) -> Floats:
-    """Return a lateral place from which more of the map, or all of it, lies within the edge of the part. (2,) [mm]."""
+    """Return a lateral position that brings more of the map within the edge of the part. (2,) [mm]."""
     arm = turns(state)[0][:2] @ problem.points
     at = at.copy()
     for turn in range(MAX_CENTRING_STEPS):
@@ -633,18 +632,18 @@ def _within_edge(problem: Problem, state: Floats, at: Floats, lateral: Sequence[
 
 
 def _noise(task: _Task) -> float:
-    """Return the standard deviation of a height as independent ones would have it. [mm]."""
+    """Return the standard deviation of equivalent independent noise. [mm]."""
     if task.noise is not None:
         return task.noise
     if task.seen is None:
         return MIN_NOISE_MM
-    if task.problem.surface.in_pieces:  # what errs together there is counted piece by piece
+    if task.problem.surface.in_pieces:  # correlated noise is counted for each piece
         return max(float(np.hypot(task.seen.white, task.seen.correlated)), MIN_NOISE_MM)
     return max(task.seen.effective, MIN_NOISE_MM)
 
 
 def _doubt(task: _Task, some: Problem, one: Fit, free: list[int], count: int) -> Doubt:
-    """Return how uncertain the free numbers are at a pose."""
+    """Return the covariance of the free degrees of freedom at a pose."""
     return doubt(
         some, one, free, task.size, noise=_noise(task), count=count, form=task.form, white=task.noise is not None
     )
@@ -653,9 +652,9 @@ def _doubt(task: _Task, some: Problem, one: Fit, free: list[int], count: int) ->
 def _decide(
     task: _Task, some: Problem, best: Fit, weak: str
 ) -> tuple[list[int], dict[int, float], list[tuple[Floats, float, str]]]:
-    """Return the numbers to fit, those to hold and where, and the directions that are not fixed.
+    """Return the degrees of freedom to fit, those to fix and their values, and the undetermined directions.
 
-    A direction is six numbers, their standard deviation and the cause.
+    A direction has six components, a standard deviation and a cause.
     """
     pose = [k for k in task.free if k < 6]
     count = int(task.which.size * best.used / some.points.shape[1])
@@ -682,13 +681,13 @@ def _decide(
         and best.used < MIN_COVER_SHARE * levelled.used
         and np.argmin(costs(some, [best, levelled])) == 1
     ):
-        # Nothing fits so well that it would make up for the points that a shift loses.
+        # The shifted fit does not outweigh the points that it loses.
         return (
             [k for k in task.free if k not in lateral],
             {k: float(task.start[k]) for k in lateral},
             directions,
         )
-    # What noise leaves open cannot be fitted; what form may pass for is held only where that is asked for.
+    # Directions undetermined by noise are always fixed; those confused with form only if requested.
     if weak == "fit":
         pivots = held(parts.noise, MAX_RIM_STD_MM)[1]
     wanted = [pose[k] for k in pivots]
@@ -709,13 +708,13 @@ def _decide(
                     and (after - before) * best.used <= allowed + slack * before * best.used
                 ):
                     return free, dict(zip(fixed, where.tolist(), strict=True)), directions
-    # What the surface itself leaves open stays where the search ended: the start contradicts the heights.
+    # The start contradicts the heights: directions undetermined by the surface are fixed where the search ended.
     fixed_there = _where_it_ended(some, best, wanted[: sum(cause == "surface" for _, _, cause in directions)])
     return [k for k in task.free if k not in fixed_there], fixed_there, directions
 
 
 def _where_it_ended(some: Problem, best: Fit, numbers: list[int]) -> dict[int, float]:
-    """Return numbers where the search ended, the lateral ones so that the map lies within the edge of the part."""
+    """Return the values at the end of the search, with the map within the edge of the part."""
     state = best.state.copy()
     if lateral := [k for k in numbers if k < 2]:
         state[:2] = _within_edge(some, state, state[:2], lateral)
@@ -723,9 +722,9 @@ def _where_it_ended(some: Problem, best: Fit, numbers: list[int]) -> dict[int, f
 
 
 def _places(task: _Task, some: Problem, best: Fit, fixed: tuple[int, ...]) -> list[Floats]:
-    """Return where numbers may be held: where the start has them, or next to it where more of the map is on the part.
+    """Return values for fixed degrees of freedom: the start, or close to it with more of the map on the part.
 
-    Nothing but its edge says then where the part lies.
+    Only the edge of the part then determines its position.
     """
     lateral = [k for k in fixed if k < 2]
     start = task.start[list(fixed)]
@@ -740,7 +739,7 @@ def _places(task: _Task, some: Problem, best: Fit, fixed: tuple[int, ...]) -> li
 
 
 def _words(task: _Task, direction: Floats, std: float, cause: str) -> str:
-    """Say what is not fixed and how badly."""
+    """Return a sentence about an undetermined direction."""
     share = np.abs(direction / task.size[:6])
     named = [
         f"{NAMES[k]} {direction[k]:+.4g} mm" if k < 3 else f"{NAMES[k]} {1e3 * direction[k]:+.4g} mrad"
@@ -749,15 +748,15 @@ def _words(task: _Task, direction: Floats, std: float, cause: str) -> str:
     ]
     together = " with ".join(named)
     if cause == "surface":
-        return f"The surface is the same when the part moves by {together}: nothing fixes this direction."
-    why = f"{say_length(task.form)} of form error passes for" if cause == "form" else "noise passes for"
-    return f"The surface hardly fixes the direction {together}: {why} {say_length(std)} of it at the rim."
+        return f"The surface is the same when the part moves by {together}: nothing determines this direction."
+    why = f"a form error of {say_length(task.form)}" if cause == "form" else "noise"
+    return f"The surface hardly determines the direction {together}: {why} acts like {say_length(std)} at the rim."
 
 
 def _distinct(
     task: _Task, few: Problem, some: Problem, found: list[Fit], best: Fit, kept: list[int], fixed: dict[int, float]
 ) -> list[Fit]:
-    """Return the fits that differ from better ones, held numbers held."""
+    """Return the distinct fits, with undetermined degrees of freedom fixed."""
     distinct: list[Fit] = []
     for one in found:
         if one.cost > 9 * found[0].cost + MIN_COMPARED_RMS_MM**2:
@@ -773,7 +772,7 @@ def _distinct(
             distinct.append(moved)
     pose = [k for k in kept if k < 6]
     if len(pose) < len(kept):
-        # A quadric with a form that passes for its turn: half-way between the two solutions is that of the pose alone.
+        # A quadric with a term that acts like a rotation: the fit without terms lies halfway between two solutions.
         for one in distinct[:2]:
             alone = one.state.copy()
             alone[6:] = 0
@@ -785,14 +784,14 @@ def _distinct(
 
 
 def _apart(task: _Task, one: Floats, other: Floats) -> float:
-    """Return by how much two poses move the rim apart. [mm]."""
+    """Return the distance of two poses as movement of the rim. [mm]."""
     return float(np.abs(_gap(one, other)[:6] / task.size[:6]).max())
 
 
 def _candidates(
     task: _Task, some: Problem, fits: list[Fit], kept: list[int], seen: float
 ) -> tuple[Fit, list[tuple[Fit, float]]]:
-    """Return the fit to believe, and the others that fit nearly as well with their ratios of mean squares."""
+    """Return the best fit, and the others that fit nearly as well with their ratios of mean squares."""
     if len(fits) == 1:
         return fits[0], []
     fine: list[Fit] = []
@@ -809,7 +808,7 @@ def _candidates(
     even = np.flatnonzero((cost - cost[0]) * fine[0].used <= EQUAL_CHI_SQUARE * noise)
     near = even[np.argmin([_apart(task, fine[k].state, task.start) for k in even])]
     ratio = (fit_costs + MIN_COMPARED_RMS_MM**2) / (fit_costs[near] + MIN_COMPARED_RMS_MM**2)
-    # A pose no farther than its own uncertainty is not another one.
+    # Poses within their uncertainty are the same.
     unsure = _doubt(task, some, fine[near], kept, some.points.shape[1])
     variance, axes = np.linalg.eigh(unsure.noise)
     others = []
@@ -822,7 +821,7 @@ def _candidates(
 
 
 def _one_valley(some: Problem, one: Fit, other: Fit) -> bool:
-    """Say whether two fits stopped in one valley: half-way between them it is no higher than at the higher one."""
+    """Return whether two fits share a minimum: the cost halfway between them is no higher than at the higher one."""
     middle = other.state + _gap(one.state, other.state) / 2
     scale = max(one.scale, other.scale)
     heights = []
@@ -837,14 +836,14 @@ def _one_valley(some: Problem, one: Fit, other: Fit) -> bool:
 
 
 def _gap(one: Floats, other: Floats) -> Floats:
-    """Return the difference of two states, turned the short way round."""
+    """Return the difference of two states, with angles in [-π, π)."""
     gap = one - other
     gap[3:6] = (gap[3:6] + np.pi) % (2 * np.pi) - np.pi
     return gap
 
 
 def _symmetric(task: _Task, one: Floats, other: Floats) -> bool:
-    """Say whether the design, moved from one pose to the other, is the same surface."""
+    """Return whether the design is the same surface at both poses."""
     move = pose_of(other, task.pivot).after(pose_of(one, task.pivot).inverse)
     radius = task.problem.within
     axis = np.linspace(-radius, radius, 61)
@@ -855,7 +854,7 @@ def _symmetric(task: _Task, one: Floats, other: Floats) -> bool:
     with np.errstate(all="ignore"):
         at = move.apply(x, y, surface.evaluate(x, y, 0)[0])
         gap = at[2] - surface.evaluate(np.ascontiguousarray(at[0]), np.ascontiguousarray(at[1]), 0)[0]
-    # Fits that stopped a little apart still count; noise moves them by more than rounding.
+    # The tolerance allows for fits that stopped slightly apart.
     rms = float(np.sqrt(np.mean(gap * gap)))
     inside = np.hypot(at[0], at[1]).max() <= radius * 1.001
     return bool(inside and np.isfinite(rms) and rms < SYMMETRY_TOL_MM)
@@ -871,7 +870,7 @@ def _answer(
     directions: list[tuple[Floats, float, str]],
     candidates: list[tuple[Fit, float]],
 ) -> Registration:
-    """Put together what was found."""
+    """Assemble the result."""
     problem = task.problem
     residual = residuals(problem, final.state)
     names = [k for k in kept if k < 6]
@@ -927,7 +926,7 @@ def _answer(
 
 
 def _terms(problem: Problem, state: Floats) -> Floats | float:
-    """Return what the terms add at every point, along the distance that was fitted. [mm]."""
+    """Return the contribution of the terms at every point, along the fitted distance. [mm]."""
     if not problem.terms:
         return 0.0
     plain = replace(problem, terms=())
@@ -935,7 +934,7 @@ def _terms(problem: Problem, state: Floats) -> Floats | float:
 
 
 def _filled(heights: HeightMap, index: Ints, values: Floats, what: str) -> HeightMap:
-    """Return a map on the grid of the one given, nan where there is no value."""
+    """Return values on the grid of a map, nan elsewhere."""
     z = np.full(heights.z.size, np.nan)
     z[index] = values
     return replace(heights, z=z.reshape(heights.z.shape), name=f"{heights.name} {what}".strip())

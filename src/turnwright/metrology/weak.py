@@ -1,4 +1,4 @@
-"""What a surface cannot tell of its pose: what noise and a plausible error of form would do to each direction."""
+"""Uncertainty of a pose from noise and from a plausible form error, and its undetermined directions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FORM_INDICES = range(3, 15)
 
 
 class Doubt(NamedTuple):
-    """Covariances of the free numbers (k, k), from noise and from form, in mm of movement of the rim. [mm²]."""
+    """Covariances of the free degrees of freedom from noise and from form, as movement of the rim. (k, k) [mm²]."""
 
     noise: Floats
     form: Floats
@@ -42,7 +42,7 @@ class Doubt(NamedTuple):
 
 
 def plausible(radius: float) -> list[Zernike]:
-    """Return the forms that a pose may be mistaken for, each 1 mm at the rim."""
+    """Return the forms that act like a change of the pose, each 1 mm at the rim."""
     return [Zernike(terms={j: 1.0}, radius=radius, indexing="ansi", normalised=False) for j in FORM_INDICES]
 
 
@@ -57,9 +57,9 @@ def doubt(
     form: float,
     white: bool,
 ) -> Doubt:
-    r"""Return how uncertain the free numbers are.
+    r"""Return the covariance of the free degrees of freedom.
 
-    Noise of standard deviation s gives :math:`s^2 N^{-1}` with :math:`N = J W J^T`. A form error g moves the answer by
+    Noise of standard deviation s gives :math:`s^2 N^{-1}` with :math:`N = J W J^T`. A form error g moves the pose by
     :math:`N^{-1} J W g`; each of the plausible forms has the standard deviation ``form`` at the rim.
 
     Parameters
@@ -67,8 +67,8 @@ def doubt(
     noise
         Standard deviation of a height [mm], independent from point to point over ``count`` points.
     white
-        Whether it is known to be independent. Otherwise residuals that hang together, as those of a displaced lenslet
-        do, widen the answer: their pulls are added up over cells of the part before they are squared.
+        Whether it is known to be independent. Otherwise correlated residuals, as of a displaced lenslet, increase the
+        covariance: their contributions are summed over cells of the part before they are squared.
     """
     chosen = np.asarray(free, dtype=np.int64)
     at = rows(problem, found.state, slice(0, problem.points.shape[1]))
@@ -82,7 +82,7 @@ def doubt(
     std = np.where(fixed, np.minimum(noise * inverse * np.sqrt(share), UNDETERMINED_STD_MM), UNDETERMINED_STD_MM)
     variance = (vectors.T * std**2) @ vectors
     if problem.area is not None:
-        # An area is no statement of a point's noise: it enters as W does in A⁻¹ J W² Jᵀ A⁻¹ with A = J W Jᵀ.
+        # Areas are weights, not inverse variances: the covariance is A⁻¹ J W² Jᵀ A⁻¹ with A = J W Jᵀ.
         spread = np.eye(chosen.size)
         spread[np.ix_(fixed, fixed)] = (points[:, fixed].T * problem.area[at.which]) @ points[:, fixed]
         variance = (vectors.T * std) @ spread @ (vectors.T * std).T
@@ -97,9 +97,10 @@ def doubt(
 
 
 def _of_design(problem: Problem, state: Floats, at: Rows) -> Floats:
-    """Return the derivatives as the design has them: an error of form must not seem to fix what the design does not.
+    """Return the derivatives for the design without its form error, which must not seem to determine a direction.
 
-    Turned about its centre, a sphere stays what it is; heights that are off it by e change by e times the slope.
+    A sphere is invariant to rotation about its centre, but heights that deviate from it by e change by e times the
+    slope.
     """
     if problem.normal:
         return at.columns
@@ -113,14 +114,14 @@ def _of_design(problem: Problem, state: Floats, at: Rows) -> Floats:
 def _widened(
     surface: Surface, variance: Floats, share: float, at: Rows, singular: Floats, vectors: Floats, pulls: Floats
 ) -> Floats:
-    """Return the covariance with the excess of residuals that hang together over those that do not."""
+    """Return the covariance increased for spatially correlated residuals."""
     low, high = at.at[:2].min(axis=1, keepdims=True), at.at[:2].max(axis=1, keepdims=True)
     i, j = np.minimum(
         (CELLS_PER_SIDE * (at.at[:2] - low) / np.maximum(high - low, 1e-300)).astype(np.int64), CELLS_PER_SIDE - 1
     )
     cell = i * CELLS_PER_SIDE + j
     piece = surface.piece(np.ascontiguousarray(at.at[0]), np.ascontiguousarray(at.at[1]))
-    if piece is not None:  # a lenslet hangs together; what lies between them goes by cells
+    if piece is not None:  # a lenslet is one cell; the surface between them is divided into cells
         _, number, size = np.unique(piece, return_inverse=True, return_counts=True)
         cell = np.where(size[number] < cell.size / CELLS_PER_SIDE, CELLS_PER_SIDE**2 + number, cell)
     pull = pulls * at.residual[:, None]
@@ -137,13 +138,14 @@ def _widened(
 
 
 def held(covariance: Floats, limit: float) -> tuple[Floats, list[int]]:
-    """Return the directions whose standard deviation is beyond the limit, and numbers that hold them when fixed.
+    """Return the directions with a standard deviation beyond the limit, and the degrees of freedom to fix.
 
     Returns
     -------
     tuple
-        Directions (k, m), those that nothing fixes first, and m of the k numbers: those that they move most. Each of
-        the former moves one of these numbers by 1, the others not at all; the rest are unit vectors.
+        Directions (k, m), entirely undetermined ones first, and the indices of the m degrees of freedom that they move
+        most. Each undetermined direction moves one of these by 1 and the others not at all; the remaining directions
+        are unit vectors.
     """
     from scipy.linalg import qr  # noqa: PLC0415 - scipy is costly to import
 
