@@ -1,4 +1,4 @@
-r"""The cusps of a turned profile: their spacing, which is the feed, and their height.
+r"""Cusps of a turned profile: spacing, which is the feed, and height.
 
 A crest is located by the parabola of best fit around it. In a stretch of constant feed the crests lie on a line over
 their number,
@@ -6,12 +6,12 @@ their number,
 .. math:: c_k = c_0 + f\,k + \varepsilon_k,
 
 so :math:`f` is the slope of the line of best fit, and its uncertainty falls with the number of cusps to the power of
-3/2. Residuals that hang together, as where the feed wanders, widen it by their correlation from cusp to cusp.
+3/2. Correlated residuals, as for a drifting feed, increase it.
 
-A scallop is as high as the curves of best fit through its two valleys at the crest lie above the line between their
-lowest points. The highest of noisy points, or of points that miss the tip, would be off it to one side; a fit is not.
-An edge with waves, or an instrument that rounds the crests, leaves valleys that no such curve follows to the crest:
-there the highest and the lowest points count, and their difference to the curves is an uncertainty.
+The height of a scallop is that of the best-fit curves of its two valleys at the crest, above the line between their
+lowest points. Unlike the highest point, this estimate is not biased by noise or by points that miss the tip. If the
+edge is wavy, or the instrument rounds the crests, the curves do not follow the valleys to the crest: the highest and
+the lowest points are then used, and their difference from the curves is an uncertainty.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class Stretch:
     Parameters
     ----------
     start, end
-        Where its first and its last crest stand. [mm]
+        Positions of its first and its last crest. [mm]
     feed, feed_std
         Spacing of its cusps, and its standard uncertainty from the scatter of the crests; that of the instrument's
         lateral scale is not in it. [mm]
@@ -162,9 +162,9 @@ class Cusps:
     Parameters
     ----------
     crest, crest_z
-        Where each crest stands along the profile, and how high. (n,) [mm]
+        Position and height of each crest. (n,) [mm]
     run
-        To which unbroken run of neighbours each crest belongs, from 0. (n,)
+        Number, from 0, of the uninterrupted run of neighbours to which each crest belongs. (n,)
     feed, feed_std
         Mean spacing of the cusps, and its standard uncertainty; see `Stretch`. Runs whose spacing is more than a
         quarter off that of the longest are not in it, only in ``stretches``. [mm]
@@ -175,12 +175,12 @@ class Cusps:
         lowest points of the valleys: by the curves of best fit where these are those of a round nose, by the highest
         and the lowest points where the edge has waves. (m,) [nm]
     height_bias_nm
-        How far noise and steps may have moved all of these together. (m,) [nm]
+        Common uncertainty of these heights from noise and sampling. (m,) [nm]
     axis
         Where the profile crosses the spindle axis. A crest within half a feed of it stands between two sides of one
         pass, and does not count for the feed. [mm]
     gaps
-        From where to where the profile shows no cusps, over two feeds or more. [mm]
+        Start and end of parts of two feeds or more without cusps. [mm]
     """
 
     crest: Floats
@@ -248,12 +248,12 @@ class Cusps:
         return float(np.hypot(scatter, self.height_bias_nm.mean()))
 
     def between(self, start: float, end: float) -> Cusps:
-        """Return the cusps whose crests stand from one distance to another, with their own feed. [mm].
+        """Return the cusps with crests between two distances, with their feed. [mm].
 
         Raises
         ------
         InputError
-            If fewer than three neighbours stand there.
+            If there are fewer than three neighbouring crests.
         """
         chosen = (self.crest >= start) & (self.crest <= end)
         higher = (self.height_at >= start) & (self.height_at <= end)
@@ -268,17 +268,17 @@ class Cusps:
 def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | None = None) -> Cusps:
     """Find the cusps of a profile across the lay, and measure their spacing and their height.
 
-    The strongest period of the slope's spectrum, among those that stand out of the noise around them, is the first
-    guess of the feed; the crests themselves decide. They must be spaced more evenly than those of noise. Crests
-    whose spacing is off the median around them by more than a quarter are no neighbours: around the spindle axis, and
-    at damage, the run ends. What shows no cusps of that feed is searched for those of another,
-    unless the first guess is given.
+    The first guess of the feed is the strongest period of the slope spectrum that exceeds the noise around it; the
+    spacing of the crests gives the result. The crests must be spaced more evenly than those of noise. Where a spacing
+    deviates from the local median by more than a quarter, as at the spindle axis or at damage, a run ends. Parts
+    without cusps of that feed are searched for another feed, unless the first guess is given.
 
     Parameters
     ----------
     profile
         On even steps, at least four to a cusp, and eight cusps long (three with a first guess of the feed). Missing
-        heights and spikes are bridged for the search; a crest in a hole wider than a fifth of the feed does not count.
+        heights and outliers are bridged for the search; a crest in a hole wider than a fifth of the feed does not
+        count.
     feed
         First guess instead of that of the spectrum, where another period is stronger or the cusps are few. [mm]
     axis

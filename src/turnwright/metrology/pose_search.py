@@ -1,4 +1,4 @@
-"""Where a map may lie on a part: laid on a table of the design at every place, the best slide into their valleys."""
+"""Global search for the pose of a map on a part: a grid of positions on a tabulated design, then descents."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class _Marks(NamedTuple):
 
 
 class Lattice(NamedTuple):
-    """What repeats on a surface: two steps of its pattern in the part frame (2, 2), and how fine it is. [mm]."""
+    """Periodic pattern of a surface: two lattice vectors in the part frame (2, 2), and its feature size. [mm]."""
 
     steps: Floats | None
     fine: float
@@ -150,7 +150,7 @@ def _repeat(centres: Floats) -> Floats | None:
 
 
 def axisymmetric(surface: Surface, radius: float) -> bool:
-    """Say whether a surface is the same at every clocking."""
+    """Return whether a surface is rotationally symmetric about the axis of the part."""
     angle = np.linspace(0, 2 * np.pi, 37)[:-1]
     rings = radius * np.array([0.13, 0.37, 0.61, 0.83, 0.997])[:, None]
     x, y = rings * np.cos(angle), rings * np.sin(angle)
@@ -190,7 +190,7 @@ def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach
     begin = np.concatenate([begin, [[start[0], start[1], 0.0, start[2], 0.0, 0.0]]])
     fits = []
     for width in (np.inf, ROBUST_MEDIANS):
-        # Calm, for what is no part of the part, such as a flange beyond its rim, must not pull.
+        # A robust loss too, so that surfaces off the part, such as a flange beyond its rim, have no effect.
         states = [start, *_valleys(tabled, begin, step, problem, free, width)]
         refined = (_refined(problem, each, free, size, calm=width < np.inf) for each in states)
         fits += [one for one in refined if one is not None]
@@ -204,10 +204,10 @@ def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach
 
 
 def costs(problem: Problem, fits: list[Fit]) -> Floats:
-    """Return what each fit costs: the mean square over *all* points, each at most that of an outlier. (m,) [mm²].
+    """Return the cost of each fit: the mean square over *all* points, capped at that of an outlier. (m,) [mm²].
 
-    A point that does not come to lie on the part costs as much as an outlier, so that no pose gains by losing it. What
-    an outlier is, the fit with the least median residual says, that of the points that can lie on the part.
+    A point off the part costs as much as an outlier, so that no pose gains by losing points. The cap follows from the
+    least median residual of all fits, over the points that can lie on the part.
     """
     if not fits:
         return np.empty(0)
@@ -317,7 +317,7 @@ def _places(
         widest = step * (np.sqrt(MAX_PLACES / turns_tried.number) - 1) / 2
         remedy = f"a reach of at most {say_length(widest)}" if widest > step else "a smaller reach and clocking"
         raise InputError(
-            f"the map's field of {say_length(2 * rim)} cannot be looked for within a reach of {say_length(reach)} and "
+            f"the map's field of {say_length(2 * rim)} cannot be searched within a reach of {say_length(reach)} and "
             f"a clocking of {np.rad2deg(clocking):.3g} deg: these are {total / 1e6:,.0f} million places "
             f"{say_length(step)} apart, the limit is {MAX_PLACES / 1e6:g} million. Check the unit of its lengths; if "
             f"that is right, state shift and rotation of the map and {remedy}"

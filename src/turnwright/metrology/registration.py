@@ -525,7 +525,7 @@ def _task(
             surface=part.surface,
             terms=tuple(terms),
             within=radius * (1 + EDGE),
-            whole=radius <= part.radius,
+            is_complete=radius <= part.radius,
             normal=distance == "normal",
             loss=loss,
             bends=_bends(part.surface, radius),

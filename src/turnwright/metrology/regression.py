@@ -39,7 +39,7 @@ class Axis(NamedTuple):
     """How an axis is transformed: its padded length, and the spectra of Gaussian times powers of the distance."""
 
     length: int
-    kept: int
+    bins: int
     spectra: list[Spectrum]
 
 
@@ -68,12 +68,12 @@ def regress(z: Floats, weight: Floats, widths: tuple[float, float | None], order
     pairs = np.array([[needed.index((a + c, b + d)) for c, d in terms] for a, b in terms])
     nominal = np.array([_nominal(2 * i) * _nominal(2 * j) for i, j in terms])
 
-    heights, weights = (np.empty((count, x.kept), dtype=np.complex128) for _ in range(2))
+    heights, weights = (np.empty((count, x.bins), dtype=np.complex128) for _ in range(2))
 
     def forward(start: int, stop: int) -> None:
         rows = slice(start, stop)
-        heights[rows] = fft.rfft(z[rows] * weight[rows], x.length, axis=1)[:, : x.kept]
-        weights[rows] = fft.rfft(weight[rows], x.length, axis=1)[:, : x.kept]
+        heights[rows] = fft.rfft(z[rows] * weight[rows], x.length, axis=1)[:, : x.bins]
+        weights[rows] = fft.rfft(weight[rows], x.length, axis=1)[:, : x.bins]
 
     run_chunks(forward, count, CHUNK_ROWS)
     if y is None:
@@ -89,7 +89,7 @@ def regress(z: Floats, weight: Floats, widths: tuple[float, float | None], order
                 for kernel, target in zip(y.spectra, targets, strict=False):
                     target[:, columns] = fft.ifft(spectrum * kernel[:, None], axis=0)[:count]
 
-        run_chunks(across, x.kept, CHUNK_COLUMNS)
+        run_chunks(across, x.bins, CHUNK_COLUMNS)
     out = np.empty_like(z)
 
     def backward(start: int, stop: int) -> None:

@@ -1,4 +1,4 @@
-"""Measured points against a prescription under a rigid motion: residuals, exact gradients, least squares."""
+"""Least-squares fit of measured points to a prescription by a rigid motion, with exact gradients."""
 
 from __future__ import annotations
 
@@ -64,12 +64,12 @@ MIN_ON_PART_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
-    """Points about the pivot, and what they are compared with.
+    """Points relative to the pivot, and the design with which they are compared.
 
-    ``points`` is (3, n); ``area`` is what each of them stands for (n,), its mean 1, or ``None`` where all stand for as
-    much; ``within`` is the radius about the part's axis inside which points count [mm]; ``whole`` says that the
-    surface is known to be defined all over it. ``bends`` (6,) says where the
-    centres of its principal curvatures lie, see `turnwright._kernels.registration.bend`.
+    ``points`` is (3, n); ``area`` (n,) holds their areas with a mean of 1, or ``None`` if they are equal; ``within`` is
+    the radius about the axis of the part inside which points count [mm]; ``is_complete`` states that the surface is
+    defined everywhere inside it. ``bends`` (6,) holds the centres of its principal curvatures, see
+    `turnwright._kernels.registration.bend`.
     """
 
     points: Floats
@@ -77,7 +77,7 @@ class Problem:
     surface: Surface
     terms: tuple[Surface, ...]
     within: float
-    whole: bool
+    is_complete: bool
     normal: bool
     loss: Loss
     bends: Floats
@@ -88,7 +88,7 @@ class Problem:
         return replace(self, points=np.ascontiguousarray(self.points[:, index]), area=area)
 
     def weighed(self, weight: Floats, which: Ints | Bools) -> Floats:
-        """Return the weights of some of the points times the area that each stands for. (m,)."""
+        """Return the weights of some of the points times their areas. (m,)."""
         return weight if self.area is None else weight * self.area[which]
 
     def mean(self, values: Floats, which: Ints | Bools) -> float:
@@ -106,7 +106,7 @@ class Rows(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """Where least squares ended: the state (6 + terms,), and how well it fits there."""
+    """Result of the least-squares fit: the state (6 + terms,), and the quality of the fit."""
 
     state: Floats
     normal: Floats  # J W Jᵀ over all unknowns
@@ -133,7 +133,7 @@ class _Sums(NamedTuple):
 
 
 def turns(state: Floats) -> tuple[Floats, Floats]:
-    """Return the rotation matrix of a state, and the axes that its three angles turn about, as rows. (3, 3) each."""
+    """Return the rotation matrix of a state, and the axes of its three angles, as rows. (3, 3) each."""
     rotation, about_x, about_y = (float(angle) for angle in state[3:6])
     c, s = math.cos(rotation), math.sin(rotation)
     ca, sa = math.cos(about_x), math.sin(about_x)
@@ -158,7 +158,7 @@ def rows(problem: Problem, state: Floats, span: slice) -> Rows:
     arm = turn @ problem.points[:, span]
     at = arm + state[:3, None]
     counts = at[0] * at[0] + at[1] * at[1] <= problem.within**2
-    if not problem.whole:
+    if not problem.is_complete:
         inside = problem.surface.inside(at[0], at[1])
         if inside is not None:
             counts &= inside
@@ -169,7 +169,7 @@ def rows(problem: Problem, state: Floats, span: slice) -> Rows:
     z, zx, zy, shapes = _design(problem, state, at[0], at[1])
     residual = at[2] - z
     if problem.normal:
-        # The foot of the perpendicular; there the distance to the tangent plane is the distance.
+        # At the foot of the perpendicular the distance to the tangent plane is the distance to the surface.
         for _ in range(FOOT_STEPS):
             along = residual / (1 + zx * zx + zy * zy)
             x, y = at[0] + along * zx, at[1] + along * zy
@@ -207,7 +207,7 @@ def spans(count: int) -> list[slice]:
 
 
 def weights(residual: Floats, scale: float, loss: Loss) -> tuple[Floats, Floats]:
-    """Return how much each residual counts, and what it costs [mm²]."""
+    """Return the weight and the loss [mm²] of each residual."""
     if loss == "linear":
         return np.ones_like(residual), residual * residual
     width = LOSS_WIDTHS[loss] * scale
@@ -262,7 +262,7 @@ def residuals(problem: Problem, state: Floats) -> Floats:
 
 
 def _each(work: Callable[[int, int], object], count: int) -> None:
-    """Do blocks of work, on all cores where it is worth starting them."""
+    """Process blocks, on all cores if there are several."""
     if count < 3:
         work(0, count)
     else:
@@ -270,7 +270,7 @@ def _each(work: Callable[[int, int], object], count: int) -> None:
 
 
 def scatter(residual: Floats) -> float:
-    """Return the standard deviation that the median size of the residuals stands for. [mm]."""
+    """Return the robust standard deviation of the residuals. [mm]."""
     valid = residual[np.isfinite(residual)]
     return max(robust_scatter(valid), MIN_SCATTER_MM) if valid.size else MIN_SCATTER_MM
 
@@ -286,12 +286,12 @@ def fit(
     least: float = MIN_ON_PART_SHARE,
     seen: float = 0.0,
 ) -> Fit:
-    """Minimise the loss over the free numbers of the state by Levenberg-Marquardt.
+    """Minimise the loss over the free components of the state by Levenberg-Marquardt.
 
-    ``size`` (6 + terms,) says by how much each number must change to move a point of the map by 1 mm; a step that
-    moves none by more than ``close`` mm is the last; one that leaves fewer of the points on the part than the share
-    ``least`` of the most that lay there is not taken; ``seen`` is a share of the points that is known to fit there. A
-    robust loss is scaled by the scatter anew until that settles.
+    ``size`` (6 + terms,) is the change of each component that moves a point of the map by 1 mm. The iteration stops
+    when no point moves by more than ``close`` mm. A step is rejected if fewer points remain on the part than the share
+    ``least`` of the most so far; ``seen`` is a share known to lie there. A robust loss is rescaled by the scatter until
+    it converges.
     """
     if problem.loss == "linear":
         return _march(problem, state, free, size, 1.0, steps, close, least, seen)
@@ -310,7 +310,7 @@ def _march(
     problem: Problem, state: Floats, free: Sequence[int], size: Floats, scale: float, steps: int, close: float,
     least: float, seen: float,
 ) -> Fit:  # fmt: skip
-    """Levenberg-Marquardt with the loss scaled once; undamped as long as that helps."""
+    """Levenberg-Marquardt with a fixed scale of the loss; undamped as long as steps succeed."""
     chosen = np.asarray(free, dtype=np.int64)
     sums = _sums(problem, state, scale)
     damping, taken, idle, begun = 0.0, 0, 0, sums.cost / max(sums.area, 1e-300)
@@ -355,10 +355,10 @@ def _march(
 
 
 def _moved(problem: Problem, state: Floats, chosen: Ints, step: Floats) -> Floats:
-    """Return the state after a step of its chosen numbers, turned about the centres of curvature of the design.
+    """Return the state after a step of the chosen components, as a rotation about the centres of curvature.
 
-    A shift hardly differs there from a tilt: such a valley is bent in these numbers, and straight in turns about that
-    centre. Numbers that are not chosen stay; of a rotation the part is turned back about its axis.
+    Shift and tilt are nearly equivalent about such a centre: the valley of the loss is curved in these components, and
+    straight in rotations about the centre. Components that are not chosen stay; a fixed rotation is turned back.
     """
     trial = state.copy()
     trial[chosen] += step
@@ -390,7 +390,7 @@ def _about(turn: Floats) -> Floats:
 
 
 def chance(problem: Problem, step: Floats, used: int, other: int) -> float:
-    """Return by what share the mean cost may differ because a step exchanges points at the rim of the part."""
+    """Return the relative change of the mean cost that points exchanged at the rim of the part may cause."""
     if min(used, other) == problem.points.shape[1]:
         return 0.0
     exchanged = 2 * float(np.hypot(step[0], step[1])) / problem.within * used + abs(used - other)
@@ -398,7 +398,7 @@ def chance(problem: Problem, step: Floats, used: int, other: int) -> float:
 
 
 def _solve(normal: Floats, right: Floats, damping: float) -> Floats:
-    """Solve the damped equations; a direction that nothing fixes takes no step."""
+    """Solve the damped equations; undetermined directions take no step."""
     width = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     width = np.maximum(width, EFFECT_TOL * width.max())
     scaled = normal / np.outer(width, width)

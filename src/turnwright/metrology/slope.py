@@ -1,4 +1,4 @@
-"""Slopes of a map of errors over a stated length."""
+"""Slope errors of a map over an integration length."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class Slopes:
     peak
         Steepest gradient, of the two slopes of one point together. [rad]
     length_across, length_along
-        The length that was used: the whole number of steps nearest to the one asked. Of a polar map ``length_along`` is
-        the mean over the radii. [mm]
+        Length used: the whole number of steps closest to the requested one. On a polar map ``length_along`` is the mean
+        over the radii. [mm]
     """
 
     across: Floats
@@ -51,18 +51,18 @@ class Slopes:
 
 
 def slope_error(heights: HeightMap, *, integration_length: float) -> Slopes:
-    r"""Return the slopes of a map of errors, each the mean over an integration length.
+    r"""Return the slope errors of a map, averaged over an integration length.
 
     .. math:: s_x(x, y) = \frac{z(x + L, y) - z(x, y)}{L}
 
-    The mean slope over a length is the difference of its ends: nothing is smoothed besides. A sine of period p so keeps
-    a share sinc(L/p) of its slope, and the noise of each height adds :math:`\sqrt{2}/L` of itself: a slope without its
-    length says nothing.
+    The mean slope over a length follows from the heights at its ends, without other smoothing. A sine of period p
+    retains a share sinc(L/p) of its slope, and height noise adds :math:`\sqrt{2}/L` times its standard deviation, so a
+    slope error is only defined together with its integration length.
 
     Parameters
     ----------
     heights
-        Cut minus design, on a grid of even steps; see `HeightMap.minus`. Missing points are left out.
+        Measured minus design, on a grid of even steps; see `HeightMap.minus`. Missing points are left out.
     integration_length
         L, at least one step of the grid. [mm]
 

@@ -5,9 +5,8 @@ Among tensor products of cubic B-splines, the one that minimises
 .. math:: \sum_i (s(x_i, y_i) - z_i)^2 + \mu \iint s_{xx}^2 + 2 s_{xy}^2 + s_{yy}^2
 
 Where n points stand on a unit of area, a wave of angular frequency k keeps :math:`1/(1 + k^4 \mu / n)` of its height:
-half at the cutoff, and never more than all of it, so that noise is not amplified. Small missing places, a round
-border and what lies just beyond it cost nothing: there the plate runs on as straight as it can. Farther from the points
-it goes to zero.
+half at the cutoff, and never more than all of it, so that noise is not amplified. Small holes and a narrow margin
+beyond the border are bridged with the least bending. Farther from the points the surface fades to zero.
 
 Sources
 -------
@@ -62,36 +61,37 @@ FADE_START, FADE_END = 0.75, 1.5
 
 
 class Smooth(NamedTuple):
-    """What is left of the heights."""
+    """A smoothed error as a table."""
 
     table: Gridded
     cutoff: float | None  # chosen [mm]; None if the points show nothing but noise, and the table is zero
 
 
 def form_compensation(part: Part, error: HeightMap, *, cutoff: float, beyond: float) -> Smooth:
-    r"""Return what to add to a surface so that a repeatable error does not come back, and the chosen cutoff.
+    r"""Return the correction of a surface that compensates a repeatable form error, and the selected cutoff.
 
-    What the measured error has in common over wavelengths above the cutoff is taken off the surface. No wavelength is
-    corrected by more than it was measured, so noise is never amplified: half of the heights is predicted from the other
-    half, the cutoff that does so best is taken, among this one and longer ones, and where none predicts more than noise
-    the surface stays as it is. Missing places and the rim are bridged by a bending plate.
+    The measured error at wavelengths above the cutoff is subtracted from the surface. No wavelength is corrected by
+    more than its measured height, so noise is never amplified. The cutoff, this one or a longer one, is selected by
+    cross-validation: each half of the heights is predicted from the other. If no cutoff predicts more than noise, the
+    correction is zero. Holes and the rim are bridged by a bending plate.
 
     Parameters
     ----------
     part
-        What was measured; its surface is the one to add to.
+        The measured part, whose surface is corrected.
     error
-        Cut minus design in the frame of the part, without what other corrections take care of; grid or scattered.
+        Measured minus design in the frame of the part, without errors that other corrections remove; gridded or
+        scattered.
     cutoff
-        Shortest wavelength to correct, of which half is corrected. Well above the feed, or cusps are taken for form.
-        [mm]
+        Shortest wavelength to correct, at which half of the height is corrected. It must be well above the feed, or
+        cusps are treated as form. [mm]
     beyond
-        How far outside the clear radius the tool's edge comes: lead-in and the width of the nose. [mm]
+        Margin outside the clear aperture that the tool reaches: lead-in and nose width. [mm]
 
     Raises
     ------
     InputError
-        If the map holds fewer than 100 heights within the clear radius, or the cutoff does not fit the part.
+        If the map has fewer than 100 heights within the clear aperture, or the cutoff does not fit the part.
 
     >>> from turnwright.heightmap import HeightMap
     >>> from turnwright.part import Part
@@ -113,7 +113,7 @@ def form_compensation(part: Part, error: HeightMap, *, cutoff: float, beyond: fl
     used = ~np.isnan(error.z) & (np.hypot(x, y) <= part.radius)
     if np.count_nonzero(used) < MIN_HEIGHTS:
         raise InputError(
-            f"the measured error has {np.count_nonzero(used)} heights within the clear radius {part.radius:g} mm, "
+            f"the measured error has {np.count_nonzero(used)} heights within a clear radius of {part.radius:g} mm, "
             f"a correction needs {MIN_HEIGHTS}: register the map to the part first, or measure more of it"
         )
     reach = part.radius + positive(beyond, "beyond", "mm") + cutoff
@@ -121,7 +121,7 @@ def form_compensation(part: Part, error: HeightMap, *, cutoff: float, beyond: fl
 
 
 class _Points(NamedTuple):
-    """Points, each of them the mean of those in its cell."""
+    """Cell means of the points."""
 
     x: Floats
     y: Floats
@@ -132,11 +132,11 @@ class _Points(NamedTuple):
 def smooth_table(
     x: Floats, y: Floats, z: Floats, *, cutoff: float, reach: float, before: Gridded | None = None
 ) -> Smooth:
-    """Return what the points share over wavelengths above a cutoff, on a square grid about the origin.
+    """Return the smoothed heights above a cutoff, on a square grid about the origin.
 
-    One half of the points is smoothed and compared with the other. From the longest cutoff to the one asked for, the
-    next is taken if it foretells that better than the last, and the first if it does better than zero; if none does,
-    nothing but noise is there.
+    One half of the points is smoothed and compared with the other. From the longest cutoff to the requested one, the
+    next is accepted if it predicts the other half better than the last, and the first if it predicts it better than
+    zero; if none does, the heights are noise.
 
     Parameters
     ----------
@@ -147,14 +147,14 @@ def smooth_table(
     reach
         Half-width of the grid. [mm]
     before
-        What the heights stand beside already. The cutoff is chosen for both together, and the table holds both: so two
-        maps of which each shows no more than noise count together, and what the first time was left of a wave is not.
+        Existing correction. The cutoff is selected for the sum, and the table contains the sum: errors that no single
+        map shows above its noise can be found from several, and the residual of an earlier correction is corrected.
     """
     existing = np.zeros(z.size) if before is None else before.evaluate(x, y, 0)[0]
     # Cells, not points, are split: neighbours share the cell's noise only.
     cell = cutoff / STEPS_PER_CUTOFF / 2
     column, row = (np.floor((at + reach) / cell).astype(np.int64) for at in (x, y))
-    # Of a coarse grid only every second column of cells may hold points: those that do are counted.
+    # With a coarse grid only some columns of cells hold points, so occupied columns are counted.
     odd = sum(np.unique(one, return_inverse=True)[1] for one in (column, row)) % 2 == 1
     total = z + existing
     halves = [_binned(x[chosen], y[chosen], total[chosen], cell, reach) for chosen in (odd, ~odd)]
@@ -167,7 +167,7 @@ def smooth_table(
         if length > 2 * reach:
             continue
         if length < CORRELATION_TEST_RATIO * cutoff and not any(
-            _hangs_together(half, off, cell) for half, off in zip(halves, residual, strict=True)
+            _is_correlated(half, off, cell) for half, off in zip(halves, residual, strict=True)
         ):
             break
         tables = [_smoothed(half, length, inner, TRIAL_STEPS_PER_CUTOFF) for half in halves]
@@ -185,7 +185,7 @@ def smooth_table(
 
 
 def sum_tables(table: Gridded, before: Gridded) -> Gridded:
-    """Return the sum of two tables over the reach of the first, as fine as the finer of them."""
+    """Return the sum of two tables over the extent of the first, with the finer step of the two."""
     step = min(float(np.diff(one.x).min()) for one in (table, before))
     low, high = float(table.x[0]), float(table.x[-1])
     axis = np.linspace(low, high, math.ceil((high - low) / step - 1e-9) + 1)
@@ -195,7 +195,7 @@ def sum_tables(table: Gridded, before: Gridded) -> Gridded:
 
 
 def _faded(table: Gridded, x: Floats, y: Floats, cutoff: float) -> Gridded:
-    """Return a table that goes to zero away from the points: what was not measured is not changed."""
+    """Return a table that fades to zero away from the points, so that unmeasured areas are not corrected."""
     from scipy.spatial import KDTree  # noqa: PLC0415 - scipy is costly to import
 
     at = np.stack([one.ravel() for one in np.meshgrid(table.x, table.y)], axis=1)
@@ -205,12 +205,12 @@ def _faded(table: Gridded, x: Floats, y: Floats, cutoff: float) -> Gridded:
 
 
 def _losses(halves: Sequence[_Points], off: Sequence[Floats], scale: float) -> Floats:
-    """Return what each cell of both halves is off."""
+    """Return the loss of each cell of both halves."""
     return np.concatenate([half.weight * _loss(one, scale) for half, one in zip(halves, off, strict=True)])
 
 
-def _hangs_together(half: _Points, off: Floats, cell: float) -> bool:
-    """Say whether cells and their neighbours in the same half are off in the same sense more often than by chance."""
+def _is_correlated(half: _Points, off: Floats, cell: float) -> bool:
+    """Return whether the residuals of neighbouring cells of a half are positively correlated beyond chance."""
     column, row = (np.floor((at - at.min()) / cell).astype(np.int64) for at in (half.x, half.y))
     grid = np.zeros((int(row.max()) + 1, int(column.max()) + 1))
     scaled = off * np.sqrt(half.weight)
@@ -220,7 +220,7 @@ def _hangs_together(half: _Points, off: Floats, cell: float) -> bool:
 
 
 def _loss(off: Floats, scale: float) -> Floats:
-    """Return squares that grow only linearly beyond two scales: what stands at the axis must not outvote the part."""
+    """Return squares that grow linearly beyond two scales, so that a defect at the axis does not dominate."""
     size = np.abs(off)
     return np.where(size < 2 * scale, size**2, 4 * scale * (size - scale))
 
@@ -263,7 +263,7 @@ def _plates(
     height, slope, curve = (_gram(padded, order) for order in range(3))
     plate = kron(curve, height) + 2 * kron(slope, slope) + kron(height, curve)
     normal = (basis.T @ weighted + bend * plate).tocoo()
-    # Plates without points on two sides of them would be loose; what holds them is far below rounding of the heights.
+    # Regularisation far below the rounding of the heights, for cells without points on two sides.
     band = np.zeros((int(np.abs(normal.row - normal.col).max()) + 1, size * size))
     lower = normal.row >= normal.col
     np.add.at(band, (normal.row[lower] - normal.col[lower], normal.col[lower]), normal.data[lower])

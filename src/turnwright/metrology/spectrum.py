@@ -33,7 +33,7 @@ WINDOW_COEFFICIENTS = {"none": (1.0,), "hann": (0.5, -0.5), "blackman": (0.42, -
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spectrum:
-    r"""A density over spatial frequency: of lines, or the radial mean of an area's. See `line_psd` and `area_psd`.
+    r"""Power spectral density of lines, or radial mean of that of an area. See `line_psd` and `area_psd`.
 
     Parameters
     ----------
@@ -45,11 +45,11 @@ class Spectrum:
         Of lines one-sided: :math:`\int_0 P\,df` is the mean square. [nm² mm] Radial:
         :math:`\int_0 P\,2\pi f\,df` is. [nm² mm²]
     radial
-        Which of the two.
+        Whether it is a radial mean.
     count
-        Number of lines, or of bins of the area's spectrum in the outermost ring.
+        Number of lines, or of bins in the outermost ring.
     notes
-        What was left out, and what biases the density.
+        Omitted heights and biases of the density.
     """
 
     frequency: Floats
@@ -65,12 +65,12 @@ class Spectrum:
         return "nm² mm²" if self.radial else "nm² mm"
 
     def band_rms_nm(self, low: float, high: float) -> float:
-        """Return the rms of what lies between two spatial frequencies; a bin counts with its share inside. [nm].
+        """Return the rms between two spatial frequencies; partial bins count in proportion. [nm].
 
         Parameters
         ----------
         low, high
-            The band, for instance that of mid-spatial errors; ``inf`` is the highest there is. [1/mm]
+            The band, for instance that of mid-spatial frequency errors; ``inf`` is the highest frequency. [1/mm]
 
         Raises
         ------
@@ -90,7 +90,7 @@ class Spectrum:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AreaSpectrum:
-    r"""A density over two spatial frequencies. See `area_psd`.
+    r"""Power spectral density over two spatial frequencies. See `area_psd`.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ class AreaSpectrum:
     density
         Two-sided: :math:`\iint P\,df_x\,df_y` is the mean square. (ny, nx) [nm² mm²]
     notes
-        What was left out, and what biases the density.
+        Omitted heights and biases of the density.
     """
 
     frequency_x: Floats
@@ -121,9 +121,9 @@ class AreaSpectrum:
         return float(np.sqrt(self.density.sum() * np.prod(self._steps)))
 
     def band_rms_nm(self, low: float, high: float) -> float:
-        """Return the rms of what has a spatial frequency, in any direction, from ``low`` to below ``high``. [nm].
+        """Return the rms of spatial frequencies, in any direction, from ``low`` to below ``high``. [nm].
 
-        A bin counts where its middle lies.
+        A bin counts if its middle lies in the band.
 
         Parameters
         ----------
@@ -142,7 +142,7 @@ class AreaSpectrum:
     def radial(self) -> Spectrum:
         """Return the mean over all directions, in rings as wide as the coarser step of the frequencies.
 
-        It ends at the lower of the two highest frequencies: beyond, the rings are not whole.
+        It ends at the lower of the two highest frequencies, beyond which the rings are incomplete.
         """
         step = max(self._steps)
         ring = np.rint(self._radius / step).astype(np.int64)
@@ -174,27 +174,26 @@ def line_psd(
 
     .. math:: P(f) = \frac{2\,\Delta}{\sum w^2} \left|\sum_j w_j (z_j - \bar z)\,e^{-2\pi i f j\Delta}\right|^2
 
-    One-sided, in nm² mm: its integral over f is the mean square of the windowed line, exactly (Parseval). Each line has
-    its own mean taken off, weighted as the window does.
+    One-sided, in nm² mm: its integral over f is the mean square of the windowed line, exactly (Parseval). The
+    mean of each line, weighted with the window, is removed.
 
     Parameters
     ----------
     heights
         A map on an even grid, or a profile.
     along
-        The lines of a map: ``"x"`` or ``"y"``, of a polar one ``"radius"``, the radial lines that turning leaves its
-        marks across.
+        The lines of a map: ``"x"`` or ``"y"``, of a polar one ``"radius"``, the radial lines, which cross the turning
+        marks.
     form
         Removed first from all valid points, see `remove_form`; of a profile ``"none"``, ``"mean"``, ``"plane"`` (a
         line) or a degree.
     window
-        ``"hann"`` and ``"blackman"`` keep what does not close at the ends of the line from leaking into all
-        frequencies; a peak is then two, or three, steps wide, and what lies near the ends counts little. ``"none"``
-        suits a whole number of periods.
+        ``"hann"`` and ``"blackman"`` reduce the leakage from the ends of the line into all frequencies; a peak is then
+        two, or three, steps wide, and the ends have little weight. ``"none"`` suits a whole number of periods.
     missing
-        ``"rectangle"`` takes the largest rectangle of valid points, which biases nothing but sees less. ``"mask"``
-        takes all, with the missing ones of no weight: the density is then smeared by the spectrum of the mask, so that
-        a steep one reads too high where it is low.
+        ``"rectangle"`` uses the largest rectangle of valid points, without bias but with fewer points. ``"mask"`` uses
+        all points, with zero weight for missing ones: the spectrum of the mask then smears the density, so that a steep
+        one is too high where it is low.
 
     Raises
     ------
@@ -269,7 +268,7 @@ def area_psd(
     _require(window, missing)
     if heights.polar:
         raise InputError(
-            "the map has 1 polar grid, the spectrum of an area needs a rectangular one: take line_psd along the radius"
+            "the map has a polar grid, the spectrum of an area needs a rectangular one: use line_psd along the radius"
         )
     valid_points(heights, FEWEST, "a spectrum")
     grid = measure(heights)
@@ -330,7 +329,7 @@ def _taper(size: int, window: str) -> Floats:
 
 
 def _cut(z: Floats, missing: str, steps: tuple[float, float], *, rows: int) -> tuple[Floats, tuple[str, ...]]:
-    """Return the part of the heights that is to be transformed, and what is to be said of it."""
+    """Return the heights to transform, and a note about those left out."""
     valid = ~np.isnan(z)
     if valid.all():
         return z, ()

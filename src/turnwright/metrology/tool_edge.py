@@ -1,13 +1,13 @@
-r"""From a measured trace of the diamond to the tool that cuts: nose radius, flanks and waviness.
+r"""Nose radius, flanks and waviness of a diamond tool from a measured trace of its edge.
 
-The trace is compared with what a `turnwright.Tool` is, an arc and the two straight flanks tangent to its ends. About
+The trace is compared with the model of `turnwright.Tool`, an arc and two straight flanks tangent to its ends. About
 the centre of the arc, the signed distance of a point :math:`p` from that edge is
 
 .. math:: d(p) = p \cdot n(\varphi) - R, \qquad \varphi = \min(\max(\angle p, -\alpha), \beta)
 
 with :math:`n(\varphi)` the normal at sweep :math:`\varphi` and :math:`-\alpha, \beta` the sweeps at which the flanks
-begin. Its five parameters are fitted with a loss that grows only linearly, so that dust and the broken ends of the
-trace do not pull; that parts the nose from the flanks. The nose alone then gives radius and waviness.
+begin. Its five parameters are fitted with a robust loss, so that dust and the broken ends of the trace have little
+effect; this separates the nose from the flanks. Radius and waviness are then fitted to the nose alone.
 
 Instruments trace a nose in strokes, one from each side, that overlap near the tip and do not meet there: on measured
 edges they miss each other by micrometres. So the circle has one radius, and a centre for each stroke.
@@ -64,7 +64,7 @@ POINTS_PER_CUTOFF = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EdgeFit:
-    """What a measured trace says of the diamond.
+    """Result of the fit of an edge trace. See `fit_edge`.
 
     Parameters
     ----------
@@ -74,13 +74,13 @@ class EdgeFit:
     radius, radius_std
         Of the nose, and its standard uncertainty from scatter and waviness (not that of the instrument's scale). [mm]
     sweep
-        Where the flanks begin (lo, hi), which is where the arc ends. [rad]
+        Sweeps at which the arc ends and the flanks begin (lo, hi). [rad]
     tilt
-        How far the middle between the flanks is turned from the tip toward +X. [rad]
+        Angle from the tip to the bisector of the flanks, toward +X. [rad]
     centre
         Of the fitted arc in the trace's own (u, height), for each stroke. (strokes, 2) [mm]
     nose
-        Which points of the trace the radius and the waviness rest on. (n,)
+        Points of the trace used for radius and waviness. (n,)
     residual_rms
         Of these points about the circle, waviness and noise together. [mm]
     noise_rms
@@ -112,9 +112,9 @@ def read_edge_trace(path: str | PathLike[str], *, profile: int | None = None) ->
     ----------
     path
         Lines of description, a line ``X,Y,Z``, then rows of X along the trace and Y across the edge in mm; or nothing
-        but rows of these two, parted by blanks or commas.
+        but rows of these two, separated by blanks or commas.
     profile
-        Which one, from 1, where the instrument has traced the edge several times side by side.
+        Number of the profile, from 1, if the instrument has traced the edge several times side by side.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def read_edge_trace(path: str | PathLike[str], *, profile: int | None = None) ->
     Raises
     ------
     InputError
-        If the file cannot be read, is not of this form, or it is not said which of its profiles is meant.
+        If the file cannot be read, is not of this form, or ``profile`` is needed to select one of several.
     """
     path = Path(path)
     try:
@@ -178,8 +178,8 @@ def fit_edge(
 ) -> EdgeFit:
     r"""Find the nose in a measured trace of an edge, and return the tool with its radius and waviness.
 
-    Whether the edge points up or down in the trace is found from the trace; whether the trace runs toward +X of the
-    machine cannot be, and must be said.
+    The trace shows whether the edge points up or down, but not whether it runs toward +X of the machine, which
+    ``toward_x`` states.
 
     Parameters
     ----------
@@ -190,11 +190,11 @@ def fit_edge(
     cutoff
         Wavelength along the edge of which the waviness keeps half the height: shorter ones are taken for noise. [mm]
     nose_radius
-        The nominal radius, to be kept as the tool's; the measured one if not given. [mm]
+        Nominal radius of the tool; by default the measured one. [mm]
     tilt
         Turn of the mounted tool toward +X since it was traced; minus `EdgeFit.tilt` levels the flanks. [rad]
     name
-        What the shop calls the tool.
+        Name of the tool in the shop.
 
     Raises
     ------

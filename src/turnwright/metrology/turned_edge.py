@@ -1,19 +1,19 @@
 r"""The edge that cut a turned surface, from its cusps.
 
-Between two crests one pass alone has left the surface, so a valley is a piece of the edge: over the distance
-:math:`u = s\,(r - X_k)` from the tip of pass k, with s the side of the axis,
+Between two crests a single revolution has cut the surface, so a valley is a piece of the edge: over the distance
+:math:`u = s\,(r - X_k)` from the tip in revolution k, with s the side of the axis,
 
 .. math:: h(r) = Z_k + e(u + \delta_k), \qquad X_k = m_k - R \sin\arctan h'(m_k),
 
 where :math:`m_k` is the middle between the crests, whose tangent says where on the nose of radius R the contact lies.
 The edge e is one spline for all valleys; heights :math:`Z_k` and small shifts :math:`\delta_k` belong to each, for
-passes scatter, and an edge with waves touches beside the place where its circle would. On a curved part the contact
-rolls over the nose, so that the valleys overlap and show more of the edge than one cusp does.
+revolutions scatter, and a wavy edge does not touch where its circle would. On a curved part the contact moves over the
+nose, so that the valleys overlap and show more of the edge than one cusp.
 
-An instrument rounds the crests and lifts what is near them. So the surface that the estimate leaves is seen through the
-same instrument, and what it lacks is added to the estimate, until nothing changes (van Cittert's iteration).
+An instrument rounds the crests and lifts what is near them. The surface cut by the estimated edge is therefore passed
+through a model of the instrument, and the difference is added to the estimate until convergence (van Cittert).
 
-A height and a tilt of the edge do not show: they are a height and a shift of the tool. Both are taken off.
+Height and tilt of the edge are equivalent to a height and a shift of the tool, and are removed.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ def edge_from_cusps(
         The form that the instrument has taken off the heights, as a surface of revolution about the axis; ``None``
         where the heights still have their form. Without it the edge of a curved part is smeared.
     instrument
-        Through which the surface was measured; without it what it rounds is taken for the edge.
+        Instrument model; without it the rounding by the instrument is attributed to the edge.
     feed
         First guess, see `find_cusps`. [mm]
     cutoff

@@ -1,4 +1,4 @@
-"""The axis of turning in a measured map: from the rings of the spiral, or from the defect at its middle."""
+"""Turning axis in a measured map: from the rings of the spiral, or from the centre defect."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ MAX_STD = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TurningCentre:
-    """Where the axis of turning stands in a map.
+    """Position of the turning axis in a map.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ class TurningCentre:
     feed
         Distance of the rings; nan of a centre defect. [mm/rev]
     turns
-        How the phase of the rings grows with azimuth: +1 or -1 of a spiral, 0 of closed rings and of a centre defect.
+        Change of the phase of the rings with azimuth: +1 or -1 for a spiral, 0 for closed rings and a centre defect.
     """
 
     x: float
@@ -139,11 +139,10 @@ def turning_centre(
     eight annuli. The blocks are then taken again about the best, until it stays. The uncertainty follows from what the
     phases leave, as that of single blocks or of whole sectors, whichever is larger.
 
-    Without rings, a defect of the middle tells the axis if it is the same all around it: a radial profile and a low
-    form of degree 4 are fitted together, with the middle free, and the uncertainty follows as before. It must differ
-    around its middle by no more than noise and 5 %, nothing else in the map may stand out half as far, and no round or
-    oval bump may explain it as well. So a cone or damped rings are accepted, but a smooth pip or pit is not: a grain of
-    dust looks the same.
+    Without rings, a rotationally symmetric centre defect gives the axis: a radial profile and a smooth form of degree 4
+    are fitted together, with a free centre, and the uncertainty follows as before. The asymmetry may be at most the
+    noise and 5 %, no other feature of the map may be half as high, and no round or oval bump may fit as well. A cone or
+    damped rings are therefore accepted, but not a smooth pip or pit, which looks like a grain of dust.
 
     Parameters
     ----------
@@ -354,7 +353,7 @@ def _coherent(error: HeightMap, start: Floats, wave: float) -> TurningCentre | N
 
 
 def _blocks(error: HeightMap, numbers: Floats, turns: int) -> _Blocks | None:
-    """Return amplitude and phase of the cusps in blocks, by least squares beside harmonics and form."""
+    """Return amplitude and phase of the cusps in blocks, by least squares together with harmonics and form."""
     x, y = error.points()
     step = float(np.diff(x[0]).mean())
     side = max(round(MIN_BLOCK_WAVES * 2 * np.pi / numbers[2] / step), MIN_BLOCK_PIXELS)
@@ -506,7 +505,7 @@ def _most_alike(error: HeightMap, step: float, near: tuple[float, float]) -> Flo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Defect:
-    """Heights about a place (n,), fitted by a radial profile about ``at`` and a low form beside it."""
+    """Heights about a point (n,), fitted by a radial profile about ``at`` and a smooth form."""
 
     x: Floats
     y: Floats
@@ -566,7 +565,7 @@ class _Defect:
 
     @property
     def noise(self) -> float:
-        """Root mean square of what the fit leaves beside it. [mm]."""
+        """Root mean square of the residual outside the core. [mm]."""
         return float(np.sqrt(np.mean(self.residual[~self.core] ** 2)))
 
     @property

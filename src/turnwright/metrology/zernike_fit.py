@@ -1,4 +1,4 @@
-"""Zernike coefficients of a map with missing points, over an aperture stated or found."""
+"""Zernike coefficients of a map with missing points, over a given or a fitted aperture."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ class ZernikeFit:
     covariance
         Of the coefficients. (k, k) [mm²]
     orthonormal, orthonormal_uncertainty
-        Coefficients of the same terms made orthonormal over the valid points, each by what those before it leave of
-        it: independent of the terms after it, and what each adds to the mean square. (k,) [mm]
+        Coefficients of the same terms made orthonormal over the valid points in their order: each is independent of the
+        terms after it, and its square is its contribution to the mean square. (k,) [mm]
     indexing, normalised
         See `turnwright.Zernike`.
     radius, centre
         Of the aperture. [mm]
     residual
-        What the terms leave; nan outside the aperture.
+        Residual of the fit; nan outside the aperture.
     condition
-        Of the terms over the valid points, each brought to length one: 1 for orthogonal ones.
+        Condition number of the terms over the valid points, scaled to unit length: 1 for orthogonal terms.
     valid, left_out
         Number of heights inside the aperture, and of valid ones outside.
     """
@@ -96,11 +96,11 @@ def fit_zernike(
 ) -> ZernikeFit:
     """Fit Zernike polynomials by least squares in z over the valid points inside an aperture.
 
-    Missing points are left out, not filled: over what is left the terms are no longer orthogonal, which least squares
-    takes care of, and ``condition`` states. Every point counts with its area; scattered points count alike.
+    Missing points are left out, not filled. Over the remaining points the terms are not orthogonal, which least squares
+    allows for and ``condition`` states. Points are weighted by area; scattered points equally.
 
-    The uncertainties take what is left as independent noise of each point. Waviness that the terms leave is not
-    independent from point to point: where it prevails they are too small.
+    The uncertainties assume residuals that are independent from point to point; where waviness prevails they are too
+    small.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def fit_zernike(
     Raises
     ------
     InputError
-        If a term is unknown, there are fewer valid heights than terms, or these cannot tell the terms apart.
+        If a term is unknown, there are fewer valid heights than terms, or these do not determine the terms.
 
     Sources
     -------
@@ -189,7 +189,7 @@ def _factor(n: int, m: int) -> float:
 def _fit(
     cloud: Cloud, indices: tuple[int, ...], indexing: Indexing, circle: tuple[float, float, float], left: Floats
 ) -> tuple[Floats, Sums, float]:
-    """Return the coefficients of terms of rms 1, what they come from, and the condition; set ``left``."""
+    """Return the coefficients of terms of rms 1, their sums, and the condition; fill ``left`` with the residual."""
     x0, y0, radius = circle
     orders = [zernike_order(index, indexing) for index in indices]
     count = 1 + max((n - abs(m)) // 2 for n, m in orders)
@@ -211,7 +211,7 @@ def _fit(
     solution, condition = solve(sums.normal, sums.right, names, "a Zernike fit")
     normal = sums
     for _ in range(MAX_STEPS):
-        # The normal equations lose digits, and each further step wins them back.
+        # The normal equations lose digits, which further iterations restore.
         sums = sums_over(cloud, model, solution, whole=False, left=left)
         step, _ = solve(normal.normal, sums.right, names, "a Zernike fit")
         solution = solution + step
