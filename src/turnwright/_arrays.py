@@ -1,4 +1,4 @@
-"""Arrays at the border: float64, finite where they must be, read-only once stored."""
+"""Arrays from callers: converted to float64, checked to be finite, read-only once stored."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ def _read_only(plain: dict[Any, Any]) -> MappingProxyType[Any, Any]:
     return MappingProxyType(plain)
 
 
-# Machines, motions and maps hold read-only mappings, which Python does not send to another process by itself.
-copyreg.pickle(MappingProxyType, lambda one: (_read_only, (dict(one),)))
+# Machines, motions and maps hold read-only mappings, which Python cannot pickle without this.
+copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
 
 
-EVEN = 1e-6
-"""Spread of even steps, over the step."""
+STEP_TOL = 1e-6
+"""Spread of the steps of an evenly spaced axis, relative to the step."""
 
 
 def is_even(axis: Floats) -> bool:
-    """Say whether two or more places that ascend stand in even steps."""
+    """Whether an ascending axis has two or more points and they are evenly spaced."""
     steps = np.diff(axis)
-    return bool(steps.size) and bool(np.ptp(steps) <= EVEN * steps.mean())
+    return bool(steps.size) and bool(np.ptp(steps) <= STEP_TOL * steps.mean())
 
 
 def frozen(values: ArrayLike, name: str, *, ndim: int | None = 1, finite: bool = True) -> Floats:
-    """Return ``values`` as a read-only float64 array without copying where none is needed.
+    """Return ``values`` as a read-only float64 array, copied only where needed.
 
-    The caller's own array stays writable; the view that is stored is not.
+    The caller's array stays writable; the returned view is not.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def frozen(values: ArrayLike, name: str, *, ndim: int | None = 1, finite: bool =
     try:
         array = np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{name} holds something that is not a number: give plain numbers") from error
+        raise InputError(f"{name} holds a value that is not a number: give numbers only") from error
     if ndim is not None and np.ndim(values) != ndim:
         raise InputError(f"{name} has {np.ndim(values)} dimensions where {ndim} are needed: reshape it")
     if finite:
@@ -63,38 +63,38 @@ def frozen(values: ArrayLike, name: str, *, ndim: int | None = 1, finite: bool =
 
 
 class Compared:  # noqa: PLW1641 - of large arrays
-    """A dataclass whose instances are equal where what they state is, nan like nan; too large to be hashed.
+    """A dataclass compared by its input fields, nan equal to nan; not hashable, as it holds large arrays.
 
-    What an instance works out from its fields itself is not compared.
+    Fields that an instance derives are not compared.
     """
 
     __slots__ = ()
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether two instances state the same."""
+        """Whether the input fields of two instances are equal."""
         if self is other or type(self) is not type(other):
             return self is other or NotImplemented
         return all(same(mine, theirs) for mine, theirs in zip(_stated(self), _stated(other), strict=True))
 
 
 class Value(Compared):
-    """A dataclass that can be hashed, too: what a user states."""
+    """A dataclass compared by its input fields, and hashable."""
 
     __slots__ = ()
 
     def __hash__(self) -> int:
-        """Return a number that equal instances share."""
+        """Return the hash of the input fields."""
         return hash((type(self), *map(hashable, _stated(self))))
 
 
-def _stated(one: Any) -> list[Any]:
-    if not dataclasses.is_dataclass(one):  # a surface of a user's own may be any class
-        return [id(one)]
-    return [getattr(one, field.name) for field in dataclasses.fields(one) if field.init and field.compare]
+def _stated(instance: Any) -> list[Any]:
+    if not dataclasses.is_dataclass(instance):  # a surface defined by the user may be any class
+        return [id(instance)]
+    return [getattr(instance, field.name) for field in dataclasses.fields(instance) if field.init and field.compare]
 
 
 def same(one: Any, other: Any) -> bool:
-    """Say whether two values are equal, arrays element by element, nan like nan."""
+    """Whether two values are equal, arrays element by element, nan equal to nan."""
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
         numeric = np.asarray(one).dtype.kind in "fc" and np.asarray(other).dtype.kind in "fc"
         return np.array_equal(one, other, equal_nan=numeric)
@@ -105,28 +105,28 @@ def same(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
-def hashable(one: Any) -> Any:
-    """Return something that can be hashed, the same of all that `same` holds for equal."""
-    if isinstance(one, np.ndarray):
-        return one.shape, (np.nan_to_num(one) + 0.0).tobytes()  # which makes 0 of -0 too
-    if isinstance(one, tuple | list):
-        return tuple(map(hashable, one))
-    if isinstance(one, Mapping):
-        return frozenset((key, hashable(value)) for key, value in one.items())
-    return one
+def hashable(value: Any) -> Any:
+    """Return a hashable equivalent of a value; values that `same` finds equal have equal equivalents."""
+    if isinstance(value, np.ndarray):
+        return value.shape, (np.nan_to_num(value) + 0.0).tobytes()  # + 0.0 turns -0 into 0
+    if isinstance(value, tuple | list):
+        return tuple(map(hashable, value))
+    if isinstance(value, Mapping):
+        return frozenset((key, hashable(entry)) for key, entry in value.items())
+    return value
 
 
-NORMAL = 1.4826
-"""Standard deviation of normal noise over the median of its size."""
+SIGMA_PER_MAD = 1.4826
+"""Standard deviation of normal noise over its median absolute deviation."""
 
 
 def robust_scatter(off: Floats) -> float:
-    """Return the standard deviation of what is off a centre, as the median of its size tells it."""
-    return NORMAL * float(np.median(np.abs(off)))
+    """Return the standard deviation of deviations from a centre, estimated from their median absolute value."""
+    return SIGMA_PER_MAD * float(np.median(np.abs(off)))
 
 
 def rounding(values: Floats) -> float:
-    """Return by how much the difference of two cumulative values may be off, as rounding grows with the values."""
+    """Return the rounding error of a difference of two cumulative values; it grows with the values."""
     return 4 * float(np.spacing(np.abs(values[[0, -1]]).max()))
 
 
@@ -136,10 +136,10 @@ def rows_of_numbers(lines: Iterable[str], separator: str, *, comments: str | Non
     Raises
     ------
     ValueError
-        If there is no line, or they hold anything else or not as many numbers each; the reason in a few letters.
+        If there is no line, a cell is not a number, or the lines differ in their count; with a short reason.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # NumPy only warns of a table without a row
+        warnings.simplefilter("error")  # NumPy only warns about a table without rows
         try:
             return np.loadtxt(lines, delimiter=separator, ndmin=2, dtype=np.float64, comments=comments)
         except UserWarning:
@@ -149,9 +149,9 @@ def rows_of_numbers(lines: Iterable[str], separator: str, *, comments: str | Non
 
 
 def only_read(values: Floats) -> Floats:
-    """Return an array as a kernel takes what it only reads: contiguous and not to be written.
+    """Return a contiguous, read-only view of an array for a kernel.
 
-    A kernel is compiled anew for each mixture of arrays that may be written and that may not, which costs seconds.
+    A kernel is compiled again, in seconds, for each combination of writable and read-only arrays.
     """
     view = np.ascontiguousarray(values).view()
     view.flags.writeable = False
@@ -163,17 +163,15 @@ def same_length(arrays: Iterable[tuple[str, Floats]]) -> None:
     sizes = {name: array.shape[0] for name, array in arrays}
     if len(set(sizes.values())) > 1:
         listed = ", ".join(f"{name} {size}" for name, size in sizes.items())
-        raise InputError(
-            f"arrays that belong together differ in length ({listed}): give them all the same number of points"
-        )
+        raise InputError(f"the lengths of arrays differ ({listed}): give them all the same number of points")
 
 
 def freeze(owner: object, names: Sequence[str], optional: Sequence[str] = (), *, of: str = "") -> None:
-    """Make arrays of one length of the fields of a frozen dataclass; those that are optional may be ``None``.
+    """Convert fields of a frozen dataclass to read-only arrays of one length; optional fields may be ``None``.
 
-    What the fields are said to be ``of`` follows their names in errors.
+    In messages ``of`` follows the name of a field.
     """
-    given = [*names, *(name for name in optional if getattr(owner, name) is not None)]
-    for name in given:
+    present = [*names, *(name for name in optional if getattr(owner, name) is not None)]
+    for name in present:
         object.__setattr__(owner, name, frozen(getattr(owner, name), f"{name}{of}"))
-    same_length([(name, getattr(owner, name)) for name in given])
+    same_length([(name, getattr(owner, name)) for name in present])

@@ -1,4 +1,4 @@
-"""What is wrong with a table of a file, in sentences that name the field, the value, what it must be and the remedy."""
+"""Validation errors of a table as sentences that name the field, the value, what is allowed and the remedy."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ __all__ = ["faults", "keys_of", "read_table", "sentences", "suggestion"]
 
 T = TypeVar("T")
 
-MOST_FAULTS = 30
-"""Of what is wrong with a file, this many sentences are written: they are corrected from the first on."""
+MAX_FAULTS = 30
+"""Faults of a file that are reported at once."""
 
 _KINDS = {
     "float_type": "a plain number without a unit or quotes",
@@ -42,11 +42,11 @@ _KINDS = {
 
 
 def keys_of(annotation: Any) -> Mapping[str, Any] | None:
-    """Return the keys of the table that a value of a type is read from, with their types; ``None`` if from none."""
+    """Return the keys of the table that states a value of a type, with their types; ``None`` if no table does."""
     bare, *notes = get_args(annotation) if get_origin(annotation) is Annotated else (annotation,)
-    for one in notes:
-        if isinstance(one, Keyed | ByName):
-            return one.keys
+    for note in notes:
+        if isinstance(note, Keyed | ByName):
+            return note.keys
     return bare.table_keys() if isinstance(bare, type) and issubclass(bare, Stated) and is_dataclass(bare) else None
 
 
@@ -61,17 +61,17 @@ def _tables_in(annotation: Any) -> Iterator[Mapping[str, Any]]:
 
 
 class _Place(NamedTuple):
-    """Where something is wrong: the dotted path, the keys of its table, the field of several kinds and the kind."""
+    """The place of a fault: dotted path, keys of its table; for a field of several kinds also that field and kind."""
 
     path: str
     keys: Mapping[str, Any]
-    choice: str = ""  # the path of a field that may be of several kinds, none of which the value is
-    kind: str = ""  # which of them this is about
+    choice: str = ""  # the path of a field that may be of several kinds
+    kind: str = ""  # the kind that this fault is about
 
 
 def _place(root: Any, loc: tuple[str | int, ...], tags: Mapping[str, Any], path: str) -> _Place:
     """Return the place of a field below the path of the root, counting from 1 in lists."""
-    several = False
+    is_choice = False
     choice = kind = ""
     keys = owner = keys_of(root) or {}
     for step in loc:
@@ -79,71 +79,71 @@ def _place(root: Any, loc: tuple[str | int, ...], tags: Mapping[str, Any], path:
             path += f"[{step + 1}]"
         elif step in tags and step not in keys:
             keys = keys_of(tags[step]) or {}
-        elif several:
-            choice, kind = path, step  # pydantic's own name of the kind, which is no key of the job
+        elif is_choice:
+            choice, kind = path, step  # pydantic's name of the kind is not a key of the job
         else:
             path += f".{step}" if path else step
             owner = keys
             field = keys.get(step)
             keys = next(_tables_in(field), keys) if field is not None else keys
-            several = field is not None and _of_several_kinds(field)
+            is_choice = field is not None and _has_several_kinds(field)
             continue
-        several = False
+        is_choice = False
     return _Place(path, owner, choice, kind)
 
 
-def _of_several_kinds(annotation: Any) -> bool:
-    """Whether a field may be of more than one kind, besides not being there."""
+def _has_several_kinds(annotation: Any) -> bool:
+    """Whether a field may hold more than one kind of value, None not counted."""
     if get_origin(annotation) is Annotated:
-        return _of_several_kinds(get_args(annotation)[0]) and not any(
-            hasattr(one, "__get_pydantic_core_schema__") for one in get_args(annotation)[1:]
+        return _has_several_kinds(get_args(annotation)[0]) and not any(
+            hasattr(note, "__get_pydantic_core_schema__") for note in get_args(annotation)[1:]
         )
     if get_origin(annotation) not in (Union, UnionType):
         return False
-    return sum(one is not NoneType for one in get_args(annotation)) > 1
+    return sum(kind is not NoneType for kind in get_args(annotation)) > 1
 
 
 def sentences(error: ValidationError, root: Any, tags: Mapping[str, Any], what: str = "", path: str = "") -> list[str]:
-    """Return one sentence for each thing that is wrong: the field, the value, what it must be, the remedy.
+    """Return one sentence for each fault: the field, the value, what it must be, the remedy.
 
     Parameters
     ----------
     error
-        What pydantic found.
+        The error of pydantic.
     root
-        The table that was read.
+        The type of the table that was read.
     tags
         Tables by the key that chooses them, which pydantic puts into the place of an error.
     what
-        The file, as each sentence is to name it.
+        The file, as each sentence names it.
     path
-        Where the root stands.
+        The path of the root.
     """
-    found = dict.fromkeys(sentence for _, sentence in faults(error, root, tags, path))
-    # One without a place, such as " is 3, it must be a table", is about all of the file.
-    return [f"{what or 'it'}{one}" if one.startswith(" ") else f"{what}: {one}" if what else one for one in found]
+    texts = dict.fromkeys(sentence for _, sentence in faults(error, root, tags, path))
+    # A sentence without a place, such as " is 3, it must be a table", is about the file.
+    return [f"{what or 'it'}{text}" if text.startswith(" ") else f"{what}: {text}" if what else text for text in texts]
 
 
 def faults(error: ValidationError, root: Any, tags: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the place of each thing that is wrong, such as ``passes[1].feed``, and its sentence. See `sentences`."""
+    """Yield the place of each fault, such as ``passes[1].feed``, and its sentence. See `sentences`."""
     choices: dict[str, dict[str, list[_Fault]]] = {}
-    found: list[_Fault | str] = []
-    for problem in islice(error.errors(include_url=False), MOST_FAULTS):
+    faults_in_order: list[_Fault | str] = []
+    for problem in islice(error.errors(include_url=False), MAX_FAULTS):
         fault = _Fault(_place(root, problem["loc"], tags, path), problem)
         choice, kind = fault.place.choice, fault.place.kind
         if not choice:
-            found.append(fault)
+            faults_in_order.append(fault)
             continue
         if choice not in choices:
-            found.append(choice)
+            faults_in_order.append(choice)
         choices.setdefault(choice, {}).setdefault(kind, []).append(fault)
-    for one in found:
-        yield from _nearest(one, choices[one]) if isinstance(one, str) else [one.said]
-    if error.error_count() > MOST_FAULTS:
-        yield "", f"{error.error_count() - MOST_FAULTS} more places are wrong: correct these first"
+    for entry in faults_in_order:
+        yield from _nearest(entry, choices[entry]) if isinstance(entry, str) else [entry.report]
+    if error.error_count() > MAX_FAULTS:
+        yield "", f"{error.error_count() - MAX_FAULTS} more places are wrong: correct these first"
 
 
-_SAID: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
+_SENTENCES: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
     "missing": lambda _, __: "is missing and has no default: add it",
     "literal_error": lambda value, context: f"is {shown(value)}, it must be {context['expected']}: choose one of them",
     "union_tag_invalid": lambda _, context: (
@@ -151,7 +151,7 @@ _SAID: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
         f"{suggestion(context['tag'], re.findall(chr(39) + '(.*?)' + chr(39), context['expected_tags']))}"
     ),
     "union_tag_not_found": lambda _, context: (
-        f"lacks the key {context['discriminator'].strip(chr(39))}, which says what it is: add it"
+        f"lacks the key {context['discriminator'].strip(chr(39))}, which names its kind: add it"
     ),
     "greater_than_equal": lambda value, context: f"is {shown(value)}, it must be at least {context['ge']}: increase it",
     "less_than_equal": lambda value, context: f"is {shown(value)}, it must be at most {context['le']}: reduce it",
@@ -172,8 +172,8 @@ def _sentence(path: str, keys: Mapping[str, Any], problem: Mapping[str, Any]) ->
     kind, value, context = problem["type"], problem["input"], problem.get("ctx", {})
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         return f"{path} is not a known key: {suggestion(path.rpartition('.')[2], keys)}"
-    if kind in _SAID:
-        return f"{path} {_SAID[kind](value, context)}"
+    if kind in _SENTENCES:
+        return f"{path} {_SENTENCES[kind](value, context)}"
     if kind == "float_type" and isinstance(value, int) and not isinstance(value, bool):
         return f"{path} is beyond the range of numbers, about 1e308: give a smaller value"
     if kind in _KINDS:
@@ -183,72 +183,72 @@ def _sentence(path: str, keys: Mapping[str, Any], problem: Mapping[str, Any]) ->
 
 
 class _Fault(NamedTuple):
-    """One thing that is wrong."""
+    """One validation error and its place."""
 
     place: _Place
     problem: Mapping[str, Any]
 
     @property
-    def said(self) -> tuple[str, str]:
+    def report(self) -> tuple[str, str]:
         """Its place and its sentence."""
         path, keys, *_ = self.place
         return shortened(path), shortened(_sentence(path, keys, self.problem))
 
     @property
     def distance(self) -> int:
-        """How far the value is from being of the kind: wrong within it, of its form, of another form, no such thing."""
+        """Distance of the value from the kind: 0 fault inside it, 1 wrong value, 2 other fault, 3 another type."""
         kind = self.problem["type"]
         if self.place.path != self.place.choice:
             return 0
         if kind in _KINDS or kind == "literal_error":
             return 3
-        return 1 if kind in _SAID else 2
+        return 1 if kind in _SENTENCES else 2
 
 
 def _nearest(path: str, kinds: Mapping[str, Sequence[_Fault]]) -> Iterator[tuple[str, str]]:
-    """Yield what is wrong with a value as the kind that it is nearest to, or, if it is none, what it may be."""
-    nearest = min(kinds.values(), key=lambda faults: max(one.distance for one in faults))
-    if max(one.distance for one in nearest) < 3:
-        yield from (one.said for one in nearest)
+    """Yield the faults of a value as the nearest kind, or, where none is near, the kinds that are allowed."""
+    nearest = min(kinds.values(), key=lambda faults: max(fault.distance for fault in faults))
+    if max(fault.distance for fault in nearest) < 3:
+        yield from (fault.report for fault in nearest)
         return
     allowed = [
-        one.problem["ctx"]["expected"] if one.problem["type"] == "literal_error" else _KINDS[one.problem["type"]]
+        fault.problem["ctx"]["expected"] if fault.problem["type"] == "literal_error" else _KINDS[fault.problem["type"]]
         for faults in kinds.values()
-        for one in faults
+        for fault in faults
     ]
     value = shown(next(iter(kinds.values()))[0].problem["input"])
     yield shortened(path), f"{path} is {value}, it must be {' or '.join(allowed)}: write it so"
 
 
 def suggestion(key: str, known: Iterable[str]) -> str:
-    """Say which key was probably meant, else which there are."""
-    if not (known := list(known)):
-        return "there is none here, leave it out"
-    close = difflib.get_close_matches(key.lower(), known, n=1)
-    return f"did you mean {close[0]!r}?" if close else f"the known ones are {', '.join(known)}, use one of them"
+    """Return the most similar key as a remedy, or the list of known keys."""
+    if not (keys := list(known)):
+        return "no key is allowed here, leave it out"
+    close = difflib.get_close_matches(key.lower(), keys, n=1)
+    return f"did you mean {close[0]!r}?" if close else f"the known ones are {', '.join(keys)}, use one of them"
 
 
 def read_table(cls: type[T], table: Mapping[str, Any], what: str) -> T:
-    """Return what the table of a file describes.
+    """Return the instance of a class that the table of a file describes.
 
     Parameters
     ----------
     cls
         The class.
     table
-        As TOML reads.
+        The table, as read from TOML.
     what
         The file, as a message names it.
 
     Raises
     ------
     InputError
-        With a sentence for each thing that is wrong.
+        With a sentence for each fault.
     """
     from pydantic import ValidationError  # noqa: PLC0415 - only files need it
 
     try:
-        found: T = adapter(cls).validate_python(table)
+        instance: T = adapter(cls).validate_python(table)
     except ValidationError as error:
         raise InputError("\n".join(sentences(error, cls, {}, what))) from error
-    return found
+    return instance

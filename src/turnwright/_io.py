@@ -1,4 +1,4 @@
-"""Files: TOML read, output that appears only when it is complete, and readers in a process of their own."""
+"""Files: reading TOML, writing files atomically, and reading HDF5 in a separate process."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from turnwright.errors import InputError
 
 __all__ = ["answer_parent", "bytes_of", "part_of", "read_isolated", "read_toml", "whole_file", "write_whole"]
 
-LARGEST = 1 << 20
-"""Bytes of a file: Python reads about a megabyte of TOML a second, and large tables have files of their own."""
+MAX_TOML_BYTES = 1 << 20
+"""Bytes of a TOML file; Python reads about a megabyte of TOML per second."""
 
-MOST_BITS = 14_000
-"""Of a whole number; Python writes out none of more than 4300 digits."""
+MAX_INTEGER_BITS = 14_000
+"""Bits of an integer; Python prints at most 4300 digits."""
 
 
-TWICE = (
+DUPLICATE_ERRORS = (
     (re.compile(r"Cannot overwrite a value (\(.*\))"), "a key is given twice"),
     (re.compile(r"Cannot declare .* twice (\(.*\))"), "a table is given twice"),
 )
-"""What Python says of keys that are repeated, and what it means."""
+"""Python's messages about repeated keys, and their plain form."""
 
 
 def read_toml(data: bytes, what: str) -> dict[str, Any]:
-    """Return the tables of a TOML file, a byte order mark before them or not.
+    """Return the tables of a TOML file, with or without a byte order mark.
 
     Parameters
     ----------
@@ -44,30 +44,33 @@ def read_toml(data: bytes, what: str) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If the bytes are too many or not UTF-8, or the text is not TOML or holds a number of thousands of digits.
+        If the file is too large, not UTF-8 or not TOML, or holds a number of thousands of digits.
     """
-    if len(data) > LARGEST:
+    if len(data) > MAX_TOML_BYTES:
         raise InputError(
-            f"{what} has {len(data):,} bytes, the limit is {LARGEST:,}: keep long tables of numbers in files of their "
-            "own, which it names"
+            f"{what} has {len(data):,} bytes, the limit is {MAX_TOML_BYTES:,}: move long tables of numbers to separate "
+            "files and name these"
         )
     try:
         table = tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise InputError(f"{what} is not UTF-8 text: save it as a plain text file") from error
     except tomllib.TOMLDecodeError as error:
-        reason = next((f"{said} {place[1]}" for sign, said in TWICE if (place := sign.search(str(error)))), str(error))
+        message = str(error)
+        reason = next(
+            (f"{text} {match[1]}" for pattern, text in DUPLICATE_ERRORS if (match := pattern.search(message))), message
+        )
         raise InputError(f"{what} is not TOML, {reason}: correct that place") from error
     except ValueError as error:
         raise _too_many_digits(what) from error
     except RecursionError as error:
-        raise InputError(f"{what} holds lists or tables within each other too deep to read: make them flat") from error
-    waiting: list[Any] = [table]
-    while waiting:
-        one = waiting.pop()
-        if isinstance(one, dict | list):
-            waiting.extend(one.values() if isinstance(one, dict) else one)
-        elif isinstance(one, int) and one.bit_length() > MOST_BITS:
+        raise InputError(f"{what} nests lists or tables too deeply to be read: flatten them") from error
+    pending: list[Any] = [table]
+    while pending:
+        value = pending.pop()
+        if isinstance(value, dict | list):
+            pending.extend(value.values() if isinstance(value, dict) else value)
+        elif isinstance(value, int) and value.bit_length() > MAX_INTEGER_BITS:
             raise _too_many_digits(what)
     return table
 
@@ -77,22 +80,22 @@ def _too_many_digits(what: str) -> InputError:
 
 
 def bytes_of(path: Path, what: str, remedy: str = "check its name and place") -> bytes:
-    """Return what a file holds, or say that it cannot be read, and the remedy."""
+    """Return the contents of a file; a message of failure ends with the remedy."""
     try:
         return path.read_bytes()
     except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or "it is no name of a file"
-        raise InputError(f"{what} {str(path)!r} cannot be read ({why}): {remedy}") from error
+        reason = getattr(error, "strerror", None) or "invalid file name"
+        raise InputError(f"{what} {str(path)!r} cannot be read ({reason}): {remedy}") from error
 
 
 def part_of(path: Path) -> Path:
-    """Return where a file is until all of it is there; what a killed process leaves of it."""
+    """Return the temporary path of a file that is being written; a killed process leaves it behind."""
     return path.with_name(f".{path.name}.part")
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[IO[bytes]]:
-    """Yield a file to fill, which takes its name only when the block ends well; what stood there before is replaced."""
+    """Yield a stream whose file replaces ``path`` only when the block ends without an exception."""
     if not path.name:
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     part = part_of(path)
@@ -105,58 +108,57 @@ def whole_file(path: Path) -> Iterator[IO[bytes]]:
 
 
 def write_whole(path: Path, text: str | bytes | memoryview) -> None:
-    """Write a file, which takes its name only when all of it is there; what stood there before is replaced."""
+    """Write a file that replaces ``path`` only when it is complete."""
     with whole_file(path) as stream:
         stream.write(text.encode() if isinstance(text, str) else text)
 
 
-LONGEST_READ_S = 300
-"""Seconds until a file is given up."""
+READ_TIMEOUT_S = 300
 
 READER = "import sys, {module} as reader; sys.exit(reader.main())"
-"""What the other process runs: the ``main`` of a module, which calls `answer_parent`."""
+"""Code of the separate process: the ``main`` of a module, which calls `answer_parent`."""
 
-REFUSED = 3
-"""How the process ends that has a sentence to say."""
+REFUSAL_EXIT_CODE = 3
+"""Exit code of a process that wrote a message of refusal to its standard error."""
 
 
 def read_isolated(
     module: str, path: Path, *, refusal: type[InputError], arguments: Sequence[str] = (), data: bytes | None = None
 ) -> bytes:
-    """Return what the other process makes of an HDF5 file.
+    """Read an HDF5 file in a separate process, as a damaged one may crash it, and return the output.
 
     Parameters
     ----------
     module
-        Whose ``main`` reads it; the path is its first argument.
+        Its ``main`` reads the file; the path is its first argument.
     path
-        Of the file.
+        The file.
     refusal
-        What is raised where the file cannot be read.
+        The exception to raise where the file cannot be read.
     arguments
-        Further ones.
+        Further arguments of the process.
     data
-        Bytes that it finds on its standard input.
+        Standard input of the process.
 
     Raises
     ------
     InputError
-        The refusal, with the other process's sentence or with one about damage.
+        The refusal, with the message of the process, or that the file is damaged.
     """
     try:
         done = subprocess.run(  # noqa: S603 - our own module
             [sys.executable, "-P", "-c", READER.format(module=module), str(path), *arguments],
             input=data,
             capture_output=True,
-            timeout=LONGEST_READ_S,
+            timeout=READ_TIMEOUT_S,
             check=False,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
         )
     except subprocess.TimeoutExpired as error:
         raise refusal(
-            f"{path} is not read after {LONGEST_READ_S} s, the limit: it is damaged, so copy it again"
+            f"{path} is not read within {READ_TIMEOUT_S} s, the limit: it is damaged, so copy it again"
         ) from error
-    if done.returncode == REFUSED:
+    if done.returncode == REFUSAL_EXIT_CODE:
         raise refusal(done.stderr.decode("utf-8", "replace"))
     if done.returncode != 0:
         raise refusal(f"{path} is HDF5 that cannot be read (code {done.returncode}): it is damaged, so copy it again")
@@ -166,13 +168,13 @@ def read_isolated(
 def answer_parent(
     work: Callable[[], bytes], *, refusal: type[InputError], damage: tuple[type[BaseException], ...]
 ) -> int:
-    """Send out what some work returns, or its refusal, and return how the process is to end."""
+    """Write the result of some work to standard output, or its refusal to standard error; return the exit code."""
     try:
-        found = work()
+        result = work()
     except refusal as error:
         sys.stderr.buffer.write(str(error).encode())
-        return REFUSED
+        return REFUSAL_EXIT_CODE
     except damage:
         return 1
-    sys.stdout.buffer.write(found)
+    sys.stdout.buffer.write(result)
     return 0

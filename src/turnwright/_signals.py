@@ -1,4 +1,4 @@
-"""The wish to stop, heard from the first moment on: Ctrl-C, a polite kill, a terminal that was closed."""
+"""Cancellation by signals: Ctrl-C (SIGINT), SIGTERM and SIGHUP."""
 
 from __future__ import annotations
 
@@ -8,10 +8,15 @@ from typing import Self
 
 
 class Stop:
-    """Raises `KeyboardInterrupt` at each wish to stop, and remembers it where the interrupt gets lost.
+    """Raises `KeyboardInterrupt` at each stop request, and records the request.
 
-    Python drops an exception that comes while it cleans up or calls back from compiled code; so whoever works asks
-    `check` from time to time.
+    Python drops an exception raised during clean-up or in a callback from compiled code, so long work calls `check`
+    from time to time.
+
+    Parameters
+    ----------
+    deaf
+        Whether requests are only recorded, until `hear` is called.
     """
 
     def __init__(self, *, deaf: bool = False) -> None:
@@ -23,17 +28,17 @@ class Stop:
     def __enter__(self) -> Self:
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
             number = getattr(signal, name, None)
-            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # nohup asks for that
+            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # nohup sets SIG_IGN
                 self._before[number] = signal.signal(number, self._hear)
         return self
 
     def __exit__(self, _kind: type[BaseException] | None, _error: object, _trace: TracebackType | None) -> None:
         for number, handler in self._before.items():
-            signal.signal(number, handler)  # type: ignore[arg-type] # as it was
+            signal.signal(number, handler)  # type: ignore[arg-type] # the handler before
 
     @property
     def code(self) -> int:
-        """Exit code of a process that ends by the first signal: 128 and its number."""
+        """Exit code of a process that ends by the first signal: 128 plus its number."""
         return 128 + int(self.number)
 
     def _hear(self, number: int, _frame: object) -> None:
@@ -44,11 +49,11 @@ class Stop:
             raise KeyboardInterrupt
 
     def hear(self) -> None:
-        """Raise at each wish from now on, and at once if there was one."""
+        """Raise at each request from now on, and at once if one is recorded."""
         self.deaf = False
         self.check()
 
     def check(self) -> None:
-        """Raise `KeyboardInterrupt` if a stop was wanted."""
+        """Raise `KeyboardInterrupt` if a stop was requested."""
         if self.wanted:
             raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""Dataclasses as the tables of a TOML file: which fields they have, how pydantic reads one, how one is written."""
+"""Dataclasses as tables of a TOML file: their keys, how pydantic reads them, how they are written."""
 
 from __future__ import annotations
 
@@ -28,46 +28,46 @@ __all__ = [
 
 
 class Stated:
-    """A dataclass that a file can state: its fields carry their units, and unknown keys are refused."""
+    """A dataclass that a file can describe: its fields carry their units, and unknown keys are refused."""
 
     __slots__ = ()
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid", "arbitrary_types_allowed": True}
     file_keys: ClassVar[Mapping[str, str]] = {}
-    """Keys that name the file of a field, by the field, where its own key is for values."""
+    """Keys that name a file with the value of a field, by field, where another key holds the value itself."""
 
     key_names: ClassVar[Mapping[str, str]] = {}
-    """Keys of fields in a file, by the field, where they are not called alike."""
+    """Keys of fields in a file, by field, where key and field have different names."""
     hidden: ClassVar[Collection[str]] = ()
-    """Fields that no file states."""
+    """Fields that a file does not have."""
 
     @classmethod
     def table_keys(cls) -> Mapping[str, Any]:
-        """Return the keys that a file can state, with their types."""
-        found: dict[str, Any] = {}
+        """Return the keys that a file may have, with their types."""
+        keys: dict[str, Any] = {}
         for name, kind in types_of(cls).items():
             if name in merged(cls):
-                found |= merged(cls)[name].table_keys()
+                keys |= merged(cls)[name].table_keys()
             elif name not in cls.hidden:
-                found[cls.key_names.get(name, name)] = kind
-        return found | dict.fromkeys(cls.file_keys.values(), str)
+                keys[cls.key_names.get(name, name)] = kind
+        return keys | dict.fromkeys(cls.file_keys.values(), str)
 
     @classmethod
     def from_table(cls, table: dict[str, Any]) -> dict[str, Any]:
-        """Return the table of a file with its short forms written out, keys as the fields are called."""
+        """Return the table of a file with short forms expanded and keys named as the fields."""
         return table
 
     def to_table(self, table: dict[str, Any]) -> dict[str, Any]:
-        """Return the fields that are not as by default as a file states them."""
+        """Return the table for a file from the fields that differ from their defaults."""
         return table
 
     @property
     def unstated(self) -> Collection[str]:
-        """Fields that follow from the others, so that no file states them."""
+        """Fields that follow from the others and are not written."""
         return ()
 
     @classmethod
     def _build(cls, table: dict[str, Any], build: Callable[[Any], Any], _context: Any) -> Any:
-        """Return what a table states; ``build`` makes it of a table whose keys are called as the fields."""
+        """Return the instance that a table describes; ``build`` takes a table whose keys are named as the fields."""
         from pydantic_core import InitErrorDetails, ValidationError  # noqa: PLC0415 - only files need pydantic
 
         if unknown := [key for key in table if key in {*cls.hidden, *cls.key_names, *merged(cls)}]:
@@ -82,8 +82,9 @@ class Stated:
                 table[key] = Path(table[key])
         named |= cls.key_names
         table |= {name: table.pop(key) for name, key in named.items() if key in table}
-        for name, one in merged(cls).items():
-            table[name] = {key: table.pop(key) for key in one.table_keys() if key in table and key not in types_of(cls)}
+        for name, inner in merged(cls).items():
+            own_keys = types_of(cls)
+            table[name] = {key: table.pop(key) for key in inner.table_keys() if key in table and key not in own_keys}
         try:
             return build(table)
         except ValidationError as error:
@@ -91,7 +92,7 @@ class Stated:
 
     @classmethod
     def _written(cls, value: Any, *, whole: bool) -> dict[str, Any]:
-        """Return the table that states a value."""
+        """Return the table that describes a value."""
         return written(value, whole=whole)
 
     @classmethod
@@ -110,26 +111,27 @@ class Stated:
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        found = handler(core)
-        place = handler.resolve_ref_schema(found)
-        fields = place["properties"]
+        schema = handler(core)
+        definition = handler.resolve_ref_schema(schema)
+        fields = definition["properties"]
         fields |= {key: {"type": "string", "reads": name} for name, key in cls.file_keys.items()}
         fields = {cls.key_names.get(name, name): kind for name, kind in fields.items() if name not in cls.hidden}
-        place["properties"] = fields
-        for name, one in merged(cls).items():
-            inner = handler.resolve_ref_schema(handler(adapter(one).core_schema))
-            place["properties"] = inner["properties"] | {key: kind for key, kind in fields.items() if key != name}
-            place["required"] = [*inner["required"], *(key for key in place.get("required", ()) if key != name)]
-        return found
+        definition["properties"] = fields
+        for name, merged_class in merged(cls).items():
+            inner = handler.resolve_ref_schema(handler(adapter(merged_class).core_schema))
+            definition["properties"] = inner["properties"] | {key: kind for key, kind in fields.items() if key != name}
+            required = (key for key in definition.get("required", ()) if key != name)
+            definition["required"] = [*inner["required"], *required]
+        return schema
 
 
 class Merged:
-    """The annotation of a field whose own keys a file states among those of its owner.
+    """Annotation of a field whose keys stand among those of its owner.
 
     Parameters
     ----------
     stated
-        The class of what a file states there.
+        The class that these keys describe.
     """
 
     __slots__ = ("stated",)
@@ -147,18 +149,18 @@ class Merged:
 
 
 def merged(cls: Any) -> Mapping[str, Any]:
-    """Return the fields whose keys a file states among those of the class, with what it states there."""
+    """Return the fields whose keys stand among those of the class, with the classes that the keys describe."""
     return _merged(cls)
 
 
 @cache
 def _merged(cls: Any) -> Mapping[str, Any]:
     notes = {name: get_args(kind)[1:] for name, kind in types_of(cls).items()}
-    return {name: one.stated for name, found in notes.items() for one in found if isinstance(one, Merged)}
+    return {name: note.stated for name, field in notes.items() for note in field if isinstance(note, Merged)}
 
 
 def written_by(write: Callable[..., Any]) -> Any:
-    """Return how pydantic writes a value by a function of it and of whether its defaults are wanted, too."""
+    """Return a pydantic serializer that calls ``write(value, whole=...)``; ``whole`` includes defaults."""
     from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
 
     return core_schema.plain_serializer_function_ser_schema(
@@ -167,12 +169,12 @@ def written_by(write: Callable[..., Any]) -> Any:
 
 
 class ByName:
-    """The annotation of a value that a job states by a name or a file, with what differs from it.
+    """Annotation of a value that a job describes by a name or a file, and by what differs from it.
 
     Parameters
     ----------
     table
-        What a job says; its ``build`` makes the value and its ``table_of`` the table again.
+        The class of the job's table; its ``build`` makes the value and its ``table_of`` the table again.
     """
 
     __slots__ = ("table",)
@@ -183,8 +185,8 @@ class ByName:
     @property
     def keys(self) -> Mapping[str, Any]:
         """The keys of the table, with their types."""
-        found: Mapping[str, Any] = self.table.table_keys()
-        return found
+        keys: Mapping[str, Any] = self.table.table_keys()
+        return keys
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
@@ -200,7 +202,7 @@ class ByName:
 
 
 def refuse(title: str, problems: Mapping[tuple[str | int, ...], Exception | str], data: object) -> ValidationError:
-    """Return a validation error of several sentences, each at its own place below the table being read."""
+    """Return a validation error of several sentences, each with its place below the table being read."""
     from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError  # noqa: PLC0415 - only files need it
 
     return ValidationError.from_exception_data(
@@ -213,59 +215,59 @@ def refuse(title: str, problems: Mapping[tuple[str | int, ...], Exception | str]
 
 
 def _at_keys(error: ValidationError, named: Mapping[str, str], merged: Collection[str]) -> ValidationError:
-    """Return an error whose places are the keys of a file, where these are not those of the fields."""
+    """Return an error whose places are the keys of a file instead of the names of fields."""
     from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError  # noqa: PLC0415 - only files need it
 
-    found = []
-    for one in error.errors(include_url=False):
-        first, *rest = one["loc"] or ("",)
-        kind: Any = one["type"]
+    details = []
+    for problem in error.errors(include_url=False):
+        first, *inner = problem["loc"] or ("",)
+        kind: Any = problem["type"]
         if kind == "sentence":
-            kind = PydanticCustomError("sentence", "{text}", one["ctx"])
-        elif kind == "path_type":  # which pydantic's core does not know by its name
+            kind = PydanticCustomError("sentence", "{text}", problem["ctx"])
+        elif kind == "path_type":  # a type that pydantic's core does not know by its name
             kind = PydanticCustomError("path_type", "it is of another type")
-        place = (named.get(str(first), first), *rest) if one["loc"] and first not in merged else tuple(rest)
-        found.append(InitErrorDetails(type=kind, loc=place, input=one["input"], ctx=one.get("ctx", {})))
-    return ValidationError.from_exception_data(error.title, found) if named or merged else error
+        place = (named.get(str(first), first), *inner) if problem["loc"] and first not in merged else tuple(inner)
+        details.append(InitErrorDetails(type=kind, loc=place, input=problem["input"], ctx=problem.get("ctx", {})))
+    return ValidationError.from_exception_data(error.title, details) if named or merged else error
 
 
 class Loaded(NamedTuple):
-    """What a value was loaded from: the name or the file, and what that states."""
+    """The name or file that a value was loaded from, and the value that was loaded."""
 
     name: str
     value: Any
 
 
 class read_by:  # noqa: N801 - reads as a word inside Annotated[Gridded | None, read_by("correction")]
-    """A field that a job states by the name of a file, or by another name, which the job's own reader looks up.
+    """Annotation of a field that a job describes by the name of a file, or by a name that the job's reader looks up.
 
     Without such a reader text stays text. A value that was read from a file has its path in ``file``.
     """
 
     __slots__ = ("kind",)
     texts: ClassVar[tuple[type, ...]] = (str,)
-    """What a file states and `read` takes, besides a path."""
+    """Types that `read` accepts besides a path."""
     wrong: ClassVar[Any] = "path_type"
-    """What pydantic calls it if a file states anything else."""
+    """Pydantic's error type for any other value."""
 
     def __init__(self, kind: str) -> None:
-        """Take the name of the reader, which stands with the folder of the job in pydantic's context."""
+        """Set the key of the reader in pydantic's context, which also has the folder of the job."""
         self.kind = kind
 
     def read(self, value: Any, info: Any) -> Any:
-        """Return what the reader makes of text; without one text stays text."""
+        """Return the reader's value of a text; without a reader text stays text."""
         context = info.context or {}
         reader = context.get("readers", {}).get(self.kind)
         return value if reader is None else reader(str(value), context["folder"])
 
     def show(self, value: Any) -> Any:
-        """Return the name that `read` takes back to the same value."""
+        """Return the name that `read` reads back to the same value."""
         return named(value)
 
     def __get_pydantic_core_schema__(self, source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
         from pydantic_core import PydanticCustomError, core_schema  # noqa: PLC0415 - only files need pydantic
 
-        kinds = tuple(one for one in get_args(source) or (source,) if isinstance(one, type))
+        kinds = tuple(kind for kind in get_args(source) or (source,) if isinstance(kind, type))
 
         def read(value: Any, info: Any) -> Any:
             if isinstance(value, (*self.texts, Path)):
@@ -283,7 +285,7 @@ class read_by:  # noqa: N801 - reads as a word inside Annotated[Gridded | None, 
 
 
 class Numbers:
-    """The annotation of an array that a file states as a list of plain numbers."""
+    """Annotation of an array that a file has as a list of plain numbers."""
 
     @classmethod
     def __get_pydantic_core_schema__(cls, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -293,7 +295,7 @@ class Numbers:
 
 
 class Keyed:
-    """The annotation of a value that a file states as a table of its own keys."""
+    """Annotation of a value that a file has as a table."""
 
     __slots__ = ()
 
@@ -303,11 +305,11 @@ class Keyed:
         raise NotImplementedError
 
     def name_of(self, key: str) -> str:
-        """Return what the value calls a key of the table."""
+        """Return the name in the value that belongs to a key of the table."""
         return key
 
     def table_schema(self, handler: GetCoreSchemaHandler, *, required: bool = False) -> CoreSchema:
-        """Return how pydantic reads the table, of which any key may be left out, or none."""
+        """Return the pydantic schema of the table; all keys are required, or none."""
         from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
 
         fields = {
@@ -318,7 +320,7 @@ class Keyed:
 
 
 class Columns(Keyed):
-    """The annotation of arrays of one length that a file states as lists by their keys, each with its factor."""
+    """Annotation of arrays of one length that a file has as lists by key, each multiplied by its factor."""
 
     __slots__ = ("factors",)
 
@@ -334,13 +336,15 @@ class Columns(Keyed):
         from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
 
         def arrays(lists: Mapping[str, Any]) -> tuple[Floats, ...]:
-            return tuple(np.array(lists.get(key, ()), dtype=np.float64) * one for key, one in self.factors.items())
+            return tuple(
+                np.array(lists.get(key, ()), dtype=np.float64) * factor for key, factor in self.factors.items()
+            )
 
         return core_schema.no_info_after_validator_function(arrays, self.table_schema(handler))
 
 
 class Sources:
-    """The annotation of texts by the dotted names of the facts that they belong to, which a file states as tables."""
+    """Annotation of texts by the dotted name of the field they belong to; in a file, nested tables."""
 
     @classmethod
     def __get_pydantic_core_schema__(cls, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -354,23 +358,23 @@ def flat(table: Any, prefix: str = "") -> Any:
     """Return a nested table with dotted keys."""
     if not isinstance(table, Mapping):
         return table
-    found: dict[str, Any] = {}
+    flattened: dict[str, Any] = {}
     for key, value in table.items():
-        found |= flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
-    return found
+        flattened |= flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
+    return flattened
 
 
 class Plausible(Keyed):
-    """Sizes of error sources, each one standard deviation: by the name of the source, in a file by its key.
+    """Annotation of sizes of error sources (standard deviations), by the name of the source; in a file by its key.
 
     Parameters
     ----------
     units
-        Of each source.
+        Unit of each source.
     texts
-        What a form says of it.
+        Description of each source, for forms.
     slopes
-        Sources whose size is an angle that may be given as a slope, too.
+        Sources whose size is an angle that may also be given as a slope.
     """
 
     __slots__ = ("slopes", "texts", "units")
@@ -382,8 +386,8 @@ class Plausible(Keyed):
     def keys(self) -> Mapping[str, Any]:
         """The types of the sizes by their keys in a file."""
         return {
-            key_of(name): Annotated[float, unit(one, *(("1",) if name in self.slopes else ()), above=0.0)]
-            for name, one in self.units.items()
+            key_of(name): Annotated[float, unit(symbol, *(("1",) if name in self.slopes else ()), above=0.0)]
+            for name, symbol in self.units.items()
         }
 
     def name_of(self, key: str) -> str:
@@ -402,36 +406,36 @@ class Plausible(Keyed):
         )  # fmt: skip
 
     def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        found = dict(handler(core))
+        schema = dict(handler(core))
         for name, text in self.texts.items():
-            found["properties"][key_of(name)]["description"] = text
-        return found
+            schema["properties"][key_of(name)]["description"] = text
+        return schema
 
 
 def named(value: Any) -> str | None:
-    """Return the name by which a job states a value that was read from a file.
+    """Return the name by which a job refers to a value that was read from a file.
 
     Raises
     ------
     InputError
-        If it was read from none.
+        If the value was not read from a file.
     """
     if value is None or isinstance(value, str):
         return value
     if not (file := getattr(value, "file", "")):
         raise InputError(
-            f"a job file names the file of a {type(value).__name__}, and this was read from none: write it"
+            f"a {type(value).__name__} was not read from a file, a job needs the name of one: write it to a file first"
         )
     return str(file)
 
 
 def adapter(annotation: Any) -> TypeAdapter[Any]:
-    """Return how pydantic reads and writes a type."""
+    """Return the pydantic adapter of a type, which reads and writes it."""
     return _adapter(annotation)
 
 
 def forget_adapters() -> None:
-    """Have types read again, as after a surface family was added."""
+    """Clear the cache of adapters, after a surface family was added."""
     _adapter.cache_clear()
 
 
@@ -443,52 +447,53 @@ def _adapter(annotation: Any) -> TypeAdapter[Any]:
 
 
 def types_of(cls: Any) -> Mapping[str, Any]:
-    """Return the types of the fields of a dataclass that a caller states, with their units, by name."""
+    """Return the types of the input fields of a dataclass, with their units, by name."""
     return _types(cls)
 
 
 @cache
 def _types(cls: Any) -> Mapping[str, Any]:
     types: dict[str, Any] = {}
-    own = [field.name for field in dataclasses.fields(cls) if field.init]
+    names = [field.name for field in dataclasses.fields(cls) if field.init]
     for base in reversed(cls.__mro__):
-        mine = {name: kind for name, kind in vars(base).get("__annotations__", {}).items() if name in own}
-        stated = SimpleNamespace(__annotations__=mine)
-        types |= get_type_hints(stated, vars(sys.modules[base.__module__]), include_extras=True)
-    return {name: types[name] for name in own}
+        annotations = {name: kind for name, kind in vars(base).get("__annotations__", {}).items() if name in names}
+        namespace = SimpleNamespace(__annotations__=annotations)
+        types |= get_type_hints(namespace, vars(sys.modules[base.__module__]), include_extras=True)
+    return {name: types[name] for name in names}
 
 
 def written(value: Any, *, whole: bool = False, base: Any = None) -> dict[str, Any]:
-    """Return a dataclass as a table, quantities as text: the fields that are not as by default, or the whole of it.
+    """Return a dataclass as a table, quantities as text: the fields that differ from their defaults, or all.
 
-    With a ``base``, another value of the class, it has the fields that are not as there.
+    With a ``base``, another instance of the class, the table has the fields that differ from it.
     """
     table: dict[str, Any] = {}
     for field in dataclasses.fields(value):
         if not field.init or field.name in value.unstated or field.name in value.hidden:
             continue
-        held = getattr(value, field.name)
+        entry = getattr(value, field.name)
         default = _default(field) if base is None else getattr(base, field.name)
-        if held is not None and (whole or not same(held, default)):
-            key = value.file_keys.get(field.name, "") if getattr(held, "file", "") else ""
+        if entry is not None and (whole or not same(entry, default)):
+            key = value.file_keys.get(field.name, "") if getattr(entry, "file", "") else ""
             kind = types_of(type(value))[field.name]
             if field.name in merged(type(value)):
                 table |= _inner(value, field.name, whole=whole)
                 continue
             table[key or value.key_names.get(field.name, field.name)] = (
-                named(held) if key else _dumped(kind, held, whole=whole)
+                named(entry) if key else _dumped(kind, entry, whole=whole)
             )
     return dict(value.to_table(table))
 
 
 def _inner(value: Any, name: str, *, whole: bool) -> dict[str, Any]:
-    """Return the keys of a field that a file states among those of its owner."""
-    held, stated = getattr(value, name), merged(type(value))[name]
-    if type(held) is not stated:
+    """Return the keys of a field that stand among those of its owner."""
+    entry, required = getattr(value, name), merged(type(value))[name]
+    if type(entry) is not required:
         raise InputError(
-            f"a job file has no {type(value).__name__} over a {type(held).__name__}: take a {stated.__name__}"
+            f"{name} of a {type(value).__name__} is a {type(entry).__name__}, a job file allows a "
+            f"{required.__name__} only"
         )
-    return written(held, whole=whole)
+    return written(entry, whole=whole)
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:
@@ -496,7 +501,7 @@ def _default(field: dataclasses.Field[Any]) -> Any:
 
 
 def _dumped(kind: Any, value: Any, *, whole: bool) -> Any:
-    """Return a value as data; what it cannot be stated for is said as such, not as an error of pydantic."""
+    """Return a value as data; on failure raise the cause, not the error of pydantic."""
     from pydantic_core import PydanticSerializationError  # noqa: PLC0415 - only files need it
 
     try:

@@ -1,4 +1,4 @@
-"""Whether the tool can reach the surface, where it is tightest, and by how much."""
+"""Tool access: whether a tool can cut a surface, with the margins and the tightest places."""
 
 from __future__ import annotations
 
@@ -23,72 +23,72 @@ __all__ = ["Access", "AccessFinding", "check_access", "check_depths"]
 
 TURN = 2 * math.pi
 
-MOST_PLACES = 400_000
-"""Places that are looked at before the search narrows."""
+MAX_GRID_POINTS = 400_000
+"""Points of the grid from which the search starts."""
 
-CHUNK = 20_000
-"""Of them at a time, between two words on the progress."""
+CHUNK_POINTS = 20_000
+"""Points evaluated at a time, between two reports of progress."""
 
-STARTS = 32
-"""Best places that the search narrows from."""
+MAX_STARTS = 32
+"""Best grid points from which the search is refined."""
 
-STEEPEST = 1e6
-"""A surface steeper than this, in mm per mm, is described wrongly: no part has such a wall."""
+MAX_SLOPE = 1e6
+"""Slope of a surface, in mm per mm; larger ones come from a wrong description."""
 
-HIGHEST = 1e6
-"""A surface higher than this is described wrongly, and heights beyond lose their nanometres. [mm]."""
+MAX_HEIGHT_MM = 1e6
+"""Height of a surface; larger ones come from a wrong description, and heights beyond lose their nanometres."""
 
-AXIS = 1e-5
-"""How near to the axis a surface may be steeper still, as a formula in the azimuth is: it is judged as a wall. [mm]"""
+AXIS_RADIUS_MM = 1e-5
+"""Distance from the axis within which `MAX_SLOPE` does not apply, as for formulas in the azimuth."""
 
-SHARP = 1e-6
-"""A slope that jumps by less than this, or a height by less than this many mm, is rounding."""
+DISCONTINUITY_TOL = 1e-6
+"""A jump of the slope below this, or of the height below as many mm, is rounding."""
 
 
-FIRST_PLACES = 3000
-"""Places at which the chip is compared with the edge, before the search narrows."""
+DEPTH_POINTS = 3000
+"""Points at which the chip is compared with the edge before the search is refined."""
 
-RING = 180
-"""Further places on the rim, and nearest to the axis."""
+RING_POINTS = 180
+"""Further points on the rim, and at the smallest radius."""
 
-GOLDEN = np.pi * (3 - np.sqrt(5))
-"""Angle by which the seeds of a sunflower follow each other: it leaves no gaps and no rows. [rad]"""
+GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+"""Azimuth step of a Fibonacci lattice, which leaves no gaps and no rows. [rad]"""
 
-ROUNDS = 8
-"""Times that the search narrows, to a third of its step each."""
+REFINEMENTS = 8
+"""Refinements of the search, each to a third of the step."""
 
-NARROWED = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
-"""Steps from each place, outward and along the turn, by which the search narrows."""
+REFINEMENT_STEPS = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+"""Steps from each point, in radial and circumferential direction, that a refinement tries."""
 
-ON_FLANK = 120
-"""Points of a flank that are looked at, closer together where it begins."""
+FLANK_POINTS = 120
+"""Points along a flank, denser where it begins."""
 
-LARGEST_NOSE = 20.0
-"""A nose beyond this is hardly a diamond's. [mm]"""
+MAX_NOSE_RADIUS_MM = 20.0
+"""Nose radius beyond which a unit error is likely."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AccessFinding:
-    """One thing that was looked at.
+    """One check of the tool against the part.
 
     Parameters
     ----------
     name
         "nose radius", "included angle", "clearance", "rake", "valley" or "step"; "depth of cut" of a pass.
     value
-        What the tool has (nose radius) or needs (angles), or the size of a valley or step, or the thickness that a pass
-        takes off. [mm or rad]
+        The nose radius of the tool, the angle that the part requires, the size of a valley or step, or the depth of cut
+        of a pass. [mm or rad]
     limit
-        What the part allows (nose radius), the tool has (angles) or its edge cuts at a time; ``None`` if there is none
-        or it is not stated.
+        The nose radius that the part allows, the angle of the tool, or the largest depth of cut; ``None`` if there is
+        no limit or it is not given.
     margin
-        How much is left, negative where the limit is passed; ``None`` without a limit.
+        Distance to the limit, negative where it is exceeded; ``None`` without a limit.
     where
         The tightest place on the part (x, y); ``None`` if there is none. [mm]
     ok
-        Whether the tool passes. What is needed but not stated does not.
+        Whether the tool passes; it does not where an angle is required but not given.
     sentence
-        All of it in words.
+        The finding in words.
     """
 
     name: str
@@ -102,24 +102,24 @@ class AccessFinding:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Access:
-    """What a part asks of a tool. See `check_access`.
+    """Requirements of a part on a tool. See `check_access`.
 
     Parameters
     ----------
     nose_radius_limit
-        Largest usable nose radius; infinite where no place is concave along the radius. [mm]
+        Largest usable nose radius; infinite where the part is nowhere concave along the radius. [mm]
     sweep
         Lowest and highest angle on the nose that touches the part (lo, hi). [rad]
     included_needed
-        Included angle, symmetric about the tip, that holds the sweep. [rad]
+        Included angle, symmetric about the tip, that covers the sweep. [rad]
     clearance_needed
-        Clearance angle that keeps the heel off the finished surface. [rad]
+        Clearance angle that keeps the heel clear of the finished surface. [rad]
     rake_range
-        Lowest and highest rake against the surface as it climbs and falls under the edge (lo, hi). [rad]
+        Lowest and highest effective rake, relative to the surface as it climbs and falls under the edge (lo, hi). [rad]
     ok
-        Whether every finding is.
+        Whether every finding is ok.
     findings
-        What was looked at, with its margin and place.
+        All checks, with margin and place.
     """
 
     nose_radius_limit: float
@@ -132,16 +132,16 @@ class Access:
 
 
 class _Places(NamedTuple):
-    """Where to look: rings about the axis, as dense along them as between them."""
+    """A polar grid of rings about the axis, with equal steps along and between the rings."""
 
     radius: Floats
     angle: Floats
-    wide: Floats  # distance to the neighbours along the ring [rad]
+    wide: Floats  # angle to the neighbours along the ring [rad]
     step: float  # distance to the next ring [mm]
 
 
 class _Shape(NamedTuple):
-    """The surface as the edge meets it."""
+    """Curvature and slopes of the surface relative to the edge."""
 
     curvature: Floats  # in the rake plane, positive concave [1/mm]
     sweep: Floats  # on the nose [rad]
@@ -149,7 +149,7 @@ class _Shape(NamedTuple):
 
 
 def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress | None = None) -> Access:
-    r"""Return what a part asks of a tool, how much margin there is, and where on the part it is tightest.
+    r"""Check whether a tool can cut a part: requirements, margins and the tightest places.
 
     At radius :math:`\rho` and azimuth :math:`\theta` let :math:`f_u = \partial f/\partial\rho` be the slope outward and
     :math:`f_v = \partial f/\rho\,\partial\theta` the slope along growing azimuth.
@@ -165,26 +165,26 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
             \kappa = \frac{w''}{(1 + w'^2)^{3/2}}.
 
         Only concave places (:math:`\kappa > 0`) limit the nose, to :math:`1/\max\kappa`. Without rake that is
-        :math:`(1 + f_u^2)^{3/2} / f_{uu}`. Whether the edge hits the surface away from the contact is not a matter of
-        curvature: placing the tool finds that exactly.
+        :math:`(1 + f_u^2)^{3/2} / f_{uu}`. Collisions of the edge away from the contact do not follow from the
+        curvature: placing the tool detects them exactly.
     Sweep
-        The nose touches at the angle whose tangent is :math:`w'`. An included angle of twice the larger end holds it.
+        The nose touches at the angle whose tangent is :math:`w'`. An included angle of twice the larger end covers it.
     Clearance
-        The tool moves toward :math:`s\,v` over the part and its clearance face trails over what is cut, rising at the
-        clearance angle :math:`\alpha`. Behind the edge the surface rises at :math:`-s f_v`, so where it falls along the
-        cutting direction it needs :math:`\tan\alpha \ge -s f_v`. This holds at every sweep of a cylindrical clearance
-        face; a conical one of the same angle clears a little more.
+        The tool moves toward :math:`s\,v` over the part and its clearance face follows over the cut surface, rising at
+        the clearance angle :math:`\alpha`. Behind the edge the surface rises at :math:`-s f_v`, so where it falls along
+        the cutting direction it needs :math:`\tan\alpha \ge -s f_v`. This holds at every sweep of a cylindrical
+        clearance face; a conical one of the same angle clears a little more.
     Rake
-        The surface climbs under the edge by :math:`\beta = \arctan(s f_v)`, so the rake against the surface is
-        :math:`\gamma - \beta`. No limit is known to hold for all materials, so it is shown and not judged.
+        The surface climbs under the edge by :math:`\beta = \arctan(s f_v)`, so the rake relative to the surface is
+        :math:`\gamma - \beta`. As no limit holds for all materials, it is reported without a limit.
 
-    Where two pieces of the surface meet in a valley along the radius, no nose reaches the bottom: that is a finding
-    with the height that stays. An included or clearance angle that is needed and not stated is not passed.
+    Where two pieces of the surface meet in a valley along the radius, no nose reaches the bottom: the finding gives the
+    height of the remaining fillet. A required included or clearance angle that is not given fails.
 
     Parameters
     ----------
     part, tool
-        What is cut, by what: the actual nose radius, the nominal angles.
+        Part and tool; of the tool the actual nose radius and the nominal angles.
     sense
         +1 where the azimuth of the part under the tool grows, -1 where it falls.
     progress
@@ -193,13 +193,13 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
     Raises
     ------
     InputError
-        If ``sense`` is neither.
+        If ``sense`` is not +1 or -1.
 
     Notes
     -----
-    The surface is looked at on rings an eighth of its feature size apart (at most 400 000 places), and the search
-    then narrows around the best 32 of them, on one piece of the surface at a time. A raked edge is taken at the azimuth
-    of its tip.
+    The surface is sampled on rings an eighth of its feature size apart (at most 400 000 points); the search is then
+    refined around the best 32 points, on one piece of the surface at a time. A raked edge is taken at the azimuth of
+    its tip.
 
     Sources
     -------
@@ -218,24 +218,24 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
     included angle needs to be 0.815 deg at x = 0 mm, y = 0 mm, the tool has 60 deg
     """
     if sense not in (-1, 1):
-        raise InputError(f"sense is {sense!r}, it must be 1 or -1: give the way the azimuth runs under the tool")
+        raise InputError(f"sense is {sense!r}, it must be 1 or -1: give the direction of the azimuth under the tool")
 
     def shape(radius: Floats, angle: Floats) -> _Shape:
         return _shape(part, tool, sense, radius, angle)
 
     places = _places(part)
-    chunks = math.ceil(places.radius.size / CHUNK)
+    chunks = math.ceil(places.radius.size / CHUNK_POINTS)
     total = chunks + 1
     parts = []
     for number, chunk in enumerate(_chunks(places.radius.size)):
         if progress is not None:
             progress(number, total)
         parts.append(shape(places.radius[chunk], places.angle[chunk]))
-    seen = _Shape(*(np.concatenate(one) for one in zip(*parts, strict=True)))
+    sampled = _Shape(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
     if progress is not None:
         progress(chunks, total)
-    found = _highest(shape, seen, places, part.radius)
-    (curvature, curved), (high, at_high), (minus_low, at_low), (steep, climbing), (minus_fall, falling) = found
+    maxima = _find_maxima(shape, sampled, places, part.radius)
+    (curvature, curved), (high, at_high), (minus_low, at_low), (steep, climbing), (minus_fall, falling) = maxima
     if progress is not None:
         progress(total, total)
 
@@ -254,7 +254,7 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
             margin=None,
             where=climbing,
             ok=True,
-            sentence=f"the rake against the surface goes from {_deg(rakes[0])} {_at(climbing)} to "
+            sentence=f"the rake relative to the surface ranges from {_deg(rakes[0])} {_at(climbing)} to "
             f"{_deg(rakes[1])} {_at(falling)}",
         ),
         *_borders(part, tool, places),
@@ -279,27 +279,27 @@ def check_depths(
     sense: int = 1,
     progress: Progress | None = None,
 ) -> tuple[AccessFinding, ...]:
-    r"""Say of each pass whether its chip stays on the cutting edge.
+    r"""Check for each pass whether its chip stays on the cutting edge.
 
-    A pass cuts with the side of its edge that leads: toward the axis, or outward where it is cut inside out. There the
-    edge stands the height :math:`g(u) = Z + e(u) - f(\rho + u)` above the finished surface, and cuts wherever that is
-    less than the depth d; beyond the end of the cutting edge it must not:
+    A pass cuts with the leading side of the edge: toward the axis, or outward where it is cut inside out. There the
+    edge is the height :math:`g(u) = Z + e(u) - f(\rho + u)` above the finished surface, and cuts wherever that is less
+    than the depth of cut d. Beyond the end of the cutting edge it must not cut:
 
     .. math:: d \le \min_{\rho, \theta} \min_{u\text{ beyond the edge}} g(u) .
 
-    On the other side the revolution before has cut already, up to the cusp.
+    On the trailing side the previous revolution has already cut, up to the cusp.
 
     Parameters
     ----------
     part
-        Its finished surface; beyond the clear radius it goes on at the slope of the rim where that rises outward, and
-        level where it falls.
+        The part; beyond the clear aperture its finished surface continues at the slope of the rim where that rises
+        outward, and level where it falls.
     tool
-        Its arc, and the length of its flanks that cuts if it states one.
+        The tool; its arc cuts, and the ``edge_length`` of its flanks if given.
     depths
-        Thickness that each pass takes off at a time, along z, by name. [mm]
+        Depth of cut of each pass, along z, by name. [mm]
     inside_out
-        Whether the passes go from the centre to the rim.
+        Whether the passes run from the centre to the rim.
     sense
         +1 where the spindle angle under the tool grows, -1 where it falls.
     progress
@@ -308,29 +308,30 @@ def check_depths(
     Returns
     -------
     tuple of AccessFinding
-        One for every pass that takes anything off.
+        One for every pass with a depth of cut above 0.
 
     >>> from turnwright.part import Part
     >>> from turnwright.surface import Plane
     >>> from turnwright.tool import Tool
     >>> tool = Tool(nose_radius=0.5, included=np.deg2rad(60), clearance=np.deg2rad(10))
     >>> flat = Part(surface=Plane(slope=(0.0, 0.0)), radius=5.0)
-    >>> [(one.ok, round(one.limit, 3)) for one in check_depths(flat, tool, {"rough": 0.05, "all at once": 0.5})]
+    >>> findings = check_depths(flat, tool, {"roughing": 0.05, "too deep": 0.5})
+    >>> [(finding.ok, round(finding.limit, 3)) for finding in findings]
     [(True, 0.067), (False, 0.067)]
     """
-    taken = {name: depth for name, depth in depths.items() if depth > 0}
-    if not taken:
+    cuts = {name: depth for name, depth in depths.items() if depth > 0}
+    if not cuts:
         return ()
     most, where = largest_depth(part, tool, side=1 if inside_out else -1, sense=sense, progress=progress)
     findings = []
-    for name, depth in taken.items():
+    for name, depth in cuts.items():
         ok = depth <= most * (1 + 1e-9)
-        words = f"pass {name} takes off {say_length(depth)} at a time, the edge cuts up to {say_length(most)} here"
+        words = f"pass {name} has a depth of cut of {say_length(depth)}, the edge allows {say_length(most)}"
         if not ok:
             words += (
                 f" (nose_radius {tool.actual_radius:.4g} mm, arc from {_deg(tool.arc[0])} to {_deg(tool.arc[1])}), "
-                f"least {_at(where)}: use a smaller depth, or a tool with a larger nose_radius or included angle, or "
-                "state the edge_length of its flanks"
+                f"tightest {_at(where)}: use a smaller depth, a tool with a larger nose_radius or included angle, or "
+                "give the edge_length of its flanks"
             )
         findings.append(
             AccessFinding(
@@ -343,175 +344,175 @@ def check_depths(
 def largest_depth(
     part: Part, tool: Tool, *, side: int, sense: int = 1, nearest: float = 0.0, progress: Progress | None = None
 ) -> tuple[float, tuple[float, float]]:
-    """Return the thickest layer that one side of the edge cuts all over a part [mm], and where it is the thinnest.
+    """Return the largest depth of cut of one side of the edge everywhere on a part [mm], and the tightest place.
 
-    ``side`` is +1 for the side away from the axis, -1 for that toward it; places nearer to the axis than ``nearest``
-    [mm] do not count.
+    ``side`` is +1 for the side away from the axis, -1 for that toward it; places closer to the axis than ``nearest``
+    [mm] are ignored.
     """
-    count = np.arange(FIRST_PLACES)
-    square = nearest**2 + (part.radius**2 - nearest**2) * (count + 0.5) / FIRST_PLACES
-    ring = np.linspace(0, TURN, RING, endpoint=False)
-    radius = np.concatenate([np.sqrt(square), np.full(RING, part.radius), np.full(RING, nearest)])
-    angle = np.concatenate([count * GOLDEN, ring, ring])
-    done, total = 0, radius.size + ROUNDS * STARTS * NARROWED.size**2
+    count = np.arange(DEPTH_POINTS)
+    square = nearest**2 + (part.radius**2 - nearest**2) * (count + 0.5) / DEPTH_POINTS
+    ring = np.linspace(0, TURN, RING_POINTS, endpoint=False)
+    radius = np.concatenate([np.sqrt(square), np.full(RING_POINTS, part.radius), np.full(RING_POINTS, nearest)])
+    angle = np.concatenate([count * GOLDEN_ANGLE, ring, ring])
+    done, total = 0, radius.size + REFINEMENTS * MAX_STARTS * REFINEMENT_STEPS.size**2
 
-    def look(radius: Floats, angle: Floats) -> Floats:
-        """Return the room at some places, and tell how many were looked at."""
+    def measure(radius: Floats, angle: Floats) -> Floats:
+        """Return the gap beyond the edge at some points, and report progress."""
         nonlocal done
         before = done
-        tell = None if progress is None else (lambda one, _all: progress(before + one, total))
-        room = _room_beyond(part, tool, side, sense, radius, angle, tell)
+        report = None if progress is None else (lambda count, _all: progress(before + count, total))
+        gap = _gap_beyond(part, tool, side, sense, radius, angle, report)
         done += radius.size
-        return room
+        return gap
 
-    room = look(radius, angle)
-    step = part.radius / math.sqrt(FIRST_PLACES)
-    for _ in range(ROUNDS):
-        best = np.argsort(room, kind="stable")[:STARTS]
-        radius, angle, room = radius[best], angle[best], room[best]
-        lateral = step * NARROWED
-        out, turn = (one.ravel() for one in np.meshgrid(lateral, lateral))
-        near = np.clip(np.add.outer(radius, out), nearest, part.radius).ravel()
-        turned = angle[:, None] + turn / np.maximum(radius, step)[:, None]
-        radius, angle = np.append(radius, near), np.append(angle, turned.ravel())
-        room = np.append(room, look(near, turned.ravel()))
+    gap = measure(radius, angle)
+    step = part.radius / math.sqrt(DEPTH_POINTS)
+    for _ in range(REFINEMENTS):
+        best = np.argsort(gap, kind="stable")[:MAX_STARTS]
+        radius, angle, gap = radius[best], angle[best], gap[best]
+        offsets = step * REFINEMENT_STEPS
+        outward, along = (offset.ravel() for offset in np.meshgrid(offsets, offsets))
+        near_radius = np.clip(np.add.outer(radius, outward), nearest, part.radius).ravel()
+        near_angle = (angle[:, None] + along / np.maximum(radius, step)[:, None]).ravel()
+        radius, angle = np.append(radius, near_radius), np.append(angle, near_angle)
+        gap = np.append(gap, measure(near_radius, near_angle))
         step /= 3
-    worst = int(np.argmin(room))
-    return float(room[worst]), (
+    worst = int(np.argmin(gap))
+    return float(gap[worst]), (
         float(radius[worst] * np.cos(angle[worst])),
         float(radius[worst] * np.sin(angle[worst])),
     )
 
 
-def _room_beyond(
+def _gap_beyond(
     part: Part, tool: Tool, side: int, sense: int, radius: Floats, angle: Floats, progress: Progress | None
 ) -> Floats:
-    """Return how high the edge stands above the finished surface beyond its cutting part, at the least. (n,) [mm]."""
+    """Return the smallest gap between finished surface and edge beyond its cutting part. (n,) [mm]."""
     tip = touch(part.surface, tool, angle=angle, radius=radius, sense=sense, rim=part.radius, progress=progress).z
     end = tool.arc[1] if side > 0 else tool.arc[0]
     u, v, e = tool.edge(np.array([end, end + side]), sense)
     begin = (tool.edge_length or 0.0) / math.hypot(u[1] - u[0], v[1] - v[0], e[1] - e[0])
-    # The flank is straight: as far as the other side of the axis, or across all of the part.
+    # The flank is straight and is followed across the whole part.
     last = begin + 2 * part.radius / abs(u[1] - u[0])
-    along = begin + (last - begin) * np.linspace(0, 1, ON_FLANK) ** 2
+    along = begin + (last - begin) * np.linspace(0, 1, FLANK_POINTS) ** 2
     out = radius[:, None] + u[0] + along * (u[1] - u[0])
     lateral = v[0] + along * (v[1] - v[0])
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
     finished = _continued(part, out * cosine - lateral * sine, out * sine + lateral * cosine)
     gap = tip[:, None] + e[0] + along * (e[1] - e[0]) - finished
-    # Half a turn before, the other side of the axis was cut as far as the edge reaches.
+    # Half a revolution earlier, the edge has cut the other side of the axis as far as it reaches.
     gap[out < abs(u[0] + begin * (u[1] - u[0])) - radius[:, None]] = np.inf
     gap[np.isnan(gap)] = np.inf
     return np.asarray(gap.min(axis=1))
 
 
 def _continued(part: Part, x: Floats, y: Floats) -> Floats:
-    """Return the finished surface; beyond the clear radius at the slope of the rim, level where it falls. [mm]."""
-    away = np.hypot(x, y)
-    beyond = away > part.radius
-    shrink = np.where(beyond, part.radius * (1 - 1e-12) / np.where(beyond, away, 1.0), 1.0)
+    """Return the finished surface; beyond the clear aperture at the slope of the rim, level where it falls. [mm]."""
+    distance = np.hypot(x, y)
+    beyond = distance > part.radius
+    shrink = np.where(beyond, part.radius * (1 - 1e-12) / np.where(beyond, distance, 1.0), 1.0)
     flat_x, flat_y = np.ascontiguousarray((x * shrink).ravel()), np.ascontiguousarray((y * shrink).ravel())
     with np.errstate(all="ignore"):
         z = part.surface.evaluate(flat_x, flat_y, 0)[0].reshape(x.shape)
         over = np.flatnonzero(beyond.ravel())
         _, zx, zy = part.surface.evaluate(flat_x[over], flat_y[over], 1)
     slope = (zx * flat_x[over] + zy * flat_y[over]) / part.radius
-    z.ravel()[over] += np.maximum(slope, 0.0) * (away.ravel()[over] - part.radius)
+    z.ravel()[over] += np.maximum(slope, 0.0) * (distance.ravel()[over] - part.radius)
     return z
 
 
 def odd_sizes(part: Part, tool: Tool) -> tuple[str, ...]:
-    """Return a sentence for every size that is hardly meant."""
-    found = []
-    if tool.nose_radius > LARGEST_NOSE:
-        found.append(
-            f"nose_radius is {tool.nose_radius:g} mm, noses of diamonds go up to about {LARGEST_NOSE:g} mm: check its "
-            "unit"
+    """Return a warning for every size whose unit is probably wrong."""
+    warnings = []
+    if tool.nose_radius > MAX_NOSE_RADIUS_MM:
+        warnings.append(
+            f"nose_radius is {tool.nose_radius:g} mm, diamond tools have at most about {MAX_NOSE_RADIUS_MM:g} mm: "
+            "check its unit"
         )
     if part.stock > tool.nose_radius:
-        found.append(
+        warnings.append(
             f"stock is {part.stock:g} mm, more than the nose_radius of {tool.nose_radius:g} mm: check its unit"
         )
-    return tuple(found)
+    return tuple(warnings)
 
 
 class Reach(NamedTuple):
-    """What single places of a part ask of a tool, see `check_access`. Each (n,)."""
+    """Requirements on a tool at single points of a part, see `check_access`. Each (n,)."""
 
-    curvature: Floats  # in the rake plane, positive concave; the nose must be rounder [1/mm]
-    sweep: Floats  # where on the nose the edge touches [rad]
-    clearance: Floats  # that the heel needs, negative where the surface rises along the cutting direction [rad]
+    curvature: Floats  # in the rake plane, positive concave; limits the nose radius [1/mm]
+    sweep: Floats  # angle on the nose where the edge touches [rad]
+    clearance: Floats  # clearance angle required; negative where the surface rises along the cutting direction [rad]
 
 
 def reach_at(part: Part, tool: Tool, *, x: Floats, y: Floats, sense: int = 1) -> Reach:
-    """Return what `check_access` looks at, place by place.
+    """Return the requirements of `check_access` at given points.
 
     Parameters
     ----------
     part, tool, sense
         See `check_access`.
     x, y
-        Places on the part, not on its axis where the surface has no slope there. Each (n,) [mm]
+        Points on the part, not on its axis if the surface has no slope there. Each (n,) [mm]
     """
     curvature, sweep, climb = _shape(part, tool, sense, np.hypot(x, y), np.arctan2(y, x))
     return Reach(curvature, sweep, -climb)
 
 
 def _shape(part: Part, tool: Tool, sense: int, radius: Floats, angle: Floats) -> _Shape:
-    """Return the surface as the edge meets it. Each (n,)."""
+    """Return curvature and slopes of the surface relative to the edge. Each (n,)."""
     c, s = np.cos(angle), np.sin(angle)
     z, zx, zy, zxx, zxy, zyy = part.surface.evaluate(radius * c, radius * s, 2)
-    with np.errstate(all="ignore"):  # what is not finite is refused below
+    with np.errstate(all="ignore"):  # values that are not finite are refused below
         fu, fv = zx * c + zy * s, zy * c - zx * s
         fuu = zxx * c**2 + 2 * zxy * c * s + zyy * s**2
         fuv = (zyy - zxx) * c * s + zxy * (c**2 - s**2)
         fvv = zxx * s**2 - 2 * zxy * c * s + zyy * c**2
-        bad = ~np.isfinite(fu + fv + fuu + fuv + fvv) & (radius > 1e-9)  # the axis alone may be missing
+        bad = ~np.isfinite(fu + fv + fuu + fuv + fvv) & (radius > 1e-9)  # only on the axis may they be undefined
     if bad.any():
         x, y = float((radius * c)[bad][0]), float((radius * s)[bad][0])
         raise DomainError(
             f"the surface has no finite slope and curvature {_at((x, y))} ({np.count_nonzero(bad)} of {bad.size} "
-            "places), everywhere but on the axis it needs both: keep the part clear of poles and of places where a "
-            "term ends"
+            "points), they must exist everywhere but on the axis: keep the part clear of poles and of the limits of "
+            "terms"
         )
-    steepness = np.where(radius > AXIS, np.hypot(fu, fv), 0.0)
-    if steepness.max(initial=0.0) > STEEPEST:
+    steepness = np.where(radius > AXIS_RADIUS_MM, np.hypot(fu, fv), 0.0)
+    if steepness.max(initial=0.0) > MAX_SLOPE:
         worst = int(np.argmax(steepness))
         x, y = float((radius * c)[worst]), float((radius * s)[worst])
         raise DomainError(
-            f"the surface climbs by {steepness[worst]:.3g} mm per mm {_at((x, y))}, the limit is {STEEPEST:g}, as good "
-            "as a vertical wall: check the units and the exponents of its terms"
+            f"the surface has a slope of {steepness[worst]:.3g} mm per mm {_at((x, y))}, the limit is {MAX_SLOPE:g}: "
+            "check the units and the exponents of its terms"
         )
-    if (highest := float(np.max(np.abs(z), where=np.isfinite(z), initial=0.0))) > HIGHEST:
+    if (highest := float(np.max(np.abs(z), where=np.isfinite(z), initial=0.0))) > MAX_HEIGHT_MM:
         raise DomainError(
-            f"the surface is {highest:.3g} mm high or deep, the limit is {HIGHEST:g} mm: check the units and the "
+            f"the surface has a height of {highest:.3g} mm, the limit is {MAX_HEIGHT_MM:g} mm: check the units and the "
             "exponents of its terms"
         )
     up, back = math.cos(tool.rake), -sense * math.sin(tool.rake)
-    # Not positive where the surface climbs over the rake face: there no edge cuts, and the limit of the nose is zero.
-    open_ = np.maximum(up - back * fv, 1e-9)
-    slope = fu / open_
-    bend = (fuu + 2 * back * slope * fuv + (back * slope) ** 2 * fvv) / open_
+    # Not positive where the surface climbs over the rake face: no edge cuts there, and the nose limit is zero.
+    opening = np.maximum(up - back * fv, 1e-9)
+    slope = fu / opening
+    bend = (fuu + 2 * back * slope * fuv + (back * slope) ** 2 * fvv) / opening
     return _Shape(bend / (1 + slope**2) ** 1.5, np.arctan(slope), np.arctan(sense * fv))
 
 
 MEASURES: tuple[Callable[[_Shape], Floats], ...] = (
-    lambda one: one.curvature,
-    lambda one: one.sweep,
-    lambda one: -one.sweep,
-    lambda one: one.climb,
-    lambda one: -one.climb,
+    lambda shape: shape.curvature,
+    lambda shape: shape.sweep,
+    lambda shape: -shape.sweep,
+    lambda shape: shape.climb,
+    lambda shape: -shape.climb,
 )
-"""Of which the largest values on the part are searched."""
+"""Quantities whose maxima on the part are searched."""
 
 
 def _chunks(size: int) -> list[slice]:
-    return [slice(start, start + CHUNK) for start in range(0, size, CHUNK)]
+    return [slice(start, start + CHUNK_POINTS) for start in range(0, size, CHUNK_POINTS)]
 
 
 def _places(part: Part) -> _Places:
-    """Return where to look first."""
-    finest = math.sqrt(math.pi / MOST_PLACES) * part.radius
+    """Return the grid from which the search starts."""
+    finest = math.sqrt(math.pi / MAX_GRID_POINTS) * part.radius
     step = max(min(part.radius / 48, part.surface.feature_size / 8), finest)
     rings = np.linspace(0, part.radius, math.ceil(part.radius / step) + 1)
     counts = np.maximum(np.ceil(TURN * rings / step), 64).astype(np.int64)
@@ -521,20 +522,20 @@ def _places(part: Part) -> _Places:
     return _Places(radius, rank * wide, wide, float(rings[1]))
 
 
-def _highest(
-    shape: Callable[[Floats, Floats], _Shape], seen: _Shape, places: _Places, rim: float
+def _find_maxima(
+    shape: Callable[[Floats, Floats], _Shape], sampled: _Shape, places: _Places, rim: float
 ) -> list[tuple[float, tuple[float, float]]]:
     """Return the largest value of each measure on the part, and its place (x, y).
 
-    From each of the best places seen, five by five neighbours are tried; where the middle one is best they close in.
-    All measures are searched together, as a surface costs less by the point the more points it is asked for.
+    Around each of the best grid points, five by five neighbours are tried; where the middle one is best, the step is
+    halved. All measures are searched together, as the cost of a surface per point falls with the number of points.
     """
-    starts = [_starts(measure(seen), places) for measure in MEASURES]
+    starts = [_starts(measure(sampled), places) for measure in MEASURES]
     of = np.repeat(np.arange(len(MEASURES)), [chosen.size for chosen, _ in starts])
-    chosen, value = (np.concatenate(one) for one in zip(*starts, strict=True))
+    chosen, value = (np.concatenate(columns) for columns in zip(*starts, strict=True))
     radius, angle = places.radius[chosen], places.angle[chosen]
     wide, step = places.wide[chosen], np.full(chosen.size, places.step)
-    across, along = (part.ravel() for part in np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 5)))
+    across, along = (offsets.ravel() for offsets in np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 5)))
     for _ in range(100):
         rows = np.flatnonzero(step >= 1e-9 * rim)
         if not rows.size:
@@ -547,33 +548,33 @@ def _highest(
         top = (np.arange(rows.size), np.argmax(values, axis=1))
         better = values[top] > value[rows]
         moved = rows[better]
-        radius[moved], angle[moved], value[moved] = (one[top][better] for one in (radii, angles, values))
+        radius[moved], angle[moved], value[moved] = (array[top][better] for array in (radii, angles, values))
         closer = rows[~better]
         step[closer], wide[closer] = step[closer] / 2, wide[closer] / 2
-    found = []
+    maxima = []
     for number in range(len(MEASURES)):
         rows = np.flatnonzero(of == number)
         winner = rows[np.argmax(value[rows])]
         r, a = float(radius[winner]), float(angle[winner])
-        found.append((float(value[winner]), (r * math.cos(a), r * math.sin(a))))
-    return found
+        maxima.append((float(value[winner]), (r * math.cos(a), r * math.sin(a))))
+    return maxima
 
 
-def _starts(seen: Floats, places: _Places) -> tuple[Ints, Floats]:
-    """Return the best places seen that are not beside each other, and the values there."""
-    seen = np.where(np.isnan(seen), -np.inf, seen)  # the axis alone may be missing
-    best = np.argsort(seen)[::-1][: 32 * STARTS]
+def _starts(values: Floats, places: _Places) -> tuple[Ints, Floats]:
+    """Return the best grid points that are not next to each other, and the values there."""
+    values = np.where(np.isnan(values), -np.inf, values)  # undefined on the axis
+    best = np.argsort(values)[::-1][: 32 * MAX_STARTS]
     x, y = places.radius[best] * np.cos(places.angle[best]), places.radius[best] * np.sin(places.angle[best])
     starts: list[int] = []
     for i in range(best.size):
         near = np.hypot(x[starts] - x[i], y[starts] - y[i]) < 3 * places.step
-        if not near.any() and len(starts) < STARTS:
+        if not near.any() and len(starts) < MAX_STARTS:
             starts.append(i)
-    return best[starts], seen[best[starts]]
+    return best[starts], values[best[starts]]
 
 
 def _at(where: tuple[float, float]) -> str:
-    x, y = (round(value, 6) + 0.0 for value in where)  # adding nought turns -0 into 0
+    x, y = (round(value, 6) + 0.0 for value in where)  # + 0.0 turns -0 into 0
     return f"at x = {x:.4g} mm, y = {y:.4g} mm"
 
 
@@ -582,10 +583,10 @@ def _deg(angle: float) -> str:
 
 
 def _nose(tool: Tool, limit: float, where: tuple[float, float]) -> AccessFinding:
-    """Judge the nose radius."""
+    """Check the nose radius."""
     radius = tool.actual_radius
     if math.isinf(limit):
-        words = f"nose_radius is {radius:.4g} mm and no place is concave along the radius: any nose fits"
+        words = f"nose_radius is {radius:.4g} mm; the part is nowhere concave along the radius, so any nose fits"
         return AccessFinding(
             name="nose radius", value=radius, limit=limit, margin=limit, where=None, ok=True, sentence=words
         )
@@ -603,44 +604,44 @@ def _nose(tool: Tool, limit: float, where: tuple[float, float]) -> AccessFinding
 
 
 def _angle(name: str, field: str, needed: float, has: float | None, where: tuple[float, float]) -> AccessFinding:
-    """Judge an angle of the tool."""
+    """Check an angle of the tool."""
     words = f"{name} needs to be {_deg(needed)} {_at(where)}"
-    ok = needed <= SHARP if has is None else needed <= has
+    ok = needed <= DISCONTINUITY_TOL if has is None else needed <= has
     if has is None:
-        words += f", it is not stated: state {field}"
+        words += f", it is not given: give {field}"
     else:
         words += f", the tool has {_deg(has)}"
-        words += "" if ok else f": use a tool with more {name}"
+        words += "" if ok else f": use a tool with a larger {name}"
     margin = None if has is None else has - needed
     return AccessFinding(name=name, value=needed, limit=has, margin=margin, where=where, ok=ok, sentence=words)
 
 
 def _borders(part: Part, tool: Tool, places: _Places) -> list[AccessFinding]:
-    """Look for valleys and steps where a radial line passes from one piece of the surface to the next."""
+    """Find valleys and steps where a radial line passes from one piece of the surface to the next."""
     surface = part.surface
-    # Whole diameters: a valley through the centre counts like any other.
+    # Full diameters, to find a valley through the centre too.
     along = np.linspace(-part.radius, part.radius, 2 * math.ceil(part.radius / places.step) + 1)
-    azimuths = min(math.ceil(math.pi * part.radius / places.step), 2 * MOST_PLACES // along.size)
+    azimuths = min(math.ceil(math.pi * part.radius / places.step), 2 * MAX_GRID_POINTS // along.size)
     angle, radius = np.meshgrid(np.arange(azimuths) * (math.pi / azimuths), along, indexing="ij")
     c, s = np.cos(angle), np.sin(angle)
     number = surface.piece(radius * c, radius * s)
     if number is None:
         return []
     ray, ring = np.nonzero(number[:, 1:] != number[:, :-1])
-    c, s, own = c[ray, 0], s[ray, 0], number[ray, ring]
+    c, s, inner = c[ray, 0], s[ray, 0], number[ray, ring]
     low, high = radius[ray, ring], radius[ray, ring + 1]
     for _ in range(60):
         middle = (low + high) / 2
-        same = surface.piece(middle * c, middle * s) == own
+        same = surface.piece(middle * c, middle * s) == inner
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     (before, bx, by), (after, ax, ay) = (surface.evaluate(r * c, r * s, 1) for r in (low, high))
-    with np.errstate(invalid="ignore"):  # the axis alone may be missing
+    with np.errstate(invalid="ignore"):  # undefined on the axis
         jump = np.nan_to_num(np.abs(after - before))
         turn = np.nan_to_num(np.arctan(ax * c + ay * s) - np.arctan(bx * c + by * s))
-    turn = np.where(jump > SHARP, 0.0, turn)
+    turn = np.where(jump > DISCONTINUITY_TOL, 0.0, turn)
 
     def worst(name: str, sizes: Floats, words: Callable[[float, str], str]) -> list[AccessFinding]:
-        if not sizes.size or sizes.max() <= SHARP:
+        if not sizes.size or sizes.max() <= DISCONTINUITY_TOL:
             return []
         at = int(np.argmax(sizes))
         size, where = float(sizes[at]), (float(low[at] * c[at]), float(low[at] * s[at]))
@@ -648,13 +649,15 @@ def _borders(part: Part, tool: Tool, places: _Places) -> list[AccessFinding]:
         return [AccessFinding(name=name, value=size, limit=0.0, margin=-size, where=where, ok=False, sentence=sentence)]
 
     def step(size: float, at: str) -> str:
-        return f"the surface steps by {size:.4g} mm {at}, no nose cuts a wall: a fillet as wide as the edge stays"
+        return (
+            f"the surface has a step of {size:.4g} mm {at}, no nose cuts a wall: a fillet as wide as the edge remains"
+        )
 
     def valley(size: float, at: str) -> str:
-        stays = 1e3 * tool.actual_radius * (1 / math.cos(size / 2) - 1)
+        fillet_um = 1e3 * tool.actual_radius * (1 / math.cos(size / 2) - 1)
         return (
             f"a sharp valley turns by {_deg(size)} {at}, no nose reaches its bottom: a fillet of "
-            f"{stays:.3g} um height stays"
+            f"{fillet_um:.3g} um height remains"
         )
 
     return worst("valley", turn, valley) + worst("step", jump, step)

@@ -1,22 +1,22 @@
-"""Everything Turnwright raises on purpose.
+"""The exceptions of Turnwright.
 
 ::
 
     TurnwrightError
-    ├── InputError            the request cannot be carried out as it was stated (also a ValueError)
+    ├── InputError            the input is invalid or cannot be carried out (also a ValueError)
     │   ├── UnitError         a quantity that cannot be read, or that has the wrong dimension
     │   ├── DomainError       a point where a surface is not defined
-    │   ├── GougeError        a tool, feed or path that cannot leave the designed surface
-    │   ├── LimitError        something beyond what the machine can do
-    │   ├── JobError          a job file that is wrong, with the field named
-    │   ├── ProgramError      a lathe program that cannot be written or read
+    │   ├── GougeError        a tool, feed or path that gouges or cannot produce the nominal surface
+    │   ├── LimitError        a motion or a job beyond the limits of the machine or computer
+    │   ├── JobError          an invalid job file; the message names the field
+    │   ├── ProgramError      an NC program that cannot be written or read
     │   ├── MapError          a file of a measured map that cannot be written or read
-    │   └── StudyError        many cases that cannot go on; what is finished is kept
-    ├── CorrectionError       a correction that is not written because it would not certainly help
-    └── Stopped               the user asked for an end
+    │   └── StudyError        a study that cannot continue; finished cases are kept
+    ├── CorrectionError       a correction that is not written because its benefit is not certain
+    └── Stopped               the run was cancelled
 
-Every message is one sentence: what, how much, the limit, the remedy; or a few, each on a line of its own. However long
-an input is that a message shows, its lines stay within `LONGEST` letters and it within `MOST_LINES` lines.
+A message is one sentence: what was given, what is allowed, and the remedy. Several sentences stand on separate lines.
+Long inputs are shortened, so that a line has at most `MAX_LINE_CHARACTERS` and a message at most `MAX_LINES` lines.
 """
 
 import math
@@ -38,59 +38,57 @@ __all__ = [
     "shown",
 ]
 
-LONGEST = 400
-"""Letters in a line of a message."""
+MAX_LINE_CHARACTERS = 400
+MAX_LINES = 20
+MAX_VALUE_CHARACTERS = 60
 
-MOST_LINES = 20
-"""Lines of a message: more would fill the screen."""
-
-SHOWN = 60
-"""Letters of a value that a message shows."""
-
-HEAD = 130
-"""Letters that stay before the cut in a line that is too long: what it is about. Limit and remedy come last."""
+HEAD_CHARACTERS = 130
+"""Characters kept at the start of a shortened line; the rest of the limit goes to its end, where the remedy stands."""
 
 
 def shortened(message: str) -> str:
-    """Return a message with its long lines cut in the middle, where they show an input, and without too many of them.
+    """Return a message with long lines cut in the middle and surplus lines dropped.
 
     >>> shortened("name is '" + "x" * 5000 + "', the limit is 30 letters: rename it")[-60:]
     "...xxxxxxxxxxxxxxxxxxx', the limit is 30 letters: rename it"
     """
-    if len(message) <= LONGEST and message.count("\n") < MOST_LINES:
+    if len(message) <= MAX_LINE_CHARACTERS and message.count("\n") < MAX_LINES:
         return message
     lines = message.split("\n")
-    if len(lines) > MOST_LINES:
-        lines = [*lines[: MOST_LINES - 1], f"and {len(lines) - MOST_LINES + 1} lines more"]
+    if len(lines) > MAX_LINES:
+        lines = [*lines[: MAX_LINES - 1], f"and {len(lines) - MAX_LINES + 1} lines more"]
     return "\n".join(
-        line if len(line) <= LONGEST else f"{line[:HEAD]} ... {line[HEAD + 5 - LONGEST :]}" for line in lines
+        line
+        if len(line) <= MAX_LINE_CHARACTERS
+        else f"{line[:HEAD_CHARACTERS]} ... {line[HEAD_CHARACTERS + 5 - MAX_LINE_CHARACTERS :]}"
+        for line in lines
     )
 
 
 def shown(value: object) -> str:
-    """Return a value in a few letters, as a message shows what was given.
+    """Return the text of a value for a message, shortened to `MAX_VALUE_CHARACTERS`.
 
     >>> shown("0,5 mm"), shown([1.5] * 100)
     ("'0,5 mm'", '[1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1...')
     """
     if isinstance(value, float) and math.isinf(value):
-        return "infinite"  # 1e999 is, to those who read it
+        return "infinite"  # such as 1e999
     try:
         text = " ".join(repr(value).split())
-    except ValueError:  # Python writes out no number of thousands of digits
+    except ValueError:  # Python does not print integers of thousands of digits
         text = "too long to be written out"
-    return text if len(text) <= SHOWN else f"{text[: SHOWN - 3]}..."
+    return text if len(text) <= MAX_VALUE_CHARACTERS else f"{text[: MAX_VALUE_CHARACTERS - 3]}..."
 
 
 class TurnwrightError(Exception):
-    """The root: catch this to catch everything Turnwright raises on purpose."""
+    """Base class of all exceptions that Turnwright raises on purpose."""
 
     def __init__(self, *message: object) -> None:
-        super().__init__(*(shortened(str(one)) for one in message))
+        super().__init__(*(shortened(str(part)) for part in message))
 
 
 class InputError(TurnwrightError, ValueError):
-    """The request cannot be carried out as it was stated."""
+    """The input is invalid or cannot be carried out."""
 
 
 class UnitError(InputError):
@@ -102,19 +100,19 @@ class DomainError(InputError):
 
 
 class GougeError(InputError):
-    """The tool, feed or path cannot leave the designed surface."""
+    """The tool, feed or path gouges or cannot produce the nominal surface."""
 
 
 class LimitError(InputError):
-    """The machine cannot do what is asked."""
+    """A limit of the machine or of the computer is exceeded."""
 
 
 class JobError(InputError):
-    """A job file is wrong; the message names the field, the value and the remedy."""
+    """A job file is invalid; the message names the field, the value and the remedy."""
 
 
 class ProgramError(InputError):
-    """A lathe program cannot be written or read."""
+    """An NC program cannot be written or read."""
 
 
 class MapError(InputError):
@@ -122,12 +120,12 @@ class MapError(InputError):
 
 
 class StudyError(InputError):
-    """Many cases cannot go on, such as on a full disk; what is finished is kept."""
+    """A study cannot continue, such as on a full disk; finished cases are kept."""
 
 
 class CorrectionError(TurnwrightError):
-    """A correction is not written because it would not certainly help."""
+    """A correction is not written because its benefit is not certain."""
 
 
-class Stopped(TurnwrightError):  # noqa: N818 - an end that was asked for is not an error
-    """The user asked for an end before the work was done."""
+class Stopped(TurnwrightError):  # noqa: N818 - a requested stop is not an error
+    """The run was cancelled before it finished."""

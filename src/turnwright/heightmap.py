@@ -1,4 +1,4 @@
-"""Heights: designed, generated, measured or their difference."""
+"""Height maps: nominal, simulated or measured heights, or differences of them."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ class HeightMap(Compared):
     z
         Heights; nan is a missing point. (ny, nx), (n_angle, n_radius), or (n,) for scattered points [mm]
     x, y
-        Ascending columns (nx,) and rows (ny,) of a rectangular grid, or the places of scattered points (n,). [mm]
+        Ascending columns (nx,) and rows (ny,) of a rectangular grid, or the positions of scattered points (n,). [mm]
     radius, angle
         Columns (n_radius,) [mm] and rows (n_angle,) [rad] of a polar grid.
     name
-        What the map shows.
+        Title of the map.
     calibrated
-        False where the instrument's file does not say how large a pixel is: ``x`` and ``y`` then count pixels, and
-        all that needs lengths asks for a pixel size. See `scaled`.
+        False where the instrument's file has no pixel size: ``x`` and ``y`` then count pixels, and functions that need
+        lengths raise `InputError`. See `scaled`.
     metadata
-        What the instrument's file says beside the heights, as text.
+        Further entries of the instrument's file, as text.
 
     Raises
     ------
@@ -57,22 +57,22 @@ class HeightMap(Compared):
 
     def __post_init__(self) -> None:
         check_numbers(self, nan=("z",))
-        given = [name for name in ("x", "y", "radius", "angle") if getattr(self, name) is not None]
-        if given not in (["x", "y"], ["radius", "angle"]):
+        axes = [name for name in ("x", "y", "radius", "angle") if getattr(self, name) is not None]
+        if axes not in (["x", "y"], ["radius", "angle"]):
             raise InputError(
-                f"a height map has the axes {', '.join(given) or 'none'}: give x and y, or radius and angle"
+                f"a height map has the axes {', '.join(axes) or 'none'}: give x and y, or radius and angle"
             )
-        for name in given:
+        for name in axes:
             object.__setattr__(self, name, frozen(getattr(self, name), name))
         if self.angle is not None:
             check_azimuths(self.angle, "angle")
-        scattered = np.ndim(self.z) == 1 and given == ["x", "y"]
+        scattered = np.ndim(self.z) == 1 and axes == ["x", "y"]
         object.__setattr__(self, "z", frozen(self.z, "z", ndim=1 if scattered else 2, finite=False))
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
-        for name in () if scattered else given:
+        for name in () if scattered else axes:
             if not (np.diff(getattr(self, name)) > 0).all():
                 raise InputError(f"the {name} of the height map does not ascend: sort it and drop repeated values")
-        columns, rows = (getattr(self, name).size for name in given)
+        columns, rows = (getattr(self, name).size for name in axes)
         if scattered and not self.z.size == columns == rows:
             raise InputError(
                 f"{self.z.size} scattered heights have {columns} x and {rows} y: give as many of each, or a grid of "
@@ -80,8 +80,8 @@ class HeightMap(Compared):
             )
         if not scattered and self.z.shape != (rows, columns):
             raise InputError(
-                f"z has the shape {self.z.shape} and its axes {(rows, columns)}: rows are {given[1]}, columns "
-                f"{given[0]}"
+                f"z has the shape {self.z.shape}, its axes need {(rows, columns)}: rows are {axes[1]}, columns "
+                f"{axes[0]}"
             )
 
     @property
@@ -91,7 +91,7 @@ class HeightMap(Compared):
 
     @property
     def scattered(self) -> bool:
-        """Whether the heights stand at scattered points instead of on a grid."""
+        """Whether the heights are at scattered points instead of on a grid."""
         return self.z.ndim == 1
 
     def points(self) -> tuple[Floats, Floats]:
@@ -115,17 +115,17 @@ class HeightMap(Compared):
         """
         if not self.calibrated:
             raise InputError(
-                f"the map {self.name!r} of {self.z.shape[-1]} columns says nothing of the size of its pixels, so it "
-                "has no lengths: give the pixel size (HeightMap.scaled, or pixel_size where the file is read)"
+                f"the map {self.name!r} of {self.z.shape[-1]} columns has no pixel size, so its lengths are unknown: "
+                "give the pixel size (HeightMap.scaled, or pixel_size where the file is read)"
             )
 
     def scaled(self, pixel_size: float | tuple[float, float]) -> HeightMap:
-        """Return a map whose axes count pixels with those pixels as large as stated.
+        """Return a map in pixels scaled to lengths.
 
         Parameters
         ----------
         pixel_size
-            Of a pixel along x and y, or one size for both. [mm]
+            Size of a pixel along x and y, or one size for both. [mm]
 
         Raises
         ------
@@ -137,7 +137,7 @@ class HeightMap(Compared):
         [0.0, 0.1, 0.2]
         """
         if self.calibrated or self.x is None or self.y is None:
-            raise InputError(f"the map {self.name!r} has its lengths already: do not give a pixel size")
+            raise InputError(f"the map {self.name!r} has lengths already: do not give a pixel size")
         along_x, along_y = pixel_size if isinstance(pixel_size, tuple) else (pixel_size, pixel_size)
         return replace(
             self,
@@ -147,9 +147,9 @@ class HeightMap(Compared):
         )
 
     def thinned(self, most: int) -> HeightMap:
-        """Return every so-manieth row and column, or scattered valid point, so that about ``most`` valid are left.
+        """Return every n-th row and column, or scattered valid point, so that about ``most`` valid heights remain.
 
-        A map that has no more than that is returned as it is.
+        A map with at most that many is returned unchanged.
         """
         most = whole(most, "most, the heights to keep,", 1)
         valid = np.isfinite(self.z)
@@ -157,9 +157,9 @@ class HeightMap(Compared):
         if count <= most:
             return self
         if self.scattered:
-            few = np.flatnonzero(valid)[:: -(-count // most)]
+            chosen = np.flatnonzero(valid)[:: -(-count // most)]
             x, y = self.points()
-            return replace(self, x=x[few], y=y[few], z=self.z[few])
+            return replace(self, x=x[chosen], y=y[chosen], z=self.z[chosen])
         step = int(np.ceil(np.sqrt(count / most)))
         names = ("radius", "angle") if self.polar else ("x", "y")
         axes = {name: getattr(self, name)[::step] for name in names}
@@ -174,9 +174,9 @@ class HeightMap(Compared):
         return HeightMap(x=x, y=y, z=z, name=self.name, metadata=self.metadata)
 
     def minus(self, other: HeightMap | Surface) -> HeightMap:
-        """Return this map minus another on the same grid, or minus a surface. Cut minus design is the error.
+        """Return this map minus another on the same grid, or minus a surface. Measured minus nominal is the error.
 
-        A surface is not asked for its height where the map has none.
+        A surface is not evaluated where the map has no height.
 
         Raises
         ------
@@ -189,7 +189,7 @@ class HeightMap(Compared):
             for name in ("x", "y", "radius", "angle"):
                 mine, theirs = getattr(self, name), getattr(other, name)
                 if (mine is None) != (theirs is None) or (mine is not None and not np.array_equal(mine, theirs)):
-                    raise InputError(f"the two height maps differ in {name}: bring them to one grid first")
+                    raise InputError(f"the two height maps differ in {name}: resample them to one grid first")
             z = self.z - other.z
         else:
             self.require_calibrated()

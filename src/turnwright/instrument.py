@@ -1,16 +1,16 @@
-r"""What an instrument makes of a surface: what a prediction must go through before it is compared with a measurement.
+r"""Instrument models: turn a predicted surface into what an instrument would measure.
 
-An interference microscope images the complex reflectance of the surface. Heights small against the wavelength so reach
-the map through a linear filter. Where the source fills a share :math:`s` of the aperture, its transfer at the spatial
-frequency :math:`\nu` is the overlap of two discs, of radius 1 and :math:`s`, at the distance
-:math:`d = \nu\lambda/\mathrm{NA}`, over the area of the smaller one. :math:`s = 1` is the optical transfer function of
-incoherent light,
+An interference microscope images the complex reflectance of the surface. Heights that are small against the wavelength
+pass through a linear filter. For a source that fills the fraction :math:`s` of the aperture, the transfer function at
+the spatial frequency :math:`\nu` is the overlap of two discs of radius 1 and :math:`s` at the distance
+:math:`d = \nu\lambda/\mathrm{NA}`, over the area of the smaller disc. :math:`s = 1` gives the optical transfer function
+of incoherent light,
 
 .. math:: T(\nu) = \tfrac{2}{\pi}\left(\arccos q - q\sqrt{1 - q^2}\right), \qquad q = \nu\lambda / 2\,\mathrm{NA},
 
-and :math:`s = 0` that of coherent light, which passes all up to :math:`\mathrm{NA}/\lambda` and nothing beyond. A pixel
-of side :math:`p` averages: :math:`\operatorname{sinc}(p\nu_x)\operatorname{sinc}(p\nu_y)`. A stylus rolls its ball over
-the surface, and what it traces is a grey-scale dilation by the ball, which no transfer function describes.
+and :math:`s = 0` that of coherent light, which passes all frequencies up to :math:`\mathrm{NA}/\lambda` and none above.
+A pixel of side :math:`p` averages: :math:`\operatorname{sinc}(p\nu_x)\operatorname{sinc}(p\nu_y)`. A stylus traces the
+grey-scale dilation of the surface by its ball, which is not linear and has no transfer function.
 
 Sources
 -------
@@ -43,50 +43,50 @@ if TYPE_CHECKING:
 
 __all__ = ["Instrument"]
 
-FINE = 2
-"""Steps of a surface in the finest length of an instrument, at least."""
+MIN_STEPS_PER_RESOLUTION = 2
+"""Steps of a surface per resolved length of an instrument."""
 
-BALL_FINE = 10
-"""Steps in the radius of a stylus, at least: the ball touches between points lower by a 1/800 of the radius at most."""
+MIN_STEPS_PER_BALL = 10
+"""Steps per stylus radius; between the points the ball dips by at most 1/800 of the radius."""
 
-TAIL = 40
-"""Finest lengths by which a surface is continued beyond its borders: a diffraction image falls off slowly."""
+PADDING_LENGTHS = 40
+"""Resolved lengths by which a surface is extended beyond its borders, as a diffraction image decays slowly."""
 
-MOST_OFFSETS = 1_000_000
-"""Points under the ball of a stylus."""
+MAX_BALL_POINTS = 1_000_000
+"""Points of the surface under the ball of a stylus."""
 
 Seen = TypeVar("Seen", HeightMap, Profile)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Instrument(Stated):
-    """An instrument that measures surfaces: what it resolves, and how much it adds.
+    """An instrument that measures surfaces: its resolution and noise.
 
-    What is not stated does nothing: an instrument of a pixel alone only averages over it.
+    Fields that are not given have no effect: an instrument with only a pixel just averages over it.
 
     Parameters
     ----------
     pixel
         Side of a pixel on the surface, over which the heights are averaged. [mm]
     numerical_aperture, wavelength
-        Of the objective, and of the light in the middle of its spectrum; both or none. [1], [mm]
+        Numerical aperture of the objective and mean wavelength of the light; both or none. [1], [mm]
     resolution
-        In place of them, the optical resolution wavelength / (2 NA): the period that just does not pass. [mm]
+        In place of these, the optical resolution wavelength / (2 NA): the shortest period that is not transmitted. [mm]
     filling
-        Share of the aperture that the source fills: 1 for incoherent light, 0 for coherent.
+        Fraction of the aperture that the source fills: 1 for incoherent light, 0 for coherent.
     stylus_radius
-        Of the ball at the end of a stylus. [mm]
+        Radius of the stylus ball. [mm]
     noise
         Standard deviation of each height, independent of its neighbours. [mm]
     name, source
-        What it is called, and where its numbers come from.
+        Name of the instrument, and source of its data.
     loaded
-        What `load` was given, and what that states; ``None`` for an instrument that was put together.
+        Name given to `load` and the value it loaded; ``None`` for an instrument that was not loaded.
 
     Raises
     ------
     InputError
-        If a length is not positive, the optics are stated twice or by half, or an aperture is above 1.5.
+        If a length is not positive, the optics are incomplete or given twice, or the aperture is above 1.5.
 
     >>> microscope = Instrument.load("zygo-nexview-10x")
     >>> [round(float(one), 3) for one in microscope.transfer([0.0, 100.0, 1060.0])]   # periods of 10 um and 0.94 um
@@ -111,14 +111,17 @@ class Instrument(Stated):
             if getattr(self, name) is not None:
                 positive(getattr(self, name), name, "mm")
         if (self.numerical_aperture is None) != (self.wavelength is None):
-            raise InputError("an aperture needs its wavelength, and a wavelength its aperture: state both or none")
+            raise InputError("numerical_aperture and wavelength must be given together: give both or none")
         if self.numerical_aperture is not None:
             if not 0 < self.numerical_aperture <= 1.5:
                 raise InputError(
                     f"numerical_aperture is {self.numerical_aperture:g}, the limits are 0 and 1.5: correct it"
                 )
             if self.resolution is not None:
-                raise InputError("resolution is wavelength / (2 NA), and all three are stated: leave one way out")
+                raise InputError(
+                    "resolution is given next to numerical_aperture and wavelength, only one of the two is allowed: "
+                    "remove one"
+                )
         between(self.filling, "filling", 0.0, 1.0, "")
         between(self.noise, "noise", 0.0, 1.0, "mm")
 
@@ -155,7 +158,7 @@ class Instrument(Stated):
 
     @property
     def summary(self) -> str:
-        """What is stated of it, in words."""
+        """Resolution and noise in words."""
         values = {
             "pixel {:.3g} um": (self.pixel or 0.0) * 1e3,
             "optics pass periods above {:.3g} um": 1e3 / self.cutoff,
@@ -166,18 +169,18 @@ class Instrument(Stated):
 
     @property
     def cutoff(self) -> float:
-        """Highest spatial frequency that the optics pass; infinite without optics. [1/mm]."""
+        """Highest spatial frequency that the optics transmit; infinite without optics. [1/mm]."""
         if self.numerical_aperture is not None and self.wavelength is not None:
             return (1 + self.filling) * self.numerical_aperture / self.wavelength
         return (1 + self.filling) / (2 * self.resolution) if self.resolution is not None else np.inf
 
     def transfer(self, frequency_x: ArrayLike, frequency_y: ArrayLike = 0.0) -> Floats:
-        """Return which share of a sine's height passes optics and pixel.
+        """Return the transfer function of optics and pixel: measured over true amplitude of a sine.
 
         Parameters
         ----------
         frequency_x, frequency_y
-            Spatial frequencies of the sine along x and y; of any shapes that go together. [1/mm]
+            Spatial frequencies of the sine along x and y. Broadcast [1/mm]
         """
         along, across = np.asarray(frequency_x, dtype=np.float64), np.asarray(frequency_y, dtype=np.float64)
         passed: Floats = np.ones(np.broadcast_shapes(along.shape, across.shape))
@@ -195,26 +198,26 @@ class Instrument(Stated):
     def see(self, surface: Any, *, like: Any = None, seed: int | None = None) -> Any:
         """Return a surface as the instrument measures it.
 
-        The ball of a stylus touches first, then optics and pixel average, then the places of another measurement are
-        taken, then noise is added. A profile is taken as a cut across grooves: nothing varies beside it. Beyond its
-        borders a surface is continued by its reflection in the border point, so that a slope goes on. Missing heights
-        stay missing; beside them, within a few resolutions, what is seen rests on the nearest heights.
+        The steps are: dilation by the stylus ball, filter of optics and pixel, interpolation at the points of another
+        measurement, noise. A profile is taken as a cut across grooves, with no variation across the profile. Beyond
+        its borders a surface is extended by point reflection, which keeps its slope. Missing heights stay missing;
+        within a few resolution lengths of them, the result depends on the nearest heights.
 
         Parameters
         ----------
         surface
-            A profile, or a map on a rectangular grid, in even steps of at most half the finest of pixel and optical
-            resolution, and a tenth of the stylus radius.
+            A profile, or a map on a rectangular grid, evenly spaced by at most half the larger of pixel and optical
+            resolution, and at most a tenth of the stylus radius.
         like
-            A measured profile or map, at whose places the seen surface is returned, by cubic interpolation; without it
-            the places stay.
+            A measured profile or map; the result is interpolated at its points by cubic splines. Without it the points
+            of ``surface`` are kept.
         seed
-            Adds the noise, drawn from this seed; without it the expected surface is returned.
+            Seed of the noise to add; without it the result has no noise.
 
         Raises
         ------
         InputError
-            If the grid is uneven, polar or too coarse, or ``like`` reaches beyond the surface.
+            If the grid is uneven, polar or too coarse, or ``like`` extends beyond the surface.
         """
         if isinstance(surface, Profile):
             z, steps = surface.z[None], (np.inf, surface.step)
@@ -223,46 +226,46 @@ class Instrument(Stated):
         self._require_fine(max(step for step in steps if np.isfinite(step)))
         missing = np.isnan(z)
         if missing.all():
-            raise InputError("the surface has 0 valid heights, an instrument needs 1: measure more of it")
+            raise InputError("the surface has 0 valid heights, an instrument needs at least 1: measure more of it")
         if self.stylus_radius is not None:
             z = _rolled(z, missing, steps, self.stylus_radius)
         if self.pixel is not None or np.isfinite(self.cutoff):
             z = self._averaged(z, missing, steps)
         z = np.where(missing, np.nan, z)
-        seen = replace(surface, z=z[0] if isinstance(surface, Profile) else z)
-        seen = seen if like is None else _taken_at(seen, like)
+        measured = replace(surface, z=z[0] if isinstance(surface, Profile) else z)
+        measured = measured if like is None else _resample(measured, like)
         if seed is not None and self.noise > 0:
             random = np.random.default_rng(whole(seed, "the seed", 0))
-            seen = replace(seen, z=seen.z + self.noise * random.standard_normal(seen.z.shape))
-        return seen
+            measured = replace(measured, z=measured.z + self.noise * random.standard_normal(measured.z.shape))
+        return measured
 
     @property
     def _finest(self) -> float:
-        """Finest length that optics and pixel tell apart. [mm]."""
+        """Shortest length that optics and pixel resolve. [mm]."""
         return max(self.pixel or 0.0, 1 / self.cutoff)
 
     def _require_fine(self, step: float) -> None:
         limit = min(
-            self._finest / FINE or np.inf,
-            np.inf if self.stylus_radius is None else self.stylus_radius / BALL_FINE,
+            self._finest / MIN_STEPS_PER_RESOLUTION or np.inf,
+            np.inf if self.stylus_radius is None else self.stylus_radius / MIN_STEPS_PER_BALL,
         )
         if step > limit * (1 + 1e-6):
             raise InputError(
                 f"the surface has steps of {step * 1e3:.3g} um, the limit for this instrument is {limit * 1e3:.3g} um: "
-                "generate it more finely"
+                "use a finer grid"
             )
 
     def _averaged(self, z: Floats, missing: Bools, steps: tuple[float, float]) -> Floats:
-        """Return heights through optics and pixel, by the convolution theorem."""
+        """Return heights filtered by optics and pixel, by the convolution theorem."""
         from scipy import fft  # noqa: PLC0415 - only this needs it
 
         z = _filled(z, missing)
         pads = [
-            min(int(np.ceil(TAIL * self._finest / step)), size - 1) if np.isfinite(step) else 0
+            min(int(np.ceil(PADDING_LENGTHS * self._finest / step)), size - 1) if np.isfinite(step) else 0
             for size, step in zip(z.shape, steps, strict=True)
         ]
         wide = np.pad(z, [(pad, pad) for pad in pads], mode="reflect", reflect_type="odd")
-        # What goes on past the end must meet what begins: a straight line between them closes the period.
+        # The transform is periodic: removing a straight line makes the two ends meet.
         trend = sum(_closing_line(wide, axis) for axis in (0, 1))
         shape = wide.shape
         frequencies = [
@@ -279,8 +282,8 @@ def _presets() -> dict[str, dict[str, Any]]:
 
 
 def _read(table: dict[str, Any], name: str, source: str) -> Instrument:
-    found = read_table(Instrument, {"name": name, **table}, f"instrument {name!r}")
-    return replace(found, loaded=Loaded(source, found))
+    instrument = read_table(Instrument, {"name": name, **table}, f"instrument {name!r}")
+    return replace(instrument, loaded=Loaded(source, instrument))
 
 
 def _overlap(distance: Floats, filling: float) -> Floats:
@@ -298,23 +301,23 @@ def _overlap(distance: Floats, filling: float) -> Floats:
 
 
 def _steps(heights: HeightMap) -> tuple[float, float]:
-    """Return the steps of a rectangular grid, y before x; infinite where it has one row. [mm]."""
+    """Return the steps of a rectangular grid along y and x; infinite for a single row or column. [mm]."""
     heights.require_calibrated()
     if heights.polar or heights.scattered or heights.x is None or heights.y is None:
         raise InputError(
-            f"the map has {'a polar grid' if heights.polar else 'scattered points'}, an instrument sees a rectangular "
+            f"the map has {'a polar grid' if heights.polar else 'scattered points'}, an instrument needs a rectangular "
             "grid: generate the surface on one"
         )
     steps = []
     for name, axis in (("y", heights.y), ("x", heights.x)):
         if axis.size > 1 and not is_even(axis):
-            raise InputError(f"the steps of {name} are uneven, an instrument needs an even grid: interpolate the map")
+            raise InputError(f"the steps of {name} are uneven, an instrument needs even steps: interpolate the map")
         steps.append(float(np.diff(axis).mean()) if axis.size > 1 else np.inf)
     return steps[0], steps[1]
 
 
 def _filled(z: Floats, missing: Bools) -> Floats:
-    """Return heights with the nearest valid one where they are missing."""
+    """Return heights with missing ones replaced by the nearest valid height."""
     if not missing.any():
         return z
     from scipy import ndimage  # noqa: PLC0415 - only this needs it
@@ -324,7 +327,7 @@ def _filled(z: Floats, missing: Bools) -> Floats:
 
 
 def _closing_line(z: Floats, axis: int) -> Floats:
-    """Return, along one axis, the line whose removal makes the mean heights of both ends meet. (ny, nx)."""
+    """Return the line along one axis whose removal makes the mean heights of both ends equal. (ny, nx)."""
     size = z.shape[axis]
     if size < 3:
         return np.zeros(z.shape)
@@ -334,10 +337,10 @@ def _closing_line(z: Floats, axis: int) -> Floats:
 
 
 def _rolled(z: Floats, missing: Bools, steps: tuple[float, float], radius: float) -> Floats:
-    """Return what a ball traces that is rolled over heights: its lowest point. Missing heights do not touch it."""
+    """Return the trace of the lowest point of a ball rolled over heights. Missing heights do not touch the ball."""
     from scipy import ndimage  # noqa: PLC0415 - only this needs it
 
-    # A point further away than this cannot touch, as the ball there stands higher than the surface.
+    # Beyond this distance the ball is higher above its lowest point than the surface varies.
     rise = float(np.nanmax(z) - np.nanmin(z))
     reach = radius if rise >= radius else np.sqrt(rise * (2 * radius - rise))
     away = []
@@ -345,10 +348,10 @@ def _rolled(z: Floats, missing: Bools, steps: tuple[float, float], radius: float
         count = min(int(reach / step), size - 1) if np.isfinite(step) else 0
         away.append(np.arange(-count, count + 1) * (step if np.isfinite(step) else 0.0))
     square = away[0][:, None] ** 2 + away[1] ** 2
-    if square.size > MOST_OFFSETS:
+    if square.size > MAX_BALL_POINTS:
         raise InputError(
             f"the ball of {radius * 1e3:g} um covers {square.size:,} points of the surface, the limit is "
-            f"{MOST_OFFSETS:,}: generate it more coarsely"
+            f"{MAX_BALL_POINTS:,}: use a coarser grid"
         )
     under = square <= radius**2
     ball = np.sqrt(np.where(under, radius**2 - square, 0.0)) - radius
@@ -359,33 +362,33 @@ def _rolled(z: Floats, missing: Bools, steps: tuple[float, float], radius: float
     return traced
 
 
-def _taken_at(seen: HeightMap | Profile, like: HeightMap | Profile) -> HeightMap | Profile:
-    """Return heights at the places of another profile or grid, by cubic splines between points."""
+def _resample(seen: HeightMap | Profile, like: HeightMap | Profile) -> HeightMap | Profile:
+    """Return heights interpolated at the points of another profile or grid by cubic splines."""
     from scipy import ndimage  # noqa: PLC0415 - only this needs it
 
     if isinstance(seen, Profile):
         if not isinstance(like, Profile):
             raise InputError("a profile is compared with a map: take a line of the map first (line_profile)")
-        axes, wanted, z = [seen.distance], [like.distance], seen.z
+        axes, targets, z = [seen.distance], [like.distance], seen.z
     else:
         if not isinstance(like, HeightMap) or like.x is None or like.y is None or like.scattered:
-            raise InputError("a map is seen at the places of a rectangular map: give one")
+            raise InputError("like must be a map on a rectangular grid: give one")
         assert seen.x is not None  # noqa: S101 - a rectangular grid has x and y
         assert seen.y is not None  # noqa: S101
-        axes, wanted, z = [seen.y, seen.x], [like.y, like.x], seen.z
+        axes, targets, z = [seen.y, seen.x], [like.y, like.x], seen.z
     places = []
-    for axis, at in zip(axes, wanted, strict=True):
+    for axis, at in zip(axes, targets, strict=True):
         step = (axis[-1] - axis[0]) / max(axis.size - 1, 1) or 1.0
         place = (at - axis[0]) / step
         if place.min() < -1e-6 or place.max() > axis.size - 1 + 1e-6:
             raise InputError(
-                f"the measured places reach from {at[0]:g} to {at[-1]:g} mm, the surface from {axis[0]:g} to "
-                f"{axis[-1]:g} mm: generate more of it"
+                f"the measured points reach from {at[0]:g} to {at[-1]:g} mm, the surface from {axis[0]:g} to "
+                f"{axis[-1]:g} mm: simulate a larger area"
             )
         places.append(place)
     missing = np.isnan(z)
     grid = np.meshgrid(*places, indexing="ij")
-    found = ndimage.map_coordinates(_filled(z, missing), grid, order=3, mode="mirror")
+    resampled = ndimage.map_coordinates(_filled(z, missing), grid, order=3, mode="mirror")
     if missing.any():
-        found[ndimage.map_coordinates(missing.astype(np.float64), grid, order=1, mode="nearest") > 1e-9] = np.nan
-    return replace(like, z=found, name=f"{seen.name} as seen".strip())
+        resampled[ndimage.map_coordinates(missing.astype(np.float64), grid, order=1, mode="nearest") > 1e-9] = np.nan
+    return replace(like, z=resampled, name=f"{seen.name} as seen".strip())

@@ -1,4 +1,4 @@
-"""The material: what it takes to cut it, and how thick a chip it bears without fracture."""
+"""The material: its cutting coefficients and its critical chip thickness."""
 
 from __future__ import annotations
 
@@ -28,35 +28,35 @@ if TYPE_CHECKING:
 
 __all__ = ["CriticalThickness", "CuttingCoefficient", "Lobes", "Material"]
 
-MOST_LOBES = 24
-"""Lobes beyond what the symmetry of a crystal gives."""
+MAX_LOBES = 24
+"""Lobes per revolution; the symmetry of crystals gives fewer."""
 
-STEEPEST = np.deg2rad(80)
-"""Rake beyond which nothing is measured. [rad]"""
+MAX_RAKE = np.deg2rad(80)
+"""Largest rake of a table of factors, either way. [rad]"""
 
 
 def _bare(name: str) -> str:
-    """Return a name without case, spaces and marks: IRG 26 and irg-26 are one."""
+    """Return a name without case, spaces and punctuation: IRG 26 and irg-26 are the same."""
     return re.sub("[^a-z0-9]", "", name.casefold())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lobes(Stated):
-    """How a crystal's property varies around the part: 1 + amplitude cos(count (angle - maximum)).
+    """Variation of a crystal's property around the part: 1 + amplitude cos(count (angle - maximum)).
 
     Parameters
     ----------
     count
-        Maxima in a turn: 3 on the (111) plane of germanium, 4 on (001).
+        Maxima per revolution: 3 on the (111) plane of germanium, 4 on (001).
     amplitude
-        Half of the swing, as a share of the mean.
+        Half of the peak-to-valley variation, relative to the mean.
     maximum
-        Azimuth of the part at which one maximum stands; it depends on how the crystal is mounted. [rad]
+        Azimuth of one maximum on the part; it depends on how the crystal is mounted. [rad]
 
     Raises
     ------
     InputError
-        If the count is no whole number from 1 to 24, or the amplitude is not below 1.
+        If the count is not an integer from 1 to 24, or the amplitude is not below 1.
     """
 
     count: Annotated[int, plain()]
@@ -65,42 +65,42 @@ class Lobes(Stated):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        object.__setattr__(self, "count", whole_number(self.count, "lobes count", 1, MOST_LOBES))
+        object.__setattr__(self, "count", whole_number(self.count, "lobes count", 1, MAX_LOBES))
         between(self.amplitude, "lobes amplitude", 0.0, 0.99, "of the mean")
         check_angle(self.maximum, "lobes maximum")
 
     def factor(self, angle: ArrayLike) -> Floats:
-        """Return the factor to the mean at some azimuths of the part. Any shape [1]."""
-        turned = self.count * (np.asarray(angle, dtype=np.float64) - self.maximum)
-        return np.asarray(1.0 + self.amplitude * np.cos(turned))
+        """Return the property over its mean at azimuths of the part. Any shape [1]."""
+        phase = self.count * (np.asarray(angle, dtype=np.float64) - self.maximum)
+        return np.asarray(1.0 + self.amplitude * np.cos(phase))
 
 
 Curve = tuple[Floats, Floats]
-"""Ascending positions and the factors there, straight in between and held beyond. ((n,), (n,))"""
+"""Ascending positions and the factors there; linear interpolation, constant extrapolation. ((n,), (n,))"""
 
 
 _BY_RAKE = Columns(at_deg=math.pi / 180, factor=1.0)
 
 
 def _curve(curve: tuple[ArrayLike, ArrayLike], name: str) -> Curve:
-    """Return a curve of factors whose arrays fit."""
+    """Return a curve of factors as checked arrays."""
     if len(curve) != 2:
         raise InputError(f"{name} has {len(curve)} parts, it needs 2: give positions and factors")
     at, factor = frozen(curve[0], f"{name} positions"), frozen(curve[1], f"{name} factors")
     if at.size < 2 or at.shape != factor.shape or not (np.diff(at) > 0).all() or not (factor > 0).all():
         raise InputError(
-            f"{name} has {at.size} positions and {factor.size} factors, it needs as many of one as of the other, at "
-            "least 2, positions ascending and factors above 0: sort and complete it"
+            f"{name} has {at.size} positions and {factor.size} factors, it needs equal numbers of both, at least 2, "
+            "positions ascending and factors above 0: sort and complete it"
         )
     return at, factor
 
 
 def _by_rake(curve: Curve, name: str) -> Curve:
     """Return a curve of factors over the rake. [rad]."""
-    found = _curve(curve, name)
-    for end in found[0][[0, -1]]:
-        check_angle(end, f"a position of {name}", -STEEPEST, STEEPEST)
-    return found
+    rake, factor = _curve(curve, name)
+    for end in rake[[0, -1]]:
+        check_angle(end, f"a position of {name}", -MAX_RAKE, MAX_RAKE)
+    return rake, factor
 
 
 def _uncertainty(value: float | None, name: str, unit: str) -> None:
@@ -109,7 +109,7 @@ def _uncertainty(value: float | None, name: str, unit: str) -> None:
 
 
 def _around(rake: Curve | None, lobes: Lobes | None, at_rake: ArrayLike, at_angle: ArrayLike) -> Floats:
-    """Return the factor of the rake times that of the direction."""
+    """Return the factor of the rake times that of the azimuth."""
     by_rake = np.ones(()) if rake is None else np.interp(np.asarray(at_rake, dtype=np.float64), *rake)
     by_angle = np.ones(()) if lobes is None else lobes.factor(at_angle)
     return np.asarray(by_rake * by_angle)
@@ -117,7 +117,7 @@ def _around(rake: Curve | None, lobes: Lobes | None, at_rake: ArrayLike, at_angl
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CuttingCoefficient(Stated, Value):
-    r"""Force on the edge per area of the uncut chip.
+    r"""Specific cutting force: force on the edge per cross-section of the uncut chip.
 
     .. math:: K(t, \gamma, \psi) = K_0 \, (t / t_0)^{-m} \, f_t(t) \, f_\gamma(\gamma) \, f_\psi(\psi)
 
@@ -126,19 +126,19 @@ class CuttingCoefficient(Stated, Value):
     value
         The coefficient K₀, where every factor is 1. [N/mm²]
     uncertainty
-        Its standard uncertainty; ``None`` where nobody states one. [N/mm²]
+        Its standard uncertainty; ``None`` if not known. [N/mm²]
     exponent
-        Power m with which it falls as the chip grows, the size effect; 0 for none.
+        Exponent m of the size effect, the decrease with chip thickness; 0 for none.
     reference_thickness
-        Chip thickness t₀ at which the power is 1; needed with an exponent. [mm]
+        Chip thickness t₀ at which the power is 1; required with an exponent. [mm]
     thickness
-        Factor by chip thickness, straight over the logarithm of it and held beyond. ((n,) [mm], (n,))
+        Factor by chip thickness, linear over its logarithm and constant beyond the ends. ((n,) [mm], (n,))
     rake
         Factor by rake. ((n,) [rad], (n,))
     lobes
         Factor by the azimuth of the part, for a crystal.
     stated
-        Thinnest and thickest chip that the source speaks of; ``None`` where it names none. [mm]
+        Range of chip thickness that the source covers; ``None`` if it gives none. [mm]
 
     Raises
     ------
@@ -170,18 +170,18 @@ class CuttingCoefficient(Stated, Value):
         if self.reference_thickness is not None:
             positive(self.reference_thickness, "reference_thickness", "mm")
         elif self.exponent:
-            raise InputError("a cutting coefficient has an exponent and no reference_thickness: give it in mm")
+            raise InputError("a cutting coefficient with an exponent needs a reference_thickness: give it in mm")
         for name, read in (("thickness", _curve), ("rake", _by_rake)):
             curve = getattr(self, name)
             if curve is not None:
                 object.__setattr__(self, name, read(curve, f"the {name} of a cutting coefficient"))
         if self.thickness is not None and not self.thickness[0][0] > 0:
-            raise InputError("the thickness of a cutting coefficient begins at 0 mm or below: begin above 0 mm")
+            raise InputError("the thickness of a cutting coefficient must begin above 0 mm: correct its first position")
         if self.stated is not None and not 0 <= self.stated[0] < self.stated[1]:
             low, high = self.stated
             raise InputError(
-                f"a cutting coefficient is stated for chips of {low:g} to {high:g} mm, it must be from the thinnest, "
-                "at least 0 mm, to the thickest: correct them"
+                f"stated of a cutting coefficient is {low:g} to {high:g} mm, it must ascend from 0 mm or more: "
+                "correct it"
             )
 
     @property
@@ -190,12 +190,12 @@ class CuttingCoefficient(Stated, Value):
         return self.exponent == 0.0 and self.thickness is None
 
     def at(self, thickness: ArrayLike, *, rake: ArrayLike = 0.0, angle: ArrayLike = 0.0) -> Floats:
-        """Return the coefficient.
+        """Return the coefficient at chip thicknesses, rakes and azimuths. Broadcast [N/mm²].
 
         Parameters
         ----------
         thickness
-            Of the uncut chip; at 0 and below it counts as 1e-9 mm. Any shape [mm]
+            Uncut chip thickness; 0 and below count as 1e-9 mm. Any shape [mm]
         rake
             Effective rake. Broadcast [rad]
         angle
@@ -212,14 +212,14 @@ class CuttingCoefficient(Stated, Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CriticalThickness(Stated, Value):
-    """Thickness of the uncut chip beyond which the material fractures.
+    """Critical chip thickness: uncut chips thicker than this fracture (ductile-to-brittle transition).
 
     Parameters
     ----------
     value
-        Where every factor is 1. [mm]
+        The thickness where every factor is 1. [mm]
     uncertainty
-        Its standard uncertainty; ``None`` where nobody states one. [mm]
+        Its standard uncertainty; ``None`` if not known. [mm]
     rake
         Factor by rake. ((n,) [rad], (n,))
     lobes
@@ -245,47 +245,47 @@ class CriticalThickness(Stated, Value):
 
     @property
     def doubt(self) -> float:
-        """Share of the value by which it may be off in 95 of 100 cases: two standard uncertainties, 0 for none."""
+        """Expanded relative uncertainty (k = 2) of the value; 0 where none is known."""
         return 0.0 if self.uncertainty is None else 2 * self.uncertainty / self.value
 
     @property
     def safe(self) -> float:
-        """Share of the value up to which a chip is ductile beyond doubt; 0 where the value itself is in doubt."""
+        """Lower limit of the confidence interval over the value, at least 0: thinner chips are ductile."""
         return max(1 - self.doubt, 0.0)
 
     def at(self, *, rake: ArrayLike = 0.0, angle: ArrayLike = 0.0) -> Floats:
-        """Return the critical thickness at some effective rakes and azimuths of the part. Broadcast [mm]."""
+        """Return the critical thickness at effective rakes and azimuths of the part. Broadcast [mm]."""
         shape = np.broadcast(np.asarray(rake), np.asarray(angle)).shape
         return np.asarray(self.value * _around(self.rake, self.lobes, rake, angle) * np.ones(shape))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Material(Stated, Value):
-    """What is cut: the force it takes, and the chip it bears.
+    """A workpiece material: cutting forces and ductile regime.
 
     Parameters
     ----------
     name
-        What the material is called.
+        Name of the material.
     aliases
-        Other names by which a job may state it: Ge, germanium.
+        Other names accepted in a job: Ge, germanium.
     cutting
-        Coefficient Kc of the force along the cutting direction; ``None`` where nobody states one.
+        Coefficient Kc of the force along the cutting direction; ``None`` if not known.
     thrust
         Coefficient Kt of the force normal to the edge, in the rake plane.
     critical
-        Thickest chip without fracture; ``None`` for a material that cuts ductile however thick the chip.
+        Critical chip thickness; ``None`` for a material that is ductile at any chip thickness.
     brittle_plateau
-        Whether the force per width of edge stays the same for all chips thicker than the critical thickness.
+        Whether the force per width of edge is constant for chips above the critical thickness.
     brittle_force
-        Cutting force and thrust that then remain, as shares of those at the critical thickness; forces drop where
-        the material fractures. [1]
+        Cutting force and thrust force on that plateau, over those at the critical thickness; forces drop where the
+        material fractures. [1]
     fracture_ratio
-        How deep a crack runs below the edge, per thickness of the chip that started it.
+        Depth of a crack below the edge, over the thickness of the chip that started it.
     sources
-        Where each fact comes from, by field ("cutting.value"); anything assumed says so.
+        Source of each value, by field ("cutting.value"); assumed values are marked.
     notes
-        What a user should know before relying on it.
+        Remarks on the range of validity.
 
     Raises
     ------
@@ -319,14 +319,14 @@ class Material(Stated, Value):
         if not self.name:
             raise InputError("a material has no name: give it one")
         if (self.cutting is None) != (self.thrust is None):
-            raise InputError(f"material {self.name!r} has one cutting coefficient of two: give cutting and thrust")
+            raise InputError(f"material {self.name!r} has one of two cutting coefficients: give cutting and thrust")
         if self.fracture_ratio is not None:
             positive(self.fracture_ratio, "fracture_ratio", "mm per mm of chip")
-        shares = tuple(between(one, "brittle_force", 0.0, 1.0, "of the force") for one in self.brittle_force)
-        if len(shares) != 2:
-            raise InputError(f"brittle_force has {len(shares)} shares, it needs 2: give cutting force and thrust")
-        object.__setattr__(self, "brittle_force", shares)
-        if min(shares) < 1 and not self.brittle_plateau:
+        ratios = tuple(between(ratio, "brittle_force", 0.0, 1.0, "of the force") for ratio in self.brittle_force)
+        if len(ratios) != 2:
+            raise InputError(f"brittle_force has {len(ratios)} values, it needs 2: give cutting force and thrust")
+        object.__setattr__(self, "brittle_force", ratios)
+        if min(ratios) < 1 and not self.brittle_plateau:
             raise InputError(f"material {self.name!r} has a brittle_force and no brittle_plateau: set that too")
         if self.brittle_plateau and self.critical is None:
             raise InputError(f"material {self.name!r} has a brittle_plateau and no critical thickness: give that too")
@@ -335,11 +335,11 @@ class Material(Stated, Value):
     def known(cls) -> tuple[str, ...]:
         """Return the names of the materials that come with Turnwright."""
         folder = resources.files("turnwright") / "materials"
-        return tuple(sorted(Path(one.name).stem for one in folder.iterdir() if one.name.endswith(".toml")))
+        return tuple(sorted(Path(file.name).stem for file in folder.iterdir() if file.name.endswith(".toml")))
 
     @classmethod
     def named(cls, name: str) -> str | None:
-        """Return which of `known` a name means, whatever its case, spaces and marks: IRG 26 is irg26, Ge germanium.
+        """Return the member of `known` for a name, ignoring case, spaces and punctuation; ``None`` if there is none.
 
         >>> Material.named("AL 6061-T6"), Material.named("Ge"), Material.named("IRG26x")
         ('aluminium-6061', 'germanium-111', None)
@@ -348,15 +348,15 @@ class Material(Stated, Value):
 
     @classmethod
     def suggest(cls, name: str) -> str:
-        """Return the remedy for a name that is not known: the nearest ones, or all where none is near.
+        """Return the remedy for an unknown name: the most similar names, or all where none is similar.
 
         >>> Material.suggest("germanum")
         "did you mean 'germanium' or 'germanium (111)'?"
         """
-        names = {alias: alias for alias in _names()} | {_bare(one): one for one in _spellings()}
+        names = {alias: alias for alias in _names()} | {_bare(spelling): spelling for spelling in _spellings()}
         close = difflib.get_close_matches(_bare(name)[:60], names, n=3, cutoff=0.7)
         if close:
-            return f"did you mean {' or '.join(repr(names[one]) for one in close)}?"
+            return f"did you mean {' or '.join(repr(names[match]) for match in close)}?"
         return f"the known ones are {', '.join(cls.known())}"
 
     @classmethod
@@ -366,7 +366,7 @@ class Material(Stated, Value):
         Parameters
         ----------
         name
-            One of `known`, whatever its case, spaces and marks, or the path of a ``.toml`` file.
+            One of `known`, ignoring case, spaces and punctuation, or the path of a ``.toml`` file.
 
         Raises
         ------
@@ -383,31 +383,32 @@ class Material(Stated, Value):
         return read_table(cls, table, f"material file {str(name)!r}")
 
     def caution(self, thickness: float) -> str:
-        """Return what to know before relying on forces at a chip thickness [mm]; empty where the source covers it.
+        """Return a warning about forces at a chip thickness [mm]; empty where the source covers it.
 
         >>> Material.load("copper-ofhc").caution(1e-3)
-        'forces are an estimate, for the coefficients are stated for chips of 100 um to 1 mm'
+        'forces are an estimate: the coefficients are stated for chips of 100 um to 1 mm'
         >>> Material.load("irg26").caution(300e-6)
         ''
         """
-        ranges = [one.stated for one in (self.cutting, self.thrust) if one is not None and one.stated is not None]
+        coefficients = (self.cutting, self.thrust)
+        ranges = [each.stated for each in coefficients if each is not None and each.stated is not None]
         if not ranges:
             return ""
-        low, high = max(one[0] for one in ranges), min(one[1] for one in ranges)
-        # A plateau stands for the chips beyond the limit.
+        low, high = max(first for first, _ in ranges), min(last for _, last in ranges)
+        # A plateau covers the chips above the critical thickness.
         if low <= thickness and (thickness <= high or self.brittle_plateau):
             return ""
-        return f"forces are an estimate, for the coefficients are stated for chips of {_span(low, high)}"
+        return f"forces are an estimate: the coefficients are stated for chips of {_span(low, high)}"
 
     def coefficients(
         self, thickness: ArrayLike, *, rake: ArrayLike = 0.0, angle: ArrayLike = 0.0
     ) -> tuple[Floats, Floats]:
-        """Return the coefficients Kc and Kt, with the plateau beyond the critical thickness where there is one.
+        """Return the coefficients Kc and Kt, constant force above the critical thickness where there is a plateau.
 
         Parameters
         ----------
         thickness
-            Of the uncut chip. Any shape [mm]
+            Uncut chip thickness. Any shape [mm]
         rake, angle
             Effective rake and azimuth of the part. Broadcast [rad]
 
@@ -419,23 +420,23 @@ class Material(Stated, Value):
         Raises
         ------
         InputError
-            If nobody states them for this material.
+            If the material has no coefficients.
         """
         if self.cutting is None or self.thrust is None:
             raise InputError(
                 f"material {self.name!r} has no cutting coefficients, forces need 2: give cutting and thrust in a "
-                "file of your own"
+                "material file"
             )
         chip = np.asarray(thickness, dtype=np.float64)
-        shares = [np.ones(()), np.ones(())]
+        factors = [np.ones(()), np.ones(())]
         if self.brittle_plateau and self.critical is not None:
             limit = self.critical.at(rake=rake, angle=angle)
-            held = limit / np.maximum(chip, limit)
-            shares = [np.where(chip > limit, one * held, 1.0) for one in self.brittle_force]
+            plateau = limit / np.maximum(chip, limit)
+            factors = [np.where(chip > limit, ratio * plateau, 1.0) for ratio in self.brittle_force]
             chip = np.minimum(chip, limit)
         cutting, thrust = (
-            np.asarray(one.at(chip, rake=rake, angle=angle) * share)
-            for one, share in zip((self.cutting, self.thrust), shares, strict=True)
+            np.asarray(coefficient.at(chip, rake=rake, angle=angle) * factor)
+            for coefficient, factor in zip((self.cutting, self.thrust), factors, strict=True)
         )
         return cutting, thrust
 
@@ -446,20 +447,20 @@ def _shipped(name: str) -> bytes:
 
 @cache
 def _spellings() -> dict[str, str]:
-    """Return which material each name stands for that one may call it by."""
-    found = {}
-    for one in Material.known():
-        table = read_toml(_shipped(one), f"material file {one!r}")
-        found.update(dict.fromkeys([one, table["name"], *table.get("aliases", ())], one))
-    return found
+    """Return the material of every name and alias."""
+    spellings = {}
+    for material in Material.known():
+        table = read_toml(_shipped(material), f"material file {material!r}")
+        spellings.update(dict.fromkeys([material, table["name"], *table.get("aliases", ())], material))
+    return spellings
 
 
 @cache
 def _names() -> dict[str, str]:
-    return {_bare(name): one for name, one in _spellings().items()}
+    return {_bare(spelling): material for spelling, material in _spellings().items()}
 
 
 def _span(low: float, high: float) -> str:
-    """Return two lengths in words, each in the unit that suits it."""
-    words = [f"{x:g} mm" if x >= 1 else f"{x * 1e3:.4g} um" if x >= 1e-3 else f"{x * 1e6:.4g} nm" for x in (low, high)]
-    return f"{words[0]} to {words[1]}"
+    """Return a range of lengths as text, each length in its customary unit."""
+    ends = [f"{x:g} mm" if x >= 1 else f"{x * 1e3:.4g} um" if x >= 1e-3 else f"{x * 1e6:.4g} nm" for x in (low, high)]
+    return f"{ends[0]} to {ends[1]}"

@@ -1,4 +1,4 @@
-"""What is asked for: a surface, how far it reaches, and what it is cut from."""
+"""The part: nominal surface, clear aperture, material, stock and blank."""
 
 from __future__ import annotations
 
@@ -22,16 +22,15 @@ __all__ = ["Blank", "Part", "evenly"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blank(Stated):
-    """What a part is cut from: a disc on the axis of the spindle.
+    """The blank of a part: a disc on the spindle axis.
 
-    Its top follows the finished surface at the distance of the part's stock. Beyond the clear radius, where nothing is
-    known of the finished surface, it goes on at the slope of the rim where that rises outward, and level where it
-    falls.
+    Its top follows the finished surface at the distance of the part's stock. Beyond the clear aperture it continues at
+    the slope of the rim where that rises outward, and level where it falls.
 
     Parameters
     ----------
     radius
-        How far from the axis there is material, its runout included. [mm]
+        Largest distance of material from the axis, runout included. [mm]
 
     Raises
     ------
@@ -47,7 +46,7 @@ class Blank(Stated):
 
     @property
     def reach(self) -> float:
-        """Largest distance of any material from the axis. [mm]."""
+        """Largest distance of material from the axis. [mm]."""
         return self.radius
 
 
@@ -60,29 +59,29 @@ class Part(Stated):
     surface
         The finished surface z = f(x, y), with the vertex at the origin and the spindle along z.
     radius
-        Clear radius: how far from the axis the surface must be right. [mm]
+        Semi-diameter of the clear aperture. [mm]
     stock
         Thickness of material above the finished surface before the first pass. [mm]
     material
-        What is cut, as the drawing names it: a known material in any spelling, or the ``.toml`` file of one. Chips and
-        ductile regime are judged by it.
+        Name of the material in any spelling, or the ``.toml`` file of one. Uncut chip thickness and ductile regime are
+        checked against it.
     material_note
         Free text on the material: condition, supplier, lot. Nothing is derived from it.
     name
-        What the shop calls the part.
+        Name of the part.
     correction
-        Heights that are added to the surface that the tool is sent to, as `correct` writes them, so that an error that
-        repeats does not come back; the part is judged by its design as before.
+        Heights added to the surface for the tool path, as `correct` writes them, to cancel a repeatable form error.
+        The form error is still measured from the design.
     blank
-        What it is cut from; ``None`` where that is not known. Then material is taken to reach farther out than the tool
-        ever does, so that no pass begins beside it.
+        The blank; ``None`` if not known. Material is then assumed wherever the tool goes, so that no pass begins next
+        to it.
 
     Raises
     ------
     InputError
         If the radius is not positive, the stock is negative, or the blank is smaller than the part.
     DomainError
-        If the surface is not defined everywhere inside the clear radius.
+        If the surface is not defined everywhere in the clear aperture.
     """
 
     surface: Surface
@@ -99,8 +98,8 @@ class Part(Stated):
         positive(self.radius, "part radius", "mm")
         if self.blank is not None and self.blank.reach < self.radius:
             raise InputError(
-                f"the blank reaches {self.blank.reach:g} mm from the axis, the limit is the clear radius "
-                f"{self.radius:g} mm or more: give the radius of the blank"
+                f"the blank reaches {self.blank.reach:g} mm from the axis, it must reach at least the clear radius of "
+                f"{self.radius:g} mm: give the radius of the blank"
             )
         if self.stock < 0:
             raise InputError(f"stock is {self.stock:g} mm, it cannot be below 0 mm: give the thickness to remove")
@@ -108,19 +107,19 @@ class Part(Stated):
 
     @property
     def design(self) -> Part:
-        """The part as it was designed, by which everything is judged."""
+        """The part without its correction, from which form errors are measured."""
         return self if self.correction is None else replace(self, correction=None)
 
     @property
     def aimed(self) -> Part:
-        """The part that the tool is sent to: the design with its correction."""
+        """The part that the tool path is planned for: the design with its correction added."""
         if self.correction is None:
             return self
         return replace(self, surface=self.surface + self.correction, correction=None)
 
     @property
     def substance(self) -> Material | None:
-        """What is known of the material; ``None`` where nothing is."""
+        """The `Material`; ``None`` if its name is not known."""
         if self.material.endswith(".toml"):
             return Material.load(self.material)
         named = Material.named(self.material)
@@ -128,13 +127,13 @@ class Part(Stated):
 
     @property
     def material_name(self) -> str:
-        """What the material is called: of one that a file describes, the name in the file."""
-        # A path would make the program another one wherever its job lies.
+        """Name of the material; for a material file, the name in that file."""
+        # With the path of the file the program would depend on where its job is stored.
         return self.substance.name if self.substance and self.material.endswith(".toml") else self.material
 
 
 def evenly(part: Part, count: int) -> tuple[Floats, Floats]:
-    """Return places evenly over a part, like the seeds of a sunflower: as many on every area. Each (count,) [mm]."""
+    """Return points of equal density over a part (a Fibonacci, or sunflower, lattice). Each (count,) [mm]."""
     number = np.arange(count) + 0.5
     radius, angle = part.radius * np.sqrt(number / count), np.pi * (1 + np.sqrt(5)) * number
     return radius * np.cos(angle), radius * np.sin(angle)

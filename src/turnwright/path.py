@@ -1,4 +1,4 @@
-"""Three views of one motion: where the tool is sent, where it stands, and how the axes move in time."""
+"""The stages of a motion: the spiral in plan view, the tool path in contact, and the axes over time."""
 
 from __future__ import annotations
 
@@ -15,53 +15,52 @@ from turnwright.machine import FAST, ROTARY, Machine
 
 __all__ = ["Motion", "Path", "Spiral", "block_points"]
 
-STRAIGHT = 1e-7
-"""How far an axis may be from the straight line between two blocks of a lathe with a fast tool, a tenth of the last
-decimal of its program. [mm]"""
+LINEARITY_TOL_MM = 1e-7
+"""Deviation of a linear axis from the straight line between two blocks of a lathe with a fast tool, a tenth of the last
+decimal of its program."""
 
-TURNED = 1e-9
-"""The same for axes that turn. [rad]"""
+LINEARITY_TOL_RAD = 1e-9
+"""The same for rotary axes."""
 
-MOST_TURN = np.pi / 4
-"""Widest step of C between two blocks of such a program, so that nobody doubts its sense. [rad]"""
+MAX_C_STEP_RAD = np.pi / 4
+"""Step of C between two blocks of such a program, so that its sense is unambiguous."""
 
 
 def _sense(angle: Floats, what: str) -> int:
     """Return +1 or -1, the direction in which the spindle angle runs."""
     if angle.size < 2:
-        raise InputError(f"{what} has {angle.size} points, it needs at least 2: take a smaller feed or more points")
+        raise InputError(f"{what} has {angle.size} points, it needs at least 2: use a smaller feed or more points")
     check_cumulative(angle, f"the angle of {what}")
     before, after = angle[:-1], angle[1:]
     if (after > before).all():
         return 1
     if (after < before).all():
         return -1
-    raise InputError(f"the spindle angle of {what} turns back: make it grow or fall all the way")
+    raise InputError(f"the spindle angle of {what} turns back, it must grow or fall throughout: correct its order")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spiral(Compared):
-    """Where the tool is sent, in plan view.
+    """The commanded spiral in plan view.
 
     Parameters
     ----------
     angle
-        Azimuth of the part under the tool, cumulative over the turns, strictly growing or strictly falling, in most
-        steps by half a turn at most. Degrees are refused where their steps are wider than that, where they are coarse,
-        even and a whole part of 360, and where the ends lie a whole number of times 360 apart; uneven steps of less
-        than 3.1 degrees cannot be known from coarse ones in radians. (n,) [rad]
+        Azimuth of the part under the tool, cumulative over the revolutions, strictly growing or strictly falling; the
+        median step is at most half a turn. Angles in degrees are refused where the step is wider than that, where it
+        is coarse, even and divides 360, and where the span is a multiple of 360; uneven steps below 3.1 degrees cannot
+        be told from coarse steps in radians. (n,) [rad]
     radius
         Commanded distance of the tip from the axis (for a path along the normal: of the contact point). (n,) [mm]
     y
-        Height of the tip above centre, that is across the rake plane; ``None`` for a tip that stays at centre. (n,)
-        [mm]
+        Height of the tip above centre, across the rake plane; ``None`` for a tip at centre height. (n,) [mm]
     radius_rate, y_rate
-        Their derivatives by the angle; ``None`` where nobody states them. (n,) [mm/rad]
+        Their derivatives by the angle; ``None`` if not known. (n,) [mm/rad]
     lift
-        How far above contact each point of the program is to stand (below where negative), so that straight lines
-        between the points keep to both sides of the exact path; ``None`` for points on it. (n,) [mm]
+        Offset of each point of the program above contact (below where negative), so that straight lines between the
+        points deviate equally to both sides of the exact path; ``None`` for points on the path. (n,) [mm]
     sense
-        +1 where the angle grows, -1 where it falls; found from the angle.
+        +1 where the angle grows, -1 where it falls; derived from the angle.
     """
 
     angle: Floats
@@ -77,11 +76,11 @@ class Spiral(Compared):
         freeze(self, ("angle", "radius"), ("y", "radius_rate", "y_rate", "lift"))
         object.__setattr__(self, "sense", _sense(self.angle, "a spiral"))
         step = float(np.median(np.abs(np.diff(self.angle))))
-        # Tips of a spiral that are looked at one by one may lie whole turns apart.
+        # Sampled points of a spiral may be full turns apart.
         if step > np.pi * (1 + 1e-9) and abs(np.remainder(step + 1, 2 * np.pi) - 1) > 1e-6:
             raise InputError(
                 f"the points of a spiral are {step:.4g} rad apart, the limit is half a turn: angles are in rad, "
-                "take more points"
+                "use more points"
             )
 
     @property
@@ -91,30 +90,29 @@ class Spiral(Compared):
 
     @property
     def feed(self) -> float:
-        """Mean advance per turn. [mm/rev]."""
+        """Mean feed per revolution. [mm/rev]."""
         return abs(float(self.radius[-1] - self.radius[0])) / self.turns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Path(Compared):
-    """Where the tool stands, in contact with the surface.
+    """The tool path in contact with the surface.
 
     Parameters
     ----------
     angle, radius, z
         Commanded tip position: spindle azimuth [rad], distance from the axis and height [mm]. Each (n,)
     sweep
-        Where on the nose the edge touches. (n,) [rad]
+        Angular position of the contact on the nose. (n,) [rad]
     contact_x, contact_y, contact_z
         The cutter-contact point in the part frame. Each (n,) [mm]
     clearance
-        Least height of the whole edge above the surface: 0 in contact, negative where the tool gouges; of a path along
-        z as seen at places spread over the edge and the path. (n,) [mm]
+        Smallest height of the edge above the surface: 0 in contact, negative where the tool gouges; for a path along
+        z sampled over the edge and the path. (n,) [mm]
     y, y_rate, lift
-        As in the `Spiral` that was placed. The height z is that in contact; a strategy whose spiral has a lift adds it
-        in its axes.
+        As in the `Spiral`. The height z is that in contact; a strategy whose spiral has a lift adds it to its axes.
     radius_rate, z_rate
-        Derivatives of radius and z by the angle, where the spiral states its own. Each (n,) [mm/rad]
+        Derivatives of radius and z by the angle, where the spiral has its own. Each (n,) [mm/rad]
     """
 
     angle: Floats
@@ -141,12 +139,12 @@ class Path(Compared):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion(Compared):
-    """How the axes move in time, in Turnwright's own convention whatever the controller's.
+    """Axis positions over time, in Turnwright's convention (not the controller's).
 
     C is the azimuth of the part under the tool [rad], cumulative; X the commanded distance of the tip from the axis,
-    Y (if there is one) its height above centre, Z its height, and W and U (if there are any) what a fast tool adds to Z
-    and to X [mm].
-    Between the points every axis moves linearly, unless the controller takes their velocities too, see `track`.
+    Y (if present) its height above centre, Z its height, and W and U (if present) the contribution of a fast tool to Z
+    and X [mm].
+    Between the points every axis moves linearly, unless the controller also uses velocities, see `track`.
 
     Parameters
     ----------
@@ -155,12 +153,12 @@ class Motion(Compared):
     axes
         Position by axis letter, at least "C", "X" and "Z". Each (n,)
     machine
-        The machine that the commands are meant for; its geometric errors are already corrected in them.
+        The machine that the commands are for; its geometric errors are compensated in them.
     velocity
-        Velocity of every axis at the points, by letter, as a program in positions, velocities and times (PVT) states
-        it; ``None`` where it states none. Each (n,) [mm/s or rad/s]
+        Velocity of every axis at the points, by letter, from a program of positions, velocities and times (PVT);
+        ``None`` for other programs. Each (n,) [mm/s or rad/s]
     stated_blocks
-        Numbers of the points that are blocks of the lathe's program, where a program says so; see `blocks`. (m,)
+        Indices of the points that are blocks of the lathe's program, where a program gives them; see `blocks`. (m,)
     """
 
     time: Floats
@@ -182,8 +180,8 @@ class Motion(Compared):
         if self.velocity is not None:
             if set(self.velocity) != set(axes):
                 raise InputError(
-                    f"a motion moves {', '.join(sorted(axes))} at velocities of {', '.join(sorted(self.velocity))}: "
-                    "give one for each"
+                    f"a motion has the axes {', '.join(sorted(axes))} and velocities of "
+                    f"{', '.join(sorted(self.velocity))}: give one velocity for each axis"
                 )
             velocity = {letter: frozen(values, f"velocity {letter}") for letter, values in self.velocity.items()}
             object.__setattr__(self, "velocity", MappingProxyType(velocity))
@@ -194,40 +192,39 @@ class Motion(Compared):
 
     @property
     def blocks(self) -> Ints:
-        """Numbers of the points that are blocks of the lathe's program: as stated, or else the `block_points`. (m,)."""
+        """Indices of the points that are blocks of the lathe's program: `stated_blocks`, or `block_points`. (m,)."""
         return block_points(self.time, self.axes) if self.stated_blocks is None else self.stated_blocks
 
     @property
     def feed(self) -> float:
-        """Mean advance per turn. [mm/rev]."""
+        """Mean feed per revolution. [mm/rev]."""
         c, x = self.axes["C"], self.axes["X"]
         return abs(float(x[-1] - x[0]) / float(c[-1] - c[0])) * 2 * np.pi
 
     def lathe(self) -> Motion:
-        """Return the share of the lathe itself, what its program holds: no W or U, and only the `blocks`."""
+        """Return the motion of the lathe's own axes, as in its program: without W and U, and only the `blocks`."""
         if not FAST.keys() & self.axes.keys():
             return self
         points = self.blocks
 
-        def share(of: Mapping[str, Floats]) -> dict[str, Floats]:
-            return {letter: values[points] for letter, values in of.items() if letter not in FAST}
+        def at_blocks(arrays: Mapping[str, Floats]) -> dict[str, Floats]:
+            return {letter: values[points] for letter, values in arrays.items() if letter not in FAST}
 
-        velocity = None if self.velocity is None else share(self.velocity)
-        return Motion(time=self.time[points], axes=share(self.axes), machine=self.machine, velocity=velocity)
+        velocity = None if self.velocity is None else at_blocks(self.velocity)
+        return Motion(time=self.time[points], axes=at_blocks(self.axes), machine=self.machine, velocity=velocity)
 
 
 def block_points(time: Floats, axes: Mapping[str, Floats]) -> Ints:
-    """Return the numbers of the points that are blocks of the lathe's program. (m,).
+    """Return the indices of the points that are blocks of the lathe's program. (m,).
 
-    Without a fast tool all are. A fast tool has its own table of heights, so that a lathe needs no more blocks than its
-    own axes ask for: every second, fourth, eighth point and so on, as long as every axis stays within 0.1 nm of the
-    straight line between two blocks. The last block takes what is left and may be shorter; a controller that
-    interpolates by splines rounds a little there.
+    Without a fast tool, all points are. With a fast tool, which has its own table of heights, the lathe takes every
+    second, fourth, eighth point and so on, as long as each of its axes stays within 0.1 nm of the straight line between
+    two blocks. The last block may be shorter; a controller with spline interpolation deviates slightly there.
 
     Parameters
     ----------
     time
-        Ascending, or the angle that stands for it. (n,) [s or rad]
+        Time, or the angle in place of it; ascending. (n,) [s or rad]
     axes
         Position by letter. Each (n,) [mm or rad]
     """
@@ -237,13 +234,13 @@ def block_points(time: Floats, axes: Mapping[str, Floats]) -> Ints:
     points, stride = every, 2
     while stride < time.size:
         fewer = np.append(every[:-1:stride], time.size - 1)
-        if np.abs(np.diff(axes["C"][fewer])).max() > MOST_TURN:
+        if np.abs(np.diff(axes["C"][fewer])).max() > MAX_C_STEP_RAD:
             break
         for letter, values in axes.items():
             if letter in FAST:
                 continue
-            off = np.abs(np.interp(time, time[fewer], values[fewer]) - values).max()
-            if off > (TURNED if letter in ROTARY else STRAIGHT) + rounding(values):
+            deviation = np.abs(np.interp(time, time[fewer], values[fewer]) - values).max()
+            if deviation > (LINEARITY_TOL_RAD if letter in ROTARY else LINEARITY_TOL_MM) + rounding(values):
                 return points
         points, stride = fewer, 2 * stride
     return points

@@ -1,4 +1,4 @@
-"""Where a thing sits: a turn and a shift of rigid bodies."""
+"""The pose of a rigid body: rotation and shift."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ __all__ = ["Pose", "rotation_matrix"]
 class Pose(Stated):
     r"""A rigid motion: a point p goes to ``shift + Rz(rotation) Rx(tilt[0]) Ry(tilt[1]) p``.
 
-    The second tilt is about the y axis as the first tilt has left it, the order of lens-design programs, and the order
-    of `turnwright.surface.Placed`.
+    The second tilt is about the y axis tilted by the first, the order of lens-design programs and of
+    `turnwright.surface.Placed`.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class Pose(Stated):
     Raises
     ------
     InputError
-        If a number is missing or not finite, or an angle is beyond a turn, as one in degrees is.
+        If a number is missing or not finite, or an angle is beyond one turn (an angle in degrees often is).
 
     >>> quarter = Pose(shift=(1, 0, 0), rotation=np.pi / 2)
     >>> [float(round(one, 12)) for one in quarter.apply(2, 0, 5)]
@@ -54,22 +54,22 @@ class Pose(Stated):
         for name, size in (("shift", 3), ("tilt", 2)):
             object.__setattr__(self, name, finite_tuple(getattr(self, name), name, size))
         object.__setattr__(self, "rotation", check_angle(self.rotation, "rotation"))
-        for lean in self.tilt:
-            check_angle(lean, "tilt")
+        for tilt in self.tilt:
+            check_angle(tilt, "tilt")
 
     @classmethod
     def within_a_turn(cls, shift: Sequence[float] | Floats, rotation: float, tilt: Sequence[float] | Floats) -> Pose:
-        """Return the pose of angles that may be beyond a turn, as those of a search; whole turns are taken off."""
+        """Return a pose from angles that may be beyond one turn, such as fitted ones; full turns are removed."""
         angles = np.fmod([rotation, *tilt], 2 * np.pi).tolist()
         return cls(shift=(shift[0], shift[1], shift[2]), rotation=angles[0], tilt=(angles[1], angles[2]))
 
     @classmethod
     def of(cls, matrix: ArrayLike, shift: ArrayLike) -> Pose:
         """Return the pose of a rotation matrix (3, 3) and a shift (3,) [mm]; its first tilt is within ±π/2."""
-        turn = np.asarray(matrix, dtype=np.float64)
-        tilt = (np.arcsin(np.clip(turn[2, 1], -1, 1)), np.arctan2(-turn[2, 0], turn[2, 2]))
+        m = np.asarray(matrix, dtype=np.float64)
+        tilt = (np.arcsin(np.clip(m[2, 1], -1, 1)), np.arctan2(-m[2, 0], m[2, 2]))
         x, y, z = np.asarray(shift, dtype=np.float64)
-        return cls(shift=(x, y, z), rotation=np.arctan2(-turn[0, 1], turn[1, 1]), tilt=tilt)
+        return cls(shift=(x, y, z), rotation=np.arctan2(-m[0, 1], m[1, 1]), tilt=tilt)
 
     @property
     def matrix(self) -> Floats:
@@ -78,19 +78,21 @@ class Pose(Stated):
 
     @property
     def inverse(self) -> Pose:
-        """The pose that undoes this one."""
+        """The inverse motion."""
         back = self.matrix.T
         return Pose.of(back, -back @ self.shift)
 
     def after(self, first: Pose) -> Pose:
-        """Return the one pose that does ``first`` and then this one."""
+        """Return the motion that applies ``first`` and then this one."""
         return Pose.of(self.matrix @ first.matrix, self.matrix @ first.shift + self.shift)
 
     def apply(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Floats, Floats, Floats]:
-        """Return where points go. Any one shape, or what broadcasts. [mm]."""
-        x, y, z = (np.asarray(one, dtype=np.float64) for one in (x, y, z))
-        at = [row[0] * x + row[1] * y + row[2] * z + shift for row, shift in zip(self.matrix, self.shift, strict=True)]
-        return at[0], at[1], at[2]
+        """Return the moved points. Broadcast [mm]."""
+        x, y, z = (np.asarray(coordinate, dtype=np.float64) for coordinate in (x, y, z))
+        moved = [
+            row[0] * x + row[1] * y + row[2] * z + shift for row, shift in zip(self.matrix, self.shift, strict=True)
+        ]
+        return moved[0], moved[1], moved[2]
 
 
 def rotation_matrix(rotation: float, about_x: float, about_y: float) -> Floats:

@@ -1,4 +1,4 @@
-"""Heights along a line: of a map, or as an instrument traced them."""
+"""Profiles: heights along a line of a map, or as traced by an instrument."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ class Profile(Compared):
     Parameters
     ----------
     distance
-        From the start, or from the point that the line goes through; ascending and even. (n,) [mm]
+        Distance from the start of the line, or from a reference point on it; ascending. (n,) [mm]
     z
-        Heights; nan is missing. (n,) [mm]
+        Heights; nan where missing. (n,) [mm]
     x, y
-        Where they stand. (n,) [mm]
+        Positions of the heights. (n,) [mm]
     name
-        What the profile shows.
+        Title of the profile.
     metadata
-        What the instrument's file says beside the heights, as text.
+        Further entries of the instrument's file, as text.
 
     Raises
     ------
@@ -63,39 +63,39 @@ class Profile(Compared):
 
     @property
     def step(self) -> float:
-        """Distance from point to point. [mm].
+        """Sampling step. [mm].
 
         Raises
         ------
         InputError
-            If there are fewer than two points, or they are not even.
+            If there are fewer than two points, or they are not evenly spaced.
         """
         if not is_even(self.distance):
             raise InputError(
                 f"the profile has {self.distance.size} points{' in uneven steps' if self.distance.size > 1 else ''}, "
-                "it needs two or more in even steps: interpolate it first"
+                "it needs at least 2, evenly spaced: interpolate it first"
             )
         return float(np.diff(self.distance).mean())
 
     def between(self, start: float, end: float) -> Profile:
-        """Return the stretch from one distance to another. [mm].
+        """Return the section from one distance to another. [mm].
 
         Raises
         ------
         InputError
-            If it holds no point.
+            If the section holds no point.
         """
         chosen = (self.distance >= start) & (self.distance <= end)
         if not chosen.any():
             raise InputError(
                 f"the profile has no point from {start:g} to {end:g} mm, it reaches from {self.distance[0]:g} to "
-                f"{self.distance[-1]:g} mm: choose a stretch of it"
+                f"{self.distance[-1]:g} mm: choose a section of it"
             )
         parts = {name: getattr(self, name)[chosen] for name in ("distance", "z", "x", "y")}
         return replace(self, **parts)
 
     def without(self, degree: int) -> Profile:
-        """Return the profile without its polynomial of best fit: 0 takes off the mean, 1 a line.
+        """Return the profile minus its best-fit polynomial: degree 0 removes the mean, 1 a line.
 
         Raises
         ------
@@ -110,7 +110,7 @@ class Profile(Compared):
         if np.count_nonzero(valid) <= degree:
             raise InputError(
                 f"the profile has {np.count_nonzero(valid)} valid heights, a polynomial of degree {degree} needs "
-                f"{degree + 1}: take a longer one"
+                f"{degree + 1}: use a longer profile"
             )
         low, high = self.distance[valid][[0, -1]]
         terms: Floats = legvander((2 * self.distance - low - high) / ((high - low) or 1.0), degree)
@@ -118,15 +118,15 @@ class Profile(Compared):
 
     @property
     def pa_nm(self) -> float:
-        """Mean of the heights' sizes, from zero: take the line off first. [nm]."""
+        """Arithmetic mean of the absolute heights (Pa), from zero: remove the line first. [nm]."""
         return float(np.nanmean(np.abs(self.z))) * NM
 
     @property
     def pq_nm(self) -> float:
-        """Root mean square of the heights, from zero: take the line off first. [nm]."""
+        """Root mean square of the heights (Pq), from zero: remove the line first. [nm]."""
         return float(np.sqrt(np.nanmean(self.z**2))) * NM
 
     @property
     def pt_nm(self) -> float:
-        """Highest minus lowest. [nm]."""
+        """Peak to valley of the heights (Pt). [nm]."""
         return float(np.nanmax(self.z) - np.nanmin(self.z)) * NM

@@ -22,17 +22,17 @@ __all__ = ["SpeedProfile", "Speeds"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SpeedProfile(Value):
-    r"""Spindle speed over the radius, for a controller that may vary it.
+    r"""Spindle speed over the radius, for a controller that can vary it.
 
-    Between two radii :math:`\omega^2` runs straight over the radius, so that at a steady feed the spindle speeds up
-    steadily in time; beyond the ends the speed is held.
+    Between two radii :math:`\omega^2` is linear in the radius, so that at a constant feed the spindle accelerates
+    uniformly in time; beyond the ends the speed is constant.
 
     Parameters
     ----------
     radius
-        Where X stands, ascending. (n,) [mm]
+        Positions of X, ascending. (n,) [mm]
     spindle_rpm
-        Spindle speed there. (n,) [rev/min]
+        Spindle speed at these positions. (n,) [rev/min]
 
     Raises
     ------
@@ -55,20 +55,21 @@ class SpeedProfile(Value):
         if not self.radius.size:
             raise InputError("a speed profile has 0 radii, it needs at least 1: give a radius and its spindle speed")
         if not (self.radius[1:] > self.radius[:-1]).all():
-            raise InputError("the radii of a speed profile do not ascend: sort them, and give each one speed")
+            raise InputError("the radii of a speed profile do not ascend: sort them and remove repeated radii")
         if not (self.spindle_rpm > 0).all():
             raise InputError(
-                f"a speed of the profile is {self.spindle_rpm.min():g} rev/min, it must be above 0 rev/min: increase it"
+                f"spindle_rpm of a speed profile is {self.spindle_rpm.min():g} rev/min, it must be above 0 rev/min: "
+                "increase it"
             )
 
     def at(self, radius: Floats) -> Floats:
-        """Return the spindle speed where X stands at some radii. (n,) [rad/s]."""
+        """Return the spindle speed at positions of X. (n,) [rad/s]."""
         omega: Floats = np.sqrt(np.interp(radius, self.radius, (self.spindle_rpm * (2 * np.pi / 60)) ** 2))
         return omega
 
 
 class _Pairs:
-    """The annotation of speeds that a file states as pairs of a radius and the speed that is reached there."""
+    """Annotation of a speed profile that a file has as pairs of a radius and the spindle speed there."""
 
     @classmethod
     def __get_pydantic_core_schema__(cls, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:

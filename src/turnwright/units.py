@@ -1,4 +1,4 @@
-"""Quantities with units, only for the edges: job files, the command line, what people read.
+"""Quantities with units, for job files, the command line and reports; inside, lengths are mm and angles rad.
 
 A quantity is one plain number and one unit expression, such as ``8 um/rev``, ``2e-5 mm/deg^2`` or ``4e-9 1/mm^3``.
 A revolution (``rev``) is a dimension of its own, so a feed is never mistaken for a length or for a length per angle;
@@ -46,10 +46,10 @@ __all__ = [
 ]
 
 LEAST, MOST = 1e-30, 1e30
-"""Of any size that is stated, in the units inside: beyond, it is a slip, and its powers leave the range of numbers."""
+"""Limits of any size, in the internal units; powers of sizes beyond them overflow."""
 
-LONGEST = 100
-"""Characters in a quantity: beyond this it is a mistake, and exact arithmetic on it would be slow."""
+MAX_CHARACTERS = 100
+"""Characters in a quantity; exact arithmetic on longer numbers is slow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ _ANGLES = {
 _TIMES = {"ms": "1e-3", "s": "1", "min": "60", "h": "3600"}
 _UNITS = _table()
 
-# One decimal number, ASCII digits, a point and no comma, then whatever is left is the unit.
+# One decimal number in ASCII digits with a decimal point, then the unit.
 _QUANTITY = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)(?![0-9.,_])\s*(.*?)\s*", re.DOTALL)
 _FACTOR = re.compile(r"\s*(1|[A-Za-zµμ]+)(?:\^(-?[0-9]{1,2}))?\s*")
 _NAMES = {
@@ -111,7 +111,7 @@ _NAMES = {
 
 
 def _read_unit(text: str, quoted: str) -> _Scale:
-    """Return the scale of a unit expression: factors joined by ``*`` or ``/``, each with a whole power."""
+    """Return the scale of a unit expression: factors joined by ``*`` or ``/``, each with an integer power."""
     scale, position, sign = _ONE, 0, 1
     while True:
         match = _FACTOR.match(text, position)
@@ -119,8 +119,8 @@ def _read_unit(text: str, quoted: str) -> _Scale:
             raise UnitError(f"{quoted} holds no unit that can be read in {text!r}: write it like 'mm/rev' or '1/mm^3'")
         name, power = match.group(1), int(match.group(2) or 1)
         if name != "1" and name not in _UNITS:
-            known = " ".join(key for key in _UNITS if key.isascii())
-            raise UnitError(f"{quoted} has the unit {name!r}, the known ones are {known}: use one of them")
+            units = " ".join(key for key in _UNITS if key.isascii())
+            raise UnitError(f"{quoted} has the unit {name!r}, the known ones are {units}: use one of them")
         scale = scale.times(_UNITS.get(name, _ONE), sign * power)
         position = match.end()
         if position == len(text):
@@ -132,7 +132,7 @@ def _read_unit(text: str, quoted: str) -> _Scale:
 
 
 def _dimension(scale: _Scale) -> str:
-    """Say what a unit measures."""
+    """Return the dimension of a unit in words."""
     if scale.powers in _NAMES:
         return _NAMES[scale.powers]
     over = [
@@ -150,7 +150,7 @@ def _dimension(scale: _Scale) -> str:
 
 
 def _value(number: str, scale: _Scale, quoted: str) -> float:
-    """Return the number times the scale, rounded once where no pi is in it."""
+    """Return the number times the scale, rounded once unless the scale contains pi."""
     plain = float(number)
     if plain == 0 and not re.search("[1-9]", re.split("[eE]", number)[0]):
         return 0.0
@@ -165,7 +165,7 @@ def _value(number: str, scale: _Scale, quoted: str) -> float:
 
 
 def _example(unit: str) -> str:
-    """Return a quantity a person would write in this unit."""
+    """Return an example of a quantity in this unit."""
     return f"8 {_FRIENDLY[unit][0]}" if unit in _FRIENDLY else f"0.5 {unit}".removesuffix(" 1")
 
 
@@ -177,12 +177,12 @@ def parse(text: object, unit: str) -> float:
     text
         One number and one unit, such as ``8 um/rev``.
     unit
-        What to express it in; the quantity must measure the same thing.
+        The unit of the result; the quantity must have the same dimension.
 
     Raises
     ------
     UnitError
-        If the text is not one finite number with one unit, or measures something else.
+        If the text is not one finite number with one unit, or has another dimension.
 
     >>> parse("8 um/rev", "mm/rev")
     0.008
@@ -199,8 +199,8 @@ def parse(text: object, unit: str) -> float:
     remedy = f"write it such as '{_example(unit)}'"
     if not isinstance(text, str):
         raise UnitError(f"{quoted} has no unit, it must be {_dimension(wanted)}: {remedy}")
-    if len(text) > LONGEST:
-        raise UnitError(f"{text[:20] + '...'!r} has {len(text)} characters, the limit is {LONGEST}: {remedy}")
+    if len(text) > MAX_CHARACTERS:
+        raise UnitError(f"{text[:20] + '...'!r} has {len(text)} characters, the limit is {MAX_CHARACTERS}: {remedy}")
     match = _QUANTITY.fullmatch(text)
     if match is None:
         raise UnitError(
@@ -231,7 +231,7 @@ def convert(value: float, unit: str, into: str) -> float:
     return value * float(scale.factor) * math.pi**scale.pi
 
 
-# What a person would write, the first one that says the same number.
+# Units in which people write a quantity, in order of preference.
 _FRIENDLY = {
     "mm": ("um", "mm", "nm"),
     "mm/rev": ("um/rev", "mm/rev"),
@@ -243,7 +243,7 @@ _FRIENDLY = {
 
 
 def write(value: float, unit: str) -> str:
-    """Return a quantity as text that `parse` reads back to exactly the same number, in a friendly unit if one does.
+    """Return a quantity as text that `parse` reads back exactly, in a customary unit where that is possible.
 
     >>> write(0.008, "mm/rev"), write(math.pi / 18, "rad"), write(12.5, "mm")
     ('8 um/rev', '10 deg', '12.5 mm')
@@ -251,14 +251,14 @@ def write(value: float, unit: str) -> str:
     texts = []
     for friendly in _FRIENDLY.get(unit, ()):
         number = f"{convert(value, unit, friendly):.15g}"
-        with suppress(UnitError):  # a number at the end of the range may not fit the friendly unit
+        with suppress(UnitError):  # a number at the end of the range may overflow in the customary unit
             if parse(f"{number} {friendly}", unit) == value:
                 texts.append(f"{number} {friendly}")
     return min(texts, key=len) if texts else f"{value!r} {unit}"
 
 
 def say_length(length: float, digits: int = 3) -> str:
-    """Return a length in mm as people read it: to three digits, in the unit that leaves the fewest zeros.
+    """Return a length in mm as text: three significant digits, in the unit that needs the fewest zeros.
 
     >>> say_length(7500.0), say_length(0.00099999), say_length(2e-4), say_length(0.0)
     ('7.5 m', '1 um', '200 nm', '0 nm')
@@ -267,14 +267,14 @@ def say_length(length: float, digits: int = 3) -> str:
     """
     rounded = float(f"{length:.{digits}g}")
     sizes = (("m", 1e-3), ("mm", 1.0), ("um", 1e3), ("nm", 1e6))
-    name, factor = next((one for one in sizes if abs(rounded) * one[1] >= 1 - 1e-9), sizes[-1])
+    name, factor = next((size for size in sizes if abs(rounded) * size[1] >= 1 - 1e-9), sizes[-1])
     return f"{rounded * factor:.{digits}g} {name}"
 
 
 class unit:  # noqa: N801 - reads as a word inside Annotated[float, unit("mm")]
-    """A pydantic field that takes text with a unit only, and holds the number in this unit.
+    """A pydantic field that reads text with a unit and stores the number in this unit.
 
-    With ``plain`` true in the context it takes the number itself, too.
+    With ``plain`` true in pydantic's context, it also accepts a number.
 
     >>> from typing import Annotated
     >>> from pydantic import TypeAdapter
@@ -285,11 +285,11 @@ class unit:  # noqa: N801 - reads as a word inside Annotated[float, unit("mm")]
     __slots__ = ("above", "least", "units")
 
     def __init__(self, *units: str, above: float = -math.inf, least: float = -math.inf) -> None:
-        """Take the unit, further ones of another dimension that may stand for it (um/m for rad), and limits in it."""
+        """Set the unit, alternative units of another dimension (um/m for rad), and limits in the first unit."""
         self.units, self.above, self.least = units, above, least
 
     def read(self, text: object) -> float:
-        """Return the number of ``text`` in the first of the units that measures the same."""
+        """Return the number of ``text`` in the unit of the same dimension."""
         for other in self.units[1:]:
             with suppress(UnitError):
                 value = parse(text, other)
@@ -299,13 +299,13 @@ class unit:  # noqa: N801 - reads as a word inside Annotated[float, unit("mm")]
         return self.within(value, text)
 
     def validate(self, value: object, info: Any) -> float:
-        """Return the number of text, or a number as it is where pydantic's context allows plain ones."""
+        """Return the number of a text, or a number unchanged where pydantic's context allows numbers."""
         if (info.context or {}).get("plain") and isinstance(value, Real) and not isinstance(value, bool):
             return self.within(float(value), value)
         return self.read(value)
 
     def within(self, value: float, given: object) -> float:
-        """Return a number in the first of the units if it keeps the limits; a message names what was given."""
+        """Return a number in the first unit if it lies within the limits; ``given`` is quoted in the message."""
         if math.isnan(value):
             raise UnitError(f"{given!r} is not a number: give one in {self.units[0]}")
         if abs(value) > MOST or (self.above == 0 and 0 < value < LEAST):
@@ -316,11 +316,11 @@ class unit:  # noqa: N801 - reads as a word inside Annotated[float, unit("mm")]
         if not value > self.above:
             raise UnitError(f"{given!r} is not above {self.above:g} {self.units[0]}: give a larger value")
         if not value >= self.least:
-            raise UnitError(f"{given!r} is below {self.least:g} {self.units[0]}: give a value from there on")
+            raise UnitError(f"{given!r} is below {self.least:g} {self.units[0]}: give at least that")
         return value
 
     def show(self, value: float | None) -> str | None:
-        """Return text that `read` takes back to the same number."""
+        """Return text that `read` reads back to the same number."""
         return None if value is None else write(value, self.units[0])
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -338,7 +338,7 @@ class unit:  # noqa: N801 - reads as a word inside Annotated[float, unit("mm")]
 
 
 class plain:  # noqa: N801 - reads as a word inside Annotated[int, plain(1, 10)]
-    """A pydantic field that takes a plain value of its own type alone: no number in quotes, no 1 for true.
+    """A pydantic field that accepts only values of its own type: no number in quotes, no 1 for true.
 
     >>> from typing import Annotated
     >>> from pydantic import TypeAdapter
@@ -376,7 +376,7 @@ Time: TypeAlias = Annotated[float, unit("s")]
 Frequency: TypeAlias = Annotated[float, unit("Hz")]
 Feed: TypeAlias = Annotated[float, unit("mm/rev", above=0.0)]
 Speed: TypeAlias = Annotated[float, unit("rpm", above=0.0)]
-# A coefficient may be of any unit; its powers must still be numbers.
+# A coefficient may have any unit; the limits keep its powers finite.
 Number: TypeAlias = Annotated[float, plain(-1e100, 1e100)]
 Count: TypeAlias = Annotated[int, plain(1, 10**9)]
 Natural: TypeAlias = Annotated[int, plain(0, 10**9)]

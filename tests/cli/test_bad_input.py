@@ -53,7 +53,7 @@ WRONG = {
     "a machine named twice": ([("machine.file", "job.toml")], r"machine: name and file of the machine are both given"),
     "an unknown dialect": ([("machine.dialect", "klingon")], r"dialect 'klingon'"),
     "a missing sag table": ([("part.surface", GRID | {"file": "none.csv"})], r"part\.surface\.file: .*does not exist"),
-    "nan in a sag table": ([("part.surface", GRID | {"file": "nan.csv"})], r"has no height at 1 places on or next to it"),
+    "nan in a sag table": ([("part.surface", GRID | {"file": "nan.csv"})], r"has no height at 1 points on or next to it"),
     "words in a sag table": ([("part.surface", GRID | {"file": "words.csv"})], r"words\.csv has no table of numbers"),
     "an aperture larger than the grid": (
         [("part.surface", GRID), ("part.radius", "3 mm")],
@@ -139,7 +139,7 @@ WRONG = {
     "a machine sign that is a yes": ([("machine", {"file": "yes.toml"})], r"x_side is True, it must be a whole number"),
     "a machine faster than numbers": ([("machine", {"file": "fast.toml"})], r"spindle_rpm is beyond the range of numbers"),
     "a machine that is no TOML": ([("machine", {"file": "broken.toml"})], r"broken\.toml' is not TOML, .*: correct that place"),
-    "a machine too deep to read": ([("machine", {"file": "deep.toml"})], r"deep\.toml' holds lists or tables within each other too deep"),
+    "a machine too deep to read": ([("machine", {"file": "deep.toml"})], r"deep\.toml' nests lists or tables too deeply"),
     "a pass named for a folder": ([("passes", [{"name": "../a"}])], r"passes\[1\]\.name is '\.\./a'"),
     "a depth that is a slip": (
         [("part.stock", "1 mm"), ("passes", [{"name": "a", "depth": "1 nm"}])],
@@ -249,7 +249,7 @@ def test_all_wrong_fields_are_told_at_once():
         (b'[part]\nname = "a"\nname = "b"\n', r"is not TOML, a key is given twice \(at line 3, .*\)"),
         (b"[part]\n[tool]\n[part]\n", r"is not TOML, a table is given twice \(at line 3, .*\)"),
         (b"a = " + b"1" * 5000, r"holds a whole number of thousands of digits: shorten it"),
-        (b"a = " + b"[" * 5000, r"holds lists or tables within each other too deep to read: make them flat"),
+        (b"a = " + b"[" * 5000, r"nests lists or tables too deeply"),
         (b"", r"part is missing"),
     ],
 )

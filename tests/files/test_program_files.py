@@ -198,7 +198,7 @@ def test_a_file_that_the_system_does_not_let_grow(tmp_path):
         check=True,
     )
     assert run.stdout.startswith("ProgramError")
-    assert "grew beyond the largest that the system allows here (File too large), nothing was changed" in run.stdout
+    assert "exceeds the largest size allowed here (File too large), nothing was changed" in run.stdout
     assert sorted(contents(tmp_path)) == ["warm.finish.001.nc", "warm.nc"]
 
 

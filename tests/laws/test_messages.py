@@ -7,7 +7,7 @@ from pydantic import ValidationError
 
 import turnwright as tw
 from turnwright import units
-from turnwright._faults import MOST_FAULTS, read_table, sentences, suggestion
+from turnwright._faults import MAX_FAULTS, read_table, sentences, suggestion
 from turnwright._io import read_toml
 from turnwright._tables import adapter
 from turnwright.errors import InputError, JobError, MapError, UnitError
@@ -58,7 +58,7 @@ def test_sentences_count_the_places_beyond_the_most():
     with pytest.raises(ValidationError) as caught:
         adapter(Lobes).validate_python({f"key {number}": number for number in range(100)})
     *_, last = sentences(caught.value, Lobes, {})
-    assert last.startswith(f"{102 - MOST_FAULTS} more places are wrong")
+    assert last.startswith(f"{102 - MAX_FAULTS} more places are wrong")
 
 
 LONG = {

@@ -33,7 +33,7 @@ PIXELS = HeightMap(z=Z, x=np.arange(50.0), y=np.arange(40.0), calibrated=False)
         (POLAR, {}, "the polar map cannot be filtered over areas: take its lines .* or bring it to a rectangular grid"),
         (POLAR, {"along": "x"}, "the polar map cannot be filtered over lines along x"),
         (CLOUD, {}, "the 50 heights are scattered points"),
-        (PIXELS, {}, "says nothing of the size of its pixels"),
+        (PIXELS, {}, "no pixel size"),
         (flat(np.full((4, 4), np.nan)), {}, "has 0 valid heights, a filter needs 1"),
         (flat(Z[:1, :1]), {}, "the map has 1 point, a filter needs 2"),
         (flat(Z[:1]), {"along": "y"}, "the map has 1 value of y, a filter along it needs 2: filter along the other"),
@@ -134,7 +134,7 @@ def test_single_points_and_empty_lines_are_filtered():
         (flat(), {"spare": 0.1}, "spare must be .* got 0.1 mm"),
         (flat(), {"spare": -0.1}, "spare must be at least 0 mm, .* got -0.1 mm"),
         (CLOUD, {}, "the 50 heights are scattered points"),
-        (PIXELS, {}, "says nothing of the size of its pixels"),
+        (PIXELS, {}, "no pixel size"),
         (flat(np.full((4, 4), np.nan)), {}, "has 0 valid heights, outlier removal needs 3"),
     ],
 )

@@ -72,7 +72,7 @@ def test_maps_that_hold_nothing_of_the_part_are_refused():
     ):
         found(ARRAY, pose=tw.Pose(shift=(50, 0, 0)))
     pixels = tw.HeightMap(x=X, y=X, z=np.zeros((101, 101)), calibrated=False)
-    with pytest.raises(InputError, match="nothing of the size of its pixels"):
+    with pytest.raises(InputError, match="no pixel size"):
         found(ARRAY, pixels)
 
 

@@ -58,7 +58,7 @@ def test_a_reach_beyond_the_part_costs_no_places():
 def test_a_map_without_heights_or_lengths_is_refused():
     with pytest.raises(InputError, match="has 0 valid heights, a registration needs 7"):
         register(HeightMap(x=AXIS, y=AXIS, z=np.full((13, 13), np.nan)), PART)
-    with pytest.raises(InputError, match="says nothing of the size of its pixels"):
+    with pytest.raises(InputError, match="no pixel size"):
         register(HeightMap(x=AXIS, y=AXIS, z=MAP.z, calibrated=False), PART)
 
 

@@ -56,9 +56,9 @@ def test_nothing_is_made_up_beyond_the_points():
 @pytest.mark.parametrize(
     ("x", "y", "match"),
     [
-        (np.arange(10.0), np.arange(10.0) ** 2, "10 of them, the limits are 30 and 2000"),
-        (np.arange(40.0), 2 * np.arange(40.0), "stand on a line"),
-        (np.r_[0.0, np.arange(40.0)], np.r_[0.0, np.arange(40.0) ** 2], "two scattered points stand at x = 0 mm"),
+        (np.arange(10.0), np.arange(10.0) ** 2, "10 points, the limits are 30 and 2000"),
+        (np.arange(40.0), 2 * np.arange(40.0), "are on a line"),
+        (np.r_[0.0, np.arange(40.0)], np.r_[0.0, np.arange(40.0) ** 2], "two scattered points are at x = 0 mm"),
         (np.arange(3000.0), np.arange(3000.0) ** 2, "thin the list"),
     ],
 )
@@ -86,5 +86,5 @@ def test_a_single_hole_is_seen_however_small():
     axis = np.linspace(-11, 11, 801)
     z = ASPHERE.sag(*np.meshgrid(axis, axis))
     z[300, 437] = np.nan
-    with pytest.raises(DomainError, match=r"1 places.*x = 1.0175 mm, y = -2.75 mm"):
+    with pytest.raises(DomainError, match=r"1 points.*x = 1.0175 mm, y = -2.75 mm"):
         tw.Part(surface=Gridded(x=axis, y=axis, z=z), radius=10.0)

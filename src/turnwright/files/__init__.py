@@ -1,10 +1,10 @@
-"""Measured maps come in and go out: one file format per module.
+"""Reading and writing measured maps: one module per file format.
 
-A reader is given the path and the bytes of a file and returns a `turnwright.HeightMap` in mm, rows ascending in y.
+A reader takes the path and the bytes of a file and returns a `turnwright.HeightMap` in mm, rows ascending in y.
 To add a format, add a module here and a line to ``read.py`` (its signature) or ``write.py`` (its suffix).
 
-Whatever a file claims is compared with the bytes that are there before memory is asked for, and everything that goes
-wrong ends in one sentence, a `turnwright.errors.MapError`.
+Sizes stated in a file are compared with its length before memory is allocated. Every failure is a
+`turnwright.errors.MapError` of one sentence.
 """
 
 from turnwright.files.read import read_map

@@ -1,8 +1,8 @@
-"""NumPy files: ``.npz`` holds a whole map, ``.npy`` a bare grid of heights.
+"""NumPy files: ``.npz`` holds a complete map, ``.npy`` a grid of heights only.
 
-Both are in mm, like all that is Turnwright's own, and rows ascend in y. An ``.npz`` has arrays ``z`` and ``x``, ``y``
-or ``radius``, ``angle``, and may have ``name``, ``calibrated`` and ``metadata`` (text of a JSON object); x and y may be
-meshes, and may descend. An ``.npy`` says nothing of the size of its pixels.
+Both are in mm, and rows ascend in y. An ``.npz`` has arrays ``z`` and ``x``, ``y`` or ``radius``, ``angle``, and may
+have ``name``, ``calibrated`` and ``metadata`` (text of a JSON object); x and y may be meshes, and may descend. An
+``.npy`` has no pixel size.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright.errors import MapError, shown
-from turnwright.files.base import MOST_POINTS, finite_or_missing, grid_map, inflated, require_bytes, require_points
+from turnwright.files.base import MAX_POINTS, finite_or_missing, grid_map, inflated, require_bytes, require_points
 from turnwright.heightmap import HeightMap
 
 if TYPE_CHECKING:
@@ -32,11 +32,11 @@ HEAD = re.compile(
     rb"\{'descr': '(?P<kind>[<>|=](?:b1|[iu][1248]|f[248]|f16|U\d{1,7}))', 'fortran_order': (?P<columns>True|False), "
     rb"'shape': \((?P<shape>(?:\d{1,18}+(?:, ?|(?=\))))*+)\),? ?\}\s*+"
 )
-"""The head of an array, as NumPy writes it; read by its pattern, for it is a piece of Python."""
+"""Header of an array, as NumPy writes it; matched by a pattern, as it is Python source."""
 
-LONGEST_HEAD = 1 << 16
-MOST_NAMES = 8
-"""Names of arrays that a message lists."""
+MAX_HEAD_BYTES = 1 << 16
+MAX_LISTED_NAMES = 8
+"""Names of arrays in a message."""
 
 AXES = (("x", "y"), ("radius", "angle"))
 
@@ -46,8 +46,8 @@ def read_bare(path: Path, data: bytes) -> HeightMap:
     heights = _numbers(path, "heights", _array(path, io.BytesIO(data), len(data)))
     if heights.ndim != 2 or heights.shape[1] == 3:
         raise MapError(
-            f"{path} holds an array of shape {heights.shape}, which may be points as well as heights: save it as .npz "
-            "with x, y and z"
+            f"{path} holds an array of shape {heights.shape}, which may be points or a grid of heights: save it as "
+            ".npz with x, y and z"
         )
     require_points(path, heights.shape[1], heights.shape[0])
     return grid_map(path, heights, None, metadata={"format": "NumPy .npy"})
@@ -60,29 +60,29 @@ def read_named(path: Path, data: bytes) -> HeightMap:
         names = next((pair for pair in AXES if {"z", *pair} <= members.keys()), None)
         if names is None:
             listed = [shown(name) for name in sorted(members)]
-            more = f" and {len(listed) - MOST_NAMES} more" if len(listed) > MOST_NAMES else ""
+            more = f" and {len(listed) - MAX_LISTED_NAMES} more" if len(listed) > MAX_LISTED_NAMES else ""
             raise MapError(
-                f"{path} holds the arrays {', '.join(listed[:MOST_NAMES])}{more}, it needs z with x and y, or z "
+                f"{path} holds the arrays {', '.join(listed[:MAX_LISTED_NAMES])}{more}, it needs z with x and y, or z "
                 "with radius and angle: save it with these names"
             )
-        found = {
+        loaded = {
             name: _member(path, archive, members[name])
             for name in ("z", *names, "name", "calibrated", "metadata")
             if name in members
         }
-    z, column, row = (_numbers(path, name, found[name]) for name in ("z", *names))
+    z, column, row = (_numbers(path, name, loaded[name]) for name in ("z", *names))
     z = finite_or_missing(z)
     if column.ndim == row.ndim == z.ndim == 2:
         z, column, row = _from_meshes(path, z, column, row)
     if z.ndim == 2:
         z, column, row = _ascending(path, names, z, column, row)
-    calibrated = found.get("calibrated")
+    calibrated = loaded.get("calibrated")
     return HeightMap(
         z=z,
         **{names[0]: column, names[1]: row},
-        name=str(found["name"]) if "name" in found else path.name,
+        name=str(loaded["name"]) if "name" in loaded else path.name,
         calibrated=calibrated is None or bool(calibrated.all()),
-        metadata=_metadata(path, found.get("metadata")),
+        metadata=_metadata(path, loaded.get("metadata")),
     )
 
 
@@ -93,24 +93,22 @@ def _member(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np
 
 
 def _array(path: Path, stream: IO[bytes], size: int) -> np.ndarray[Any, Any]:
-    """Return the array of a stream of that many bytes, which holds numbers, truths or text but never objects."""
+    """Return the array in a stream of ``size`` bytes: numbers, Booleans or text, never Python objects."""
     start = stream.read(8)
     length = struct.Struct("<H" if start[6:7] == b"\1" else "<I")
     raw = stream.read(length.size)
     if not start.startswith(SIGNATURE) or len(raw) < length.size:
         raise MapError(f"{path} holds an array without the signature of NumPy: it is damaged, so save it again")
-    head = HEAD.fullmatch(stream.read(min(length.unpack(raw)[0], LONGEST_HEAD)))
+    head = HEAD.fullmatch(stream.read(min(length.unpack(raw)[0], MAX_HEAD_BYTES)))
     if head is None:
         raise MapError(
-            f"{path} holds an array that is none of plain real numbers, or its head is damaged: save it as float64"
+            f"{path} holds an array that is not of real numbers, or its header is damaged: save it as float64"
         )
     dtype = np.dtype(head["kind"].decode())
     shape = tuple(int(count) for count in head["shape"].split(b",") if count.strip())
     count = math.prod(shape)
-    if count > MOST_POINTS:
-        raise MapError(
-            f"{path} says that it has an array of shape {shape}, the limit is {MOST_POINTS:,} in all: crop it"
-        )
+    if count > MAX_POINTS:
+        raise MapError(f"{path} has an array of shape {shape}, the limit is {MAX_POINTS:,} values: crop it")
     require_bytes(path, count * dtype.itemsize, size)
     raw = stream.read(count * dtype.itemsize)
     require_bytes(path, count * dtype.itemsize, len(raw))
@@ -118,7 +116,7 @@ def _array(path: Path, stream: IO[bytes], size: int) -> np.ndarray[Any, Any]:
 
 
 def _numbers(path: Path, name: str, array: np.ndarray[Any, Any]) -> Floats:
-    """Return an array as float64 of its own."""
+    """Return a copy of an array as float64."""
     if array.dtype.kind not in "iuf" or not 1 <= array.ndim <= 2 or not array.size:
         raise MapError(
             f"{path} holds {name} as {array.dtype} of shape {array.shape}, it must be numbers in 1 or 2 dimensions"
@@ -127,7 +125,7 @@ def _numbers(path: Path, name: str, array: np.ndarray[Any, Any]) -> Floats:
 
 
 def _from_meshes(path: Path, z: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return a grid, or points where the meshes are none."""
+    """Return a grid, or scattered points where the meshes are not rectangular."""
     if not x.shape == y.shape == z.shape:
         raise MapError(f"{path} holds x {x.shape}, y {y.shape} and z {z.shape}: give all three the same shape")
     if (x == x[0]).all() and (y == y[:, :1]).all():
@@ -138,7 +136,7 @@ def _from_meshes(path: Path, z: Floats, x: Floats, y: Floats) -> tuple[Floats, F
 def _ascending(
     path: Path, names: tuple[str, str], z: Floats, column: Floats, row: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the grid with axes that ascend."""
+    """Return the grid with ascending axes."""
     if column.ndim != 1 or row.ndim != 1 or z.shape != (row.size, column.size):
         raise MapError(
             f"{path} holds z of shape {z.shape} with {names[0]} {column.shape} and {names[1]} {row.shape}: rows of z "
@@ -152,7 +150,7 @@ def _ascending(
     for name, axis in zip(names, (column, row), strict=True):
         if not (np.diff(axis) > 0).all():
             raise MapError(
-                f"{path} has an axis {name} that does not ascend or has a gap: sort it, drop repeated values"
+                f"{path} has an axis {name} that does not ascend or has nan: sort it and remove repeated values"
             )
     return z, column, row
 
@@ -160,22 +158,22 @@ def _ascending(
 def _metadata(path: Path, stored: np.ndarray[Any, Any] | None) -> dict[str, str]:
     if stored is None:
         return {"format": "NumPy .npz"}
-    found = json.loads(str(stored))
-    if not isinstance(found, dict):
-        raise MapError(f"{path} holds metadata that are no JSON object: save them as one")
-    return {str(key): str(text) for key, text in found.items()}
+    entries = json.loads(str(stored))
+    if not isinstance(entries, dict):
+        raise MapError(f"{path} holds metadata that are not a JSON object: save them as one")
+    return {str(key): str(text) for key, text in entries.items()}
 
 
-def packed(one: HeightMap) -> bytes:
-    """Return the bytes of an ``.npz`` with all of a map."""
-    names = AXES[one.polar]
+def packed(heights: HeightMap) -> bytes:
+    """Return the bytes of an ``.npz`` with a complete map."""
+    names = AXES[heights.polar]
     buffer = io.BytesIO()
     np.savez(
         buffer,
-        z=one.z,
-        **{name: getattr(one, name) for name in names},
-        name=np.array(one.name),
-        calibrated=np.array(one.calibrated),
-        metadata=np.array(json.dumps(dict(one.metadata), ensure_ascii=False)),
+        z=heights.z,
+        **{name: getattr(heights, name) for name in names},
+        name=np.array(heights.name),
+        calibrated=np.array(heights.calibrated),
+        metadata=np.array(json.dumps(dict(heights.metadata), ensure_ascii=False)),
     )
     return buffer.getvalue()

@@ -1,4 +1,4 @@
-"""What all readers and writers of maps share: limits, grids, and the sentence when something is wrong."""
+"""Common code of the readers and writers of maps: limits, grids and error messages."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DAMAGE",
-    "LARGEST_FILE",
-    "MOST_POINTS",
+    "MAX_FILE_BYTES",
+    "MAX_POINTS",
     "even_axes",
     "finite_or_missing",
     "grid_map",
@@ -32,23 +32,21 @@ __all__ = [
     "words",
 ]
 
-LARGEST_FILE = 4 << 30
-"""Bytes of the largest file that is opened."""
+MAX_FILE_BYTES = 4 << 30
 
-MOST_POINTS = 200_000_000
-"""Points of the largest map: 1.6 GB of heights."""
+MAX_POINTS = 200_000_000
+"""Points of a map: 1.6 GB of heights."""
 
-HIGHEST = 1e6
-"""Size of a height from which it is none of a part: 1 km. [mm]"""
+MAX_HEIGHT_MM = 1e6
 
-DENSEST = 1032
-"""Bytes that one byte of deflate can stand for."""
+MAX_DEFLATE_RATIO = 1032
+"""Largest compression ratio of deflate."""
 
-SMALL = 1 << 28
-"""Bytes up to which anything may be packed as densely as can be: a plane packs well."""
+SMALL_BYTES = 1 << 28
+"""Uncompressed size up to which any compression ratio is allowed, as a plane compresses well."""
 
-DENSE = 100
-"""Bytes that one packed byte may stand for in more than that; measured heights hardly pack at all."""
+MAX_LARGE_RATIO = 100
+"""Compression ratio allowed above that size; measured heights hardly compress."""
 
 DAMAGE = (
     OSError,
@@ -65,59 +63,59 @@ DAMAGE = (
     zlib.error,
     zipfile.BadZipFile,
 )
-"""What a damaged file makes libraries raise; `MapError` is a ValueError, so catch that first."""
+"""Exceptions of libraries for damaged files; `MapError` is a ValueError, so catch it first."""
 
 
 def require_points(path: Path, columns: int, rows: int) -> None:
-    """Raise unless a grid has a size that can be."""
+    """Raise unless a grid has a possible size."""
     if columns < 1 or rows < 1:
         raise MapError(
-            f"{path} says that its heights have {columns} columns and {rows} rows, the limit is 1 of each: it holds no "
-            "heights or is damaged, so export it again"
+            f"{path} has {columns} columns and {rows} rows of heights, it needs at least 1 of each: it is empty or "
+            "damaged, so export it again"
         )
-    if columns * rows > MOST_POINTS:
+    if columns * rows > MAX_POINTS:
         raise MapError(
-            f"{path} says that it has {columns} x {rows} heights, the limit is {MOST_POINTS:,} in all: it is damaged, "
-            "or crop it"
+            f"{path} has {columns} x {rows} heights, the limit is {MAX_POINTS:,} in all: crop it, or export it again "
+            "if it is damaged"
         )
 
 
 def require_heights(path: Path, heights: Floats) -> None:
-    """Raise if heights are out of the range of any part."""
+    """Raise if heights are too large for any part."""
     highest = float(np.nanmax(np.abs(heights), initial=0.0))
-    if highest > HIGHEST:
+    if highest > MAX_HEIGHT_MM:
         raise MapError(
-            f"{path} has heights of up to {highest:.3g} mm, the limit is {HIGHEST:g} mm: it is damaged, or its unit is "
-            "wrong"
+            f"{path} has heights of up to {highest:.3g} mm, the limit is {MAX_HEIGHT_MM:g} mm: it is damaged, or its "
+            "unit is wrong"
         )
 
 
 def require_bytes(path: Path, needed: int, there: int) -> None:
-    """Raise unless as many bytes are there as the heights need."""
+    """Raise unless a file is long enough for its heights."""
     if needed > there:
         raise MapError(
-            f"{path} needs {needed:,} bytes for what its head says and has {there:,}: it is cut short or damaged, so "
-            "export or copy it again"
+            f"{path} needs {needed:,} bytes by its header and has {there:,}: it is truncated or damaged, so export or "
+            "copy it again"
         )
 
 
 def inflated(path: Path, packed: int, claimed: int) -> None:
-    """Raise if ``packed`` bytes of deflate cannot be as long as is claimed, or that is more than any map."""
-    times = DENSEST if claimed <= SMALL else DENSE
-    if claimed > 8 * MOST_POINTS or claimed > times * packed + 64:
+    """Raise if ``claimed`` bytes are more than ``packed`` bytes of deflate can hold, or than any map has."""
+    ratio = MAX_DEFLATE_RATIO if claimed <= SMALL_BYTES else MAX_LARGE_RATIO
+    if claimed > 8 * MAX_POINTS or claimed > ratio * packed + 64:
         raise MapError(
-            f"{path} claims {claimed:,} bytes unpacked from {packed:,}, the limits are {8 * MOST_POINTS:,} bytes and "
-            f"{times} times as many: it is damaged, or made to do harm"
+            f"{path} states {claimed:,} bytes unpacked from {packed:,}, the limits are {8 * MAX_POINTS:,} bytes and a "
+            f"ratio of {ratio}: it is damaged or malicious"
         )
 
 
 def finite_or_missing(heights: Floats) -> Floats:
-    """Return heights of which those that are not finite are missing: a format without nan marks them so."""
+    """Return heights with infinite values replaced by nan."""
     return np.where(np.isfinite(heights), heights, np.nan)
 
 
 def words(raw: bytes) -> str:
-    """Return the text of a field that ends at its first zero byte, without what cannot be printed."""
+    """Return the text of a field up to its first zero byte, without unprintable characters."""
     text = raw.split(b"\0", 1)[0].decode("latin-1")
     return " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())
 
@@ -135,25 +133,25 @@ def grid_map(
     Parameters
     ----------
     path
-        Of the file, which names the map.
+        Path of the file, whose name is that of the map.
     heights
         (ny, nx) [mm]
     pixel
-        Its size along x and y, or nothing where the file does not say. [mm]
+        Pixel size along x and y; ``None`` if the file has none. [mm]
     start
-        Where the first column and row stand. [mm]
+        Position of the first column and row. [mm]
     metadata
-        Text of the file; what is empty is left out.
+        Text entries of the file; empty ones are dropped.
     """
     if pixel is not None:
         for size, name in zip(pixel, "xy", strict=True):
             if not (math.isfinite(size) and size > 0):
                 raise MapError(
-                    f"{path} says that its pixels are {size:g} mm wide along {name}, it must be finite and above 0 mm: "
-                    "it is damaged, so export it again"
+                    f"{path} has a pixel size of {size:g} mm along {name}, it must be finite and above 0 mm: it is "
+                    "damaged, so export it again"
                 )
         if not all(map(math.isfinite, start)):
-            raise MapError(f"{path} says that it starts at {start} mm, it must be finite: it is damaged")
+            raise MapError(f"{path} starts at {start} mm, it must be finite: it is damaged, so export it again")
     rows, columns = heights.shape
     along_x, along_y = pixel or (1.0, 1.0)
     return HeightMap(
@@ -166,29 +164,31 @@ def grid_map(
     )
 
 
-def even_axes(one: HeightMap, kind: str) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return where the axes of a map start and the size of its pixels, x before y, or raise if a format cannot say it.
+def even_axes(heights: HeightMap, kind: str) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the start of the axes of a map and its pixel size, each for x and y; raise if a format cannot hold them.
 
-    A single row or column is given the pixel of the other axis.
+    A single row or column gets the pixel size of the other axis.
     """
-    if one.x is None or one.y is None or one.scattered:
-        what = "scattered points" if one.scattered else "a polar grid"
-        raise MapError(f"the map {one.name!r} has {what}, {kind} files hold rectangular grids only: write it as .npz")
-    if not one.calibrated:
+    if heights.x is None or heights.y is None or heights.scattered:
+        what = "scattered points" if heights.scattered else "a polar grid"
         raise MapError(
-            f"the map {one.name!r} says nothing of the size of its pixels, {kind} files must: give it with "
+            f"the map {heights.name!r} has {what}, {kind} files hold rectangular grids only: write it as .npz"
+        )
+    if not heights.calibrated:
+        raise MapError(
+            f"the map {heights.name!r} has no pixel size, {kind} files need one: give it with "
             "HeightMap.scaled, or write it as .npz"
         )
     pixels = []
-    for name, axis in (("x", one.x), ("y", one.y)):
+    for name, axis in (("x", heights.x), ("y", heights.y)):
         pixel = (axis[-1] - axis[0]) / (axis.size - 1) if axis.size > 1 else math.nan
         off = np.abs(axis - axis[0] - pixel * np.arange(axis.size)).max() / pixel if axis.size > 1 else 0.0
         if off > 1e-6 or pixel <= 0:
             raise MapError(
-                f"the {name} of the map {one.name!r} is {off:.2g} of a step off even steps, {kind} files allow 1e-06: "
-                "write it as .npz"
+                f"{name} of the map {heights.name!r} deviates from even steps by {off:.2g} of a step, {kind} files "
+                "allow 1e-06: write it as .npz"
             )
         pixels.append(float(pixel))
-    known = [pixel for pixel in pixels if not math.isnan(pixel)] or [1.0]
-    along_x, along_y = (known[0] if math.isnan(pixel) else pixel for pixel in pixels)
-    return (float(one.x[0]), float(one.y[0])), (along_x, along_y)
+    sizes = [pixel for pixel in pixels if not math.isnan(pixel)] or [1.0]
+    along_x, along_y = (sizes[0] if math.isnan(pixel) else pixel for pixel in pixels)
+    return (float(heights.x[0]), float(heights.y[0])), (along_x, along_y)

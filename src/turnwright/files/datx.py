@@ -1,6 +1,6 @@
-"""Zygo ``.datx``: HDF5 with one surface under ``Data/Surface``, its calibration in attributes beside it.
+"""Zygo ``.datx``: HDF5 with one surface under ``Data/Surface`` and its calibration in attributes.
 
-Heights are stored in a unit of length, or in fringes, times scale factor, wavelength and obliquity. Rows go down from
+Heights are stored in a unit of length, or in fringes, times scale factor, wavelength and obliquity. The first row is
 the top of the camera's picture.
 
 Sources
@@ -32,11 +32,11 @@ __all__ = ["SIGNATURE", "read"]
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 PREFIX = "Data Context.Data Attributes."
-HUGE = 1e30
-"""Marks of missing points from here on are met from above, for they are stored with few digits."""
+LARGE_MARK = 1e30
+"""Marks of missing points from this value are compared by >=, as they are stored with few digits."""
 
-LONGEST = 500
-"""Letters of an attribute that are kept."""
+MAX_TEXT_CHARACTERS = 500
+"""Characters of an attribute in the metadata."""
 
 
 def read(path: Path, data: bytes) -> HeightMap:
@@ -55,7 +55,7 @@ def read(path: Path, data: bytes) -> HeightMap:
         no_data = surface.attrs.get("No Data")
         if no_data is not None:
             mark = float(np.ravel(no_data)[0])
-            missing |= stored >= mark if mark > HUGE else stored == mark
+            missing |= stored >= mark if mark > LARGE_MARK else stored == mark
         heights: Floats = np.where(missing, np.nan, stored * np.where(missing, 0.0, scale))
         return grid_map(
             path,
@@ -66,7 +66,7 @@ def read(path: Path, data: bytes) -> HeightMap:
 
 
 def _surface(path: Path, file: h5py.File) -> h5py.Dataset:
-    """Return the heights of the first surface that the file itself holds."""
+    """Return the heights of the first surface stored in the file itself."""
     import h5py  # noqa: PLC0415
 
     group = file.get("Data/Surface")
@@ -75,18 +75,18 @@ def _surface(path: Path, file: h5py.File) -> h5py.Dataset:
     for name in group:
         if not isinstance(group.get(name, getlink=True), h5py.HardLink):
             continue
-        found = group[name]
-        if not isinstance(found, h5py.Dataset) or found.external is not None or found.is_virtual:
-            continue  # what lies in other files is not what this one holds
-        if len(found.shape) == 2 and found.dtype.kind in "fiu":
-            return found
+        dataset = group[name]
+        if not isinstance(dataset, h5py.Dataset) or dataset.external is not None or dataset.is_virtual:
+            continue  # stored in other files
+        if len(dataset.shape) == 2 and dataset.dtype.kind in "fiu":
+            return dataset
     raise MapError(f"{path} has no table of heights in its group Data/Surface: export it again with its surface")
 
 
 def _text(value: Any) -> str:
-    """Return an attribute's text."""
-    one = np.ravel(np.asarray(value, dtype=object))[0]
-    return (one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one))[:LONGEST]
+    """Return the text of an attribute."""
+    entry = np.ravel(np.asarray(value, dtype=object))[0]
+    return (entry.decode("utf-8", "replace") if isinstance(entry, bytes) else str(entry))[:MAX_TEXT_CHARACTERS]
 
 
 def _unit(surface: h5py.Dataset) -> str:
@@ -96,10 +96,10 @@ def _unit(surface: h5py.Dataset) -> str:
 
 def _converter(surface: h5py.Dataset, name: str) -> tuple[str, str, Floats] | None:
     """Return category, unit and parameters of a converter."""
-    found = surface.attrs.get(name)
-    if found is None:
+    attribute = surface.attrs.get(name)
+    if attribute is None:
         return None
-    category, unit, parameters = np.ravel(found)[0]
+    category, unit, parameters = np.ravel(attribute)[0]
     return _text(category), _text(unit), np.asarray(parameters, dtype=np.float64)
 
 
@@ -112,18 +112,18 @@ def _height_unit(path: Path, surface: h5py.Dataset) -> float:
     if unit.lower() != "fringes":
         return to_mm(unit, f"{path} states its heights in")
     names = ("Wavelength", "Interferometric Scale Factor", "Obliquity Factor")
-    given = [surface.attrs.get(name) for name in names]
-    if any(one is None for one in given) and converter is not None and converter[2].size >= 4:
-        given = list(converter[2][1:4])
-    values = [math.nan if one is None else float(np.ravel(one)[0]) for one in given]
+    attributes = [surface.attrs.get(name) for name in names]
+    if any(attribute is None for attribute in attributes) and converter is not None and converter[2].size >= 4:
+        attributes = list(converter[2][1:4])
+    values = [math.nan if attribute is None else float(np.ravel(attribute)[0]) for attribute in attributes]
     if not all(math.isfinite(value) and value > 0 for value in values):
         listed = ", ".join(f"{name} {value:g}" for name, value in zip(names, values, strict=True))
-        raise MapError(f"{path} has heights in fringes with {listed}, all must be stated and above 0: it is damaged")
+        raise MapError(f"{path} has heights in fringes with {listed}, all must be finite and above 0: it is damaged")
     return math.prod(values) * 1e3
 
 
 def _pixel(path: Path, surface: h5py.Dataset) -> tuple[float, float] | None:
-    """Return the size of a pixel, or nothing for a camera that was not calibrated [mm]."""
+    """Return the pixel size; ``None`` for a camera that was not calibrated [mm]."""
     sizes = []
     for name in ("X Converter", "Y Converter"):
         converter = _converter(surface, name)
@@ -133,20 +133,20 @@ def _pixel(path: Path, surface: h5py.Dataset) -> tuple[float, float] | None:
         if category != "LateralCat" or unit != "Pixels" or parameters.size < 2:
             raise MapError(
                 f"{path} has the {name} {category} in {unit} with {parameters.size} numbers, it must be LateralCat in "
-                "Pixels with 2 or more: export it from the instrument's software again"
+                "Pixels with at least 2: export it from the instrument's software again"
             )
         sizes.append(float(parameters[1]) * 1e3)
     return None if sizes == [0.0, 0.0] else (sizes[0], sizes[1])
 
 
 def _metadata(file: h5py.File) -> dict[str, str]:
-    """Return what the first set of attributes says in plain words and numbers."""
+    """Return the attributes that are texts or numbers."""
     import h5py  # noqa: PLC0415
 
-    kept: dict[str, str] = {}
+    metadata: dict[str, str] = {}
     groups = file.get("Attributes")
     if not isinstance(groups, h5py.Group):
-        return kept
+        return metadata
     for name in groups:
         if not isinstance(groups.get(name, getlink=True), h5py.HardLink):
             continue
@@ -157,5 +157,5 @@ def _metadata(file: h5py.File) -> dict[str, str]:
             unit = groups[name].attrs.get(f"{key.removesuffix(':Value')}:Unit") if key.endswith(":Value") else None
             if np.asarray(value).dtype.kind in "fiuOSU" and np.asarray(value).size == 1:
                 text = f"{_text(value)} {'' if unit is None else _text(unit)}".strip()
-                kept[label.removesuffix(":Value").lower()] = text
-    return kept
+                metadata[label.removesuffix(":Value").lower()] = text
+    return metadata

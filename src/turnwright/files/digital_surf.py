@@ -1,7 +1,7 @@
-"""Digital Surf ``.sur``: a head of 512 bytes, two notes, then whole numbers, plain or deflated.
+"""Digital Surf ``.sur``: a header of 512 bytes, two notes, then integers, plain or deflated.
 
-Rows go down from the top of the picture. A header that says that its heights were inverted is refused: two programs
-turn them over then, and two do not. The shift of all heights that a header may state is kept as text.
+The first row is the top of the picture. A file with inverted heights is refused: two programs then invert them back,
+and two do not. An offset of all heights in the header is kept as text.
 
 Sources
 -------
@@ -56,13 +56,13 @@ PLACES = {
     "private bytes": (336, "<h"),
     "offset z": (474, "<f"),
 }
-"""Fields that are used or kept: where they begin and how they are packed."""
+"""Offset and format of the fields that are read."""
 
-TIME = 306
-"""Where the six numbers of the time begin."""
+TIME_OFFSET = 306
+"""Offset of the six numbers of the time."""
 
 SURFACES = frozenset({1, 2})
-"""Profiles and surfaces; Gwyddion writes surfaces as profiles."""
+"""Kinds of profiles and surfaces; Gwyddion writes surfaces as profiles."""
 
 
 def read(path: Path, data: bytes) -> HeightMap:
@@ -73,17 +73,17 @@ def read(path: Path, data: bytes) -> HeightMap:
         ("format", {0}, "save it on a PC"),
         ("objects", {0, 1}, "save the surface alone"),
         ("kind", SURFACES, "save the surface alone"),
-        ("inverted", {0}, "on inverted heights programs disagree by the sign of z, so save it without"),
+        ("inverted", {0}, "programs disagree on the sign of inverted heights, so save it without"),
         ("bits", {16, 32}, "it is damaged"),
     ):
         if field[name] not in allowed:
-            raise MapError(f"{path} has {name} {field[name]}, what can be read is {sorted(allowed)}: {remedy}")
+            raise MapError(f"{path} has {name} {field[name]}, it must be one of {sorted(allowed)}: {remedy}")
     columns, rows = field["columns"], field["rows"]
     require_points(path, columns, rows)
     if field["points"] != columns * rows:
-        raise MapError(f"{path} says {field['points']} points for {columns} x {rows}: it is damaged, so save it again")
+        raise MapError(f"{path} has {field['points']} points for {columns} x {rows}: it is damaged, so save it again")
     if min(field["comment bytes"], field["private bytes"]) < 0:
-        raise MapError(f"{path} says that its notes are shorter than nothing: it is damaged, so save it again")
+        raise MapError(f"{path} has notes of negative length: it is damaged, so save it again")
     begin = HEAD + field["comment bytes"] + field["private bytes"]
     needed = columns * rows * field["bits"] // 8
     raw = data[begin:] if data.startswith(PLAIN) else _unpacked(path, data[begin:], needed)
@@ -91,11 +91,11 @@ def read(path: Path, data: bytes) -> HeightMap:
     stored = np.frombuffer(raw, f"<i{field['bits'] // 8}", columns * rows).reshape(rows, columns)[::-1]
     step = field["step z"] * to_mm(_unit(field["unit z"]), f"{path} states its heights in")
     if not (math.isfinite(step) and step != 0):
-        raise MapError(f"{path} has steps of height of {step:g} mm, they must be finite and not 0: it is damaged")
+        raise MapError(f"{path} has a height step of {step:g} mm, it must be finite and not 0: it is damaged")
     heights = stored * step
     if field["not measured"] == 1:
         heights[stored == field["lowest"] - 2] = np.nan
-    second, minute, hour, day, month, year = struct.unpack_from("<6h", data, TIME)
+    second, minute, hour, day, month, year = struct.unpack_from("<6h", data, TIME_OFFSET)
     return grid_map(
         path,
         heights,
@@ -123,22 +123,22 @@ def _pixel(path: Path, field: dict[str, Any], axis: str) -> float:
     return size
 
 
-def _unpacked(path: Path, rest: bytes, needed: int) -> bytes:
-    """Return the heights out of deflated streams, no more than are needed."""
-    require_bytes(path, 4, len(rest))
-    (streams,) = struct.unpack_from("<I", rest)
-    require_bytes(path, 4 + 8 * streams, len(rest))
-    inflated(path, len(rest), needed)
+def _unpacked(path: Path, data: bytes, needed: int) -> bytes:
+    """Return the heights from deflated streams, no more than needed."""
+    require_bytes(path, 4, len(data))
+    (streams,) = struct.unpack_from("<I", data)
+    require_bytes(path, 4 + 8 * streams, len(data))
+    inflated(path, len(data), needed)
     begin = 4 + 8 * streams
     parts: list[bytes] = []
-    for plain, packed in struct.iter_unpack("<II", rest[4:begin]):
-        require_bytes(path, begin + packed, len(rest))
-        room = needed - sum(len(part) for part in parts)
-        if plain > room:
+    for plain, packed in struct.iter_unpack("<II", data[4:begin]):
+        require_bytes(path, begin + packed, len(data))
+        missing = needed - sum(len(part) for part in parts)
+        if plain > missing:
             break
-        part = zlib.decompressobj().decompress(rest[begin : begin + packed], plain + 1)
+        part = zlib.decompressobj().decompress(data[begin : begin + packed], plain + 1)
         if len(part) != plain:
-            raise MapError(f"{path} has a stream of {len(part)} bytes that says {plain}: it is damaged")
+            raise MapError(f"{path} has a stream of {len(part)} bytes that states {plain}: it is damaged")
         parts.append(part)
         begin += packed
     return b"".join(parts)

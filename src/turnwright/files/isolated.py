@@ -1,4 +1,4 @@
-"""Zygo's datx, which is HDF5, read in a process of its own."""
+"""Reading Zygo ``.datx`` (HDF5) in a separate process."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ __all__ = ["read_datx"]
 
 
 def read_datx(path: Path, data: bytes) -> HeightMap:
-    """Read a datx file; its bytes go to the other process, its map comes back."""
+    """Read a datx file in a separate process."""
     return arrays.read_named(path, read_isolated(__name__, path, refusal=MapError, data=data))
 
 
 def main() -> int:
-    """Read the bytes that come in as the file that is named, and send its map out."""
+    """Read a datx file from standard input and write its map to standard output."""
     path = Path(sys.argv[1])
     return answer_parent(
         lambda: arrays.packed(datx.read(path, sys.stdin.buffer.read())), refusal=MapError, damage=DAMAGE

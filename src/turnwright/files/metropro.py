@@ -1,9 +1,9 @@
 r"""Zygo MetroPro ``.dat``: a big-endian head of 834 or 4096 bytes, the camera's intensities, then the phase.
 
 A height is :math:`p S O W / R` for a phase of p counts, with the scale factor S of the interferometer, the obliquity
-factor O, the wavelength W, and R counts to a fringe. Rows go down from the top of the camera's picture.
+factor O, the wavelength W, and R counts per fringe. The first row is the top of the camera's picture.
 
-The sign field is refused when it is set: two programs turn the heights over then, and two do not.
+A file with the sign field set is refused: two programs then invert the heights, and two do not.
 
 Sources
 -------
@@ -33,12 +33,12 @@ __all__ = ["COUNTS", "MISSING", "SIGNATURES", "fringe_scale", "read"]
 SIGNATURES = (b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71")
 
 COUNTS = {0: 4096, 1: 32768, 2: 131072}
-"""Counts of one fringe, by phase resolution."""
+"""Counts per fringe, by phase resolution."""
 
 MISSING = 2147483640
-"""Phases from here on say that there is none."""
+"""Phases from this value on are missing."""
 
-SHORTEST = 834
+MIN_HEADER_BYTES = 834
 PLACES = {
     "header size": (6, ">I"),
     "software date": (12, "30s"),
@@ -62,11 +62,11 @@ PLACES = {
     "part": (258, "40s"),
     "part serial number": (320, "40s"),
 }
-"""Fields that are used or kept: where they begin and how they are packed."""
+"""Offset and format of the fields that are read."""
 
 
 class Fringes(NamedTuple):
-    """What turns counts of phase into heights."""
+    """Factors that convert phase counts into heights."""
 
     scale: float
     wavelength: float  # [m]
@@ -74,22 +74,22 @@ class Fringes(NamedTuple):
     resolution: int
 
 
-def fringe_scale(path: Path, found: Fringes) -> float:
+def fringe_scale(path: Path, fringes: Fringes) -> float:
     """Return the height of one count [mm]."""
-    if found.resolution not in COUNTS:
-        raise MapError(f"{path} has the phase resolution {found.resolution}, it must be 0, 1 or 2: it is damaged")
-    value = found.scale * found.obliquity * found.wavelength
+    if fringes.resolution not in COUNTS:
+        raise MapError(f"{path} has the phase resolution {fringes.resolution}, it must be 0, 1 or 2: it is damaged")
+    value = fringes.scale * fringes.obliquity * fringes.wavelength
     if not (math.isfinite(value) and value > 0):
         raise MapError(
-            f"{path} says scale factor {found.scale:g}, wavelength {found.wavelength:g} m, obliquity "
-            f"{found.obliquity:g}, they must be finite and above 0: it is damaged, so export it again"
+            f"{path} has scale factor {fringes.scale:g}, wavelength {fringes.wavelength:g} m, obliquity "
+            f"{fringes.obliquity:g}, they must be finite and above 0: it is damaged, so export it again"
         )
-    return value * 1e3 / COUNTS[found.resolution]
+    return value * 1e3 / COUNTS[fringes.resolution]
 
 
 def read(path: Path, data: bytes) -> HeightMap:
     """Read a MetroPro file."""
-    require_bytes(path, SHORTEST, len(data))
+    require_bytes(path, MIN_HEADER_BYTES, len(data))
     field = {name: struct.unpack_from(form, data, place)[0] for name, (place, form) in PLACES.items()}
     if field["sign"]:
         raise MapError(
@@ -129,13 +129,13 @@ def read(path: Path, data: bytes) -> HeightMap:
 
 
 def _intensity_bytes(path: Path, field: dict[str, int]) -> int:
-    """Return how many bytes of camera pictures stand before the phase."""
+    """Return the number of bytes of camera pictures before the phase."""
     picture = 2 * field["intensity columns"] * field["intensity rows"]
-    # Some files count no bucket and hold one.
+    # Some files state 0 buckets and hold one.
     for buckets in (field["intensity buckets"], 1):
         if field["intensity bytes"] == picture * buckets:
             return picture * buckets
     raise MapError(
-        f"{path} says {field['intensity bytes']} bytes of intensity for {field['intensity buckets']} pictures of "
+        f"{path} states {field['intensity bytes']} bytes of intensity for {field['intensity buckets']} pictures of "
         f"{picture} bytes, they must agree: it is damaged, so export it again"
     )

@@ -1,4 +1,4 @@
-"""Numbers out of text, in bulk."""
+"""Reading numbers from text in bulk."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PRINTABLE = bytes({7, 8, 9, 10, 11, 12, 13, 26, 27} | set(range(0x20, 0x100)))
 
 
 def text_of(data: bytes) -> str | None:
-    """Return the text of a file, or nothing if it is none."""
+    """Return the text of a file; ``None`` if it is not text."""
     for mark, name in ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16")):
         if data.startswith(mark):
             try:
@@ -38,7 +38,7 @@ def text_of(data: bytes) -> str | None:
 
 
 def numbers(path: Path, text: str) -> Floats:
-    """Return all numbers of a text that has nothing else in it, (n,)."""
+    """Return the numbers of a text that holds only numbers. (n,)."""
     if not text.strip():
         return np.empty(0)
     with warnings.catch_warnings():
@@ -46,9 +46,7 @@ def numbers(path: Path, text: str) -> Floats:
         try:
             return np.fromstring(text, sep=" ")
         except (ValueError, DeprecationWarning) as error:
-            raise MapError(
-                f"{path} holds something that is not a number among its numbers: it is damaged, so export it again"
-            ) from error
+            raise MapError(f"{path} holds a value that is not a number: it is damaged, so export it again") from error
 
 
 def table(path: Path, text: str, separator: str | None, columns: Sequence[int] | None, first_line: int = 1) -> Floats:
@@ -57,15 +55,15 @@ def table(path: Path, text: str, separator: str | None, columns: Sequence[int] |
     Parameters
     ----------
     path
-        Of the file, for the sentence if something is wrong.
+        Path of the file, for messages.
     text
-        Lines, each with as many cells.
+        Lines with equal numbers of cells.
     separator
-        Between the cells; any white space if none is given.
+        Separator of cells; ``None`` for white space.
     columns
-        Those that are wanted, in this order, or all.
+        The columns to return, in this order; ``None`` for all.
     first_line
-        The line of the file in which the text begins.
+        Number of the first line of the text in the file.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -74,11 +72,10 @@ def table(path: Path, text: str, separator: str | None, columns: Sequence[int] |
                 io.StringIO(text), delimiter=separator, comments="#", usecols=columns, ndmin=2, quotechar='"'
             )
         except UserWarning as error:
-            raise MapError(f"{path} holds no numbers where its table should be: it is cut short") from error
+            raise MapError(f"{path} holds no numbers where its table should be: it is truncated") from error
         except (ValueError, IndexError) as error:
-            said = str(error).split(";")[0].rstrip(".")
-            said = re.sub(r"at row (\d+)", lambda found: f"in line {int(found[1]) + first_line}", said)
+            reason = str(error).split(";")[0].rstrip(".")
+            reason = re.sub(r"at row (\d+)", lambda match: f"in line {int(match[1]) + first_line}", reason)
             raise MapError(
-                f"{path} has a table that cannot be read ({said}): every line must have the same columns, all of them "
-                "numbers"
+                f"{path} has a table that cannot be read ({reason}): every line must have the same columns, all numbers"
             ) from error

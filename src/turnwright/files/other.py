@@ -1,7 +1,7 @@
-"""Instruments whose files SurfaceTopography reads, an optional extra: ``pip install turnwright[formats]``.
+"""Formats that SurfaceTopography reads, an optional extra: ``pip install turnwright[formats]``.
 
-It gives all of them with the first row at the top of the picture. Its heights of ``.opd``, ``.al3d`` and ``.frt`` files
-were compared with other readers; ``.nms`` files are refused, since readers disagree on the sign of their heights.
+The first row is the top of the picture in all of them. Heights of ``.opd``, ``.al3d`` and ``.frt`` files were compared
+with other readers; ``.nms`` files are refused, as readers disagree on the sign of their heights.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ SUFFIXES = {
     **{f".{name}": name for name in ("al3d", "frt", "lext", "opd", "opdx", "os3d", "plu", "plux")},
     **{f".vk{version}": "vk" for version in (3, 4, 6, 7)},
 }
-"""Suffixes, and SurfaceTopography's name of the format. It tries no other: one of them logs all bytes of the file."""
+"""Format of SurfaceTopography by suffix. No other is tried, as one of them logs all bytes of the file."""
 
 DISPUTED = ".nms"
 
 
 def refuse(path: Path, _: bytes) -> HeightMap:
-    """Raise for a format whose readers do not agree."""
+    """Raise for a format on which readers disagree."""
     raise MapError(
-        f"{path} is of a format on which readers disagree by the sign of z ({DISPUTED}): export it as .x3p or .sdf"
+        f"{path} is {DISPUTED}, a format for which readers disagree on the sign of z: export it as .x3p or .sdf"
     )
 
 

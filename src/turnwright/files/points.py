@@ -1,9 +1,9 @@
-"""Text and CSV: points x, y, z in rows, which become a grid if they stand on one; or a table of heights.
+"""Text and CSV: points x, y, z in rows, which become a grid if they lie on one; or a table of heights.
 
-What the numbers mean must be in the file: separator and decimal sign are found from the rows, and refused where two
-readings are possible; names and units of the columns are taken from the description above. Points of a lattice become a
-grid with nan where it has none. A table of heights has x in its first row, after an empty cell or a word, and y in its
-first column; a bare one has more than eight columns, no names, and its first row at the top.
+Separator and decimal sign are detected from the rows, and refused where two readings are possible; names and units of
+the columns are read from the description above the rows. Points on a grid become a map with nan where points are
+missing. A table of heights has x in its first row, after an empty cell or a word, and y in its first column; without
+axes it has more than eight columns, no names, and its first row at the top of the picture.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ if TYPE_CHECKING:
 
 __all__ = ["read", "read_slice"]
 
-MOST_LINES = 300
-"""Lines of description above the table, at most."""
+MAX_DESCRIPTION_LINES = 300
+"""Lines of description above the table."""
 
-ALIKE = 3
-"""Rows that must have the same columns for a table to begin with the first of them."""
+MIN_EQUAL_ROWS = 3
+"""Consecutive rows with equal columns at the beginning of a table."""
 
-SOME, ALL = 1, 2
-"""How well lines read as a table."""
+PARTLY_NUMERIC, ALL_NUMERIC = 1, 2
+"""Readings of lines as a table."""
 
-CROSSED = 4
-"""Columns of a table with x in its first row and y in its first column, at least: three of heights."""
+MIN_AXES_COLUMNS = 4
+"""Columns of a table with x in its first row and y in its first column: three of heights."""
 
-BARE = 8
-"""A table of more columns than this is one of heights; of fewer, it may be points with more beside them."""
+MAX_POINT_COLUMNS = 8
+"""A table without names and with more columns is a grid of heights; with fewer it may be a list of points."""
 
-LONGEST = 2000
-"""Letters of the description that are kept."""
+MAX_DESCRIPTION_CHARACTERS = 2000
+"""Characters of the description in the metadata."""
 
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 COMMA = re.compile(r"[+-]?(?:\d*,\d+|\d+)(?:[eE][+-]?\d+)?")
@@ -52,7 +52,7 @@ GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
 ONLY_NUMBERS = re.compile(r"\s*[-+\d.,][-+\d.,;eE\s]*")
 MISSING = re.compile(r"(?i)nan|[+-]?inf(?:inity)?|no ?data|bad|n/?a|null|\*+|-{2,}|")
 MARKS = "#%!;/"
-"""What a line of description may begin with."""
+"""Characters that mark a line of description."""
 
 NAMES = {
     "x": re.compile(r"x([ _-]?(pos(ition)?|coord(inate)?|axis|value))?"),
@@ -63,10 +63,10 @@ ROLES = {
     "distance": re.compile(rf"{NAMES['x'].pattern}|dist(ance)?|pos(ition)?|lateral|abscissa|scan|along"),
     "height": re.compile(rf"{NAMES['z'].pattern}|h|profile|deviation|topography"),
 }
-"""What names of columns say in a profile; y is whichever the other column is not."""
+"""Names of the columns of a profile; a column named y may be either."""
 
 NO_LENGTH = re.compile(r"slopes?\b.*|(local )?(gradient|angle|tilt|curvature)s?|dz[ /]?dx")
-"""Names of columns that hold neither distances nor heights."""
+"""Names of columns that are neither distances nor heights."""
 
 UNIT = "|".join(sorted(map(re.escape, SPELLINGS), key=len, reverse=True)) + "|px|pixels?"
 CELL = re.compile(rf"(?i)\s*(.*?)\s*(?:[\[(/_,]\s*({UNIT})\s*[\])]?|\s({UNIT}))?\s*")
@@ -78,43 +78,47 @@ PIXELS = frozenset({"px", "pixel", "pixels"})
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """How the table is written."""
+    """The format of a table."""
 
-    first: int  # line in which it begins, from 0
+    first: int  # first line, from 0
     separator: str | None  # None: white space
     comma: bool  # decimal commas
     columns: int
-    numeric: bool  # every column
+    numeric: bool  # whether every column is
 
 
 def read(path: Path, text: str, unit: str | None, lateral_unit: str | None) -> HeightMap:
-    """Read text; the units are for numbers that the text gives none."""
+    """Read text; the units are for numbers without a unit in the text."""
     lines = _first_lines(text)
     layout = _layout(path, lines)
-    # An empty lateral unit keeps that of the heights from standing in for it.
-    rest = unit if lateral_unit is None else None
+    # With an empty lateral unit, that of the heights is not used for x and y.
+    default_unit = unit if lateral_unit is None else None
     lateral_unit = lateral_unit or None
-    crossed = _crossed(lines, layout)
-    if crossed is not None:
-        return _read_crossed(path, text, layout, crossed, _stated(lines[: crossed[0]]), (unit, lateral_unit, rest))
+    x_row = _x_row(lines, layout)
+    if x_row is not None:
+        units = (unit, lateral_unit, default_unit)
+        return _read_with_axes(path, text, layout, x_row, _stated(lines[: x_row[0]]), units)
     above = lines[: layout.first]
     names = _names(above, layout)
     chosen = _columns(path, names, layout.columns, _numeric_columns(lines, layout))
     body = _body(text, layout)
-    metadata = {"format": "text", "description": "\n".join(line for line in above if line.strip())[:LONGEST]}
+    metadata = {
+        "format": "text",
+        "description": "\n".join(line for line in above if line.strip())[:MAX_DESCRIPTION_CHARACTERS],
+    }
     if chosen is None:
         scale = _unit(path, {}, _stated(above), "z", unit)
         if scale is None:
-            raise MapError(f"{path} has heights that count pixels: state a length")
-        found = _table(path, body, layout, None)
-        require_points(path, found.shape[1], found.shape[0])
-        return grid_map(path, found[::-1] * scale, None, metadata=metadata)
-    units = _column_units(above, layout)
+            raise MapError(f"{path} has heights in pixels, they must be lengths: give their unit")
+        heights = _table(path, body, layout, None)
+        require_points(path, heights.shape[1], heights.shape[0])
+        return grid_map(path, heights[::-1] * scale, None, metadata=metadata)
+    column_units = _column_units(above, layout)
     stated = _stated(above)
-    given = {"x": (lateral_unit, rest), "y": (lateral_unit, rest), "z": (unit, None)}
-    scales = {axis: _unit(path, units, stated, axis, *given[axis]) for axis in chosen}
-    found = _table(path, body, layout, tuple(chosen.values()))
-    return _as_map(path, dict(zip(chosen, found.T, strict=True)), scales, metadata)
+    options = {"x": (lateral_unit, default_unit), "y": (lateral_unit, default_unit), "z": (unit, None)}
+    scales = {axis: _unit(path, column_units, stated, axis, *options[axis]) for axis in chosen}
+    columns = _table(path, body, layout, tuple(chosen.values())).T
+    return _as_map(path, dict(zip(chosen, columns, strict=True)), scales, metadata)
 
 
 def read_slice(
@@ -125,36 +129,38 @@ def read_slice(
     Parameters
     ----------
     path
-        Of the file, for messages.
+        Path of the file, for messages.
     text
         Rows of numbers below a line of names.
     columns
-        Names of the columns of distance and height, or their numbers from 1; without names two columns of numbers.
+        Names or numbers (from 1) of the columns of distance and height; ``None`` to detect them.
     unit, lateral_unit
-        Of the heights, and of the distances if not the same, where the text states none.
+        Units of the heights, and of the distances if different, where the text has none.
     """
     lines = _first_lines(text)
     layout = _layout(path, lines)
     above = lines[: layout.first]
     names = _names(above, layout) or [str(number + 1) for number in range(layout.columns)]
     chosen = _slice_columns(path, names, columns, _numeric_columns(lines, layout))
-    own = {axis: named for axis, at in zip("xz", chosen, strict=True) if (named := _split_cell(names[at])[1])}
+    column_units = {
+        axis: symbol for axis, at in zip("xz", chosen, strict=True) if (symbol := _split_cell(names[at])[1])
+    }
     scales = []
-    for axis, given, rest in (("x", lateral_unit, unit), ("z", unit, None)):
-        scale = _unit(path, own, _stated(above), axis, given, rest)
+    for axis, option, default in (("x", lateral_unit, unit), ("z", unit, None)):
+        scale = _unit(path, column_units, _stated(above), axis, option, default)
         if scale is None:
-            raise MapError(f"{path} counts pixels where a profile needs lengths: export it calibrated")
+            raise MapError(f"{path} is in pixels, a profile needs lengths: export it calibrated")
         scales.append(scale)
-    found = _table(path, _body(text, layout), layout, chosen) * scales
-    placed = np.isfinite(found[:, 0])
-    if (np.isfinite(found[:, 1]) & ~placed).any():
-        raise MapError(f"{path} has heights whose place is missing: give every height its distance, or leave it out")
-    description = "\n".join(line for line in above if line.strip())[:LONGEST]
-    return found[placed, 0], finite_or_missing(found[placed, 1]), description
+    distance, height = (_table(path, _body(text, layout), layout, chosen) * scales).T
+    has_place = np.isfinite(distance)
+    if (np.isfinite(height) & ~has_place).any():
+        raise MapError(f"{path} has heights without a distance: complete or remove them")
+    description = "\n".join(line for line in above if line.strip())[:MAX_DESCRIPTION_CHARACTERS]
+    return distance[has_place], finite_or_missing(height[has_place]), description
 
 
 def _numeric_columns(lines: list[str], layout: _Layout) -> list[int]:
-    """Return which columns hold numbers, by the first rows."""
+    """Return the columns that hold numbers in the first rows."""
     rows = [_cells(line, layout.separator, layout.columns) for line in lines[layout.first :] if line.strip()]
     kind = COMMA if layout.comma else NUMBER
     return [
@@ -167,27 +173,27 @@ def _numeric_columns(lines: list[str], layout: _Layout) -> list[int]:
 def _slice_columns(
     path: Path, names: list[str], columns: tuple[str | None, str | None], numeric: list[int]
 ) -> tuple[int, int]:
-    """Return where distance and height stand: as they are asked for, else as their names say, else in this order."""
+    """Return the columns of distance and height: as requested, else by their names, else in this order."""
     listed = ", ".join(repr(name) for name in names)[:200]
-    counted = ", ".join(repr(names[at]) for at in numeric)[:200]
+    listed_numeric = ", ".join(repr(names[at]) for at in numeric)[:200]
     places: dict[str, int] = {}
-    for what, wanted in zip(ROLES, columns, strict=True):
-        if wanted is not None:
-            places[what] = _column_of(path, names, listed, numeric, what, wanted)
-    rest = [at for at in numeric if at not in places.values()]
-    free = [what for what in ROLES if what not in places]
-    if len(rest) != len(free) and free:
+    for what, column in zip(ROLES, columns, strict=True):
+        if column is not None:
+            places[what] = _column_of(path, names, listed, numeric, what, column)
+    unused = [at for at in numeric if at not in places.values()]
+    missing = [what for what in ROLES if what not in places]
+    if len(unused) != len(missing) and missing:
         raise MapError(
-            f"{path} has {len(numeric)} columns of numbers, {counted}, distance and height are 2: name both, as in "
-            "distance='X', height='Z'"
+            f"{path} has {len(numeric)} columns of numbers, {listed_numeric}, a profile has 2: name distance and "
+            "height, as in distance='X', height='Z'"
         )
-    if len(free) == 2 and not all(_says(names[at], what) for at, what in zip(rest, free, strict=True)):
-        rest.reverse()
-    for at, what in zip(rest, free, strict=False):
-        if not _says(names[at], what):
+    if len(missing) == 2 and not all(_allows(names[at], what) for at, what in zip(unused, missing, strict=True)):
+        unused.reverse()
+    for at, what in zip(unused, missing, strict=False):
+        if not _allows(names[at], what):
             raise MapError(
-                f"{path} has the columns {listed}, and {names[at]!r} is no {what} by its name: name the column of the "
-                f"{what}, as in {what}='{'X' if what == 'distance' else 'Z'}'"
+                f"{path} has the columns {listed}, and {names[at]!r} is not the name of a {what}: name the column of "
+                f"the {what}, as in {what}='{'X' if what == 'distance' else 'Z'}'"
             )
         places[what] = at
     if places["distance"] == places["height"]:
@@ -195,25 +201,25 @@ def _slice_columns(
     return places["distance"], places["height"]
 
 
-def _column_of(path: Path, names: list[str], listed: str, numeric: list[int], what: str, wanted: str) -> int:
-    """Return the column that is asked for by its name or number."""
-    spelled = wanted.strip().lower()
+def _column_of(path: Path, names: list[str], listed: str, numeric: list[int], what: str, column: str) -> int:
+    """Return the column that is requested by name or number."""
+    spelled = column.strip().lower()
     matches = [at for at, name in enumerate(names) if spelled in (name.lower(), _split_cell(name)[0])]
-    if not matches and wanted.isdigit() and 1 <= int(wanted) <= len(names):
-        matches = [int(wanted) - 1]
+    if not matches and column.isdigit() and 1 <= int(column) <= len(names):
+        matches = [int(column) - 1]
     if len(matches) != 1:
         raise MapError(
-            f"{path} has {len(matches)} columns {wanted!r} for the {what}, its columns are {listed}: name one of them"
+            f"{path} has {len(matches)} columns {column!r} for the {what}, its columns are {listed}: name one of them"
         )
     if matches[0] not in numeric:
         raise MapError(
-            f"{path} has no numbers in the column {wanted!r} for the {what}, its columns are {listed}: name another"
+            f"{path} has no numbers in the column {column!r} for the {what}, its columns are {listed}: name another"
         )
     return matches[0]
 
 
-def _says(name: str, what: str) -> bool:
-    """Return whether the name of a column allows that it holds distances, or heights."""
+def _allows(name: str, what: str) -> bool:
+    """Whether a column of this name may hold distances, or heights."""
     plain = _split_cell(name)[0]
     other = ROLES["height" if what == "distance" else "distance"]
     return not (NO_LENGTH.fullmatch(plain) or other.fullmatch(plain))
@@ -227,51 +233,51 @@ def _body(text: str, layout: _Layout) -> str:
     return text[begin:]
 
 
-def _crossed(lines: list[str], layout: _Layout) -> tuple[int, list[str]] | None:
-    """Return the line that holds x, and its cells, where rows of heights begin with their y."""
+def _x_row(lines: list[str], layout: _Layout) -> tuple[int, list[str]] | None:
+    """Return the number and cells of the row of x, for a table with y in its first column."""
     kind = COMMA if layout.comma else NUMBER
     for number in (layout.first, layout.first - 1):
         cells = _cells(lines[number], layout.separator, layout.columns) if number >= 0 else []
-        if not len(cells) == layout.columns >= CROSSED or not all(map(kind.fullmatch, cells[1:])):
+        if not len(cells) == layout.columns >= MIN_AXES_COLUMNS or not all(map(kind.fullmatch, cells[1:])):
             continue
-        # A word for a missing number is one of a table of heights without axes.
+        # A word for a missing number belongs to a table of heights without axes.
         if not cells[0] or not (kind.fullmatch(cells[0]) or MISSING.fullmatch(cells[0])):
             return number, cells[1:]
     return None
 
 
-def _read_crossed(
+def _read_with_axes(
     path: Path,
     text: str,
     layout: _Layout,
-    crossed: tuple[int, list[str]],
+    x_row: tuple[int, list[str]],
     stated: dict[str, set[str]],
     units: tuple[str | None, str | None, str | None],
 ) -> HeightMap:
     """Read a table with x in its first row and y in its first column."""
-    number, cells = crossed
-    unit, lateral_unit, rest = units
-    found_units = {axis: _unit(path, {}, stated, axis, lateral_unit, rest) for axis in "xy"}
-    found_units["z"] = _unit(path, {}, stated, "z", unit)
-    scales = {axis: scale for axis, scale in found_units.items() if scale is not None}
-    if len(scales) < len(found_units):
-        raise MapError(f"{path} counts pixels where a length is needed: x, y and z must have lengths")
+    number, cells = x_row
+    unit, lateral_unit, default_unit = units
+    axis_units = {axis: _unit(path, {}, stated, axis, lateral_unit, default_unit) for axis in "xy"}
+    axis_units["z"] = _unit(path, {}, stated, "z", unit)
+    scales = {axis: scale for axis, scale in axis_units.items() if scale is not None}
+    if len(scales) < len(axis_units):
+        raise MapError(f"{path} is in pixels, x, y and z must be lengths: give their units")
     x = np.array([float(cell.replace(",", ".") if layout.comma else cell) for cell in cells])
     begin = 0
     for _ in range(number + 1):
         begin = text.find("\n", begin) + 1 or len(text)
-    found = _table(path, text[begin:], replace(layout, first=number + 1), None)
-    y, z = found[:, 0], found[:, 1:]
+    rows = _table(path, text[begin:], replace(layout, first=number + 1), None)
+    y, z = rows[:, 0], rows[:, 1:]
     require_points(path, x.size, y.size)
     if x.size != z.shape[1]:
         raise MapError(
-            f"{path} has {x.size} columns of x and {z.shape[1]} of heights, there must be as many: complete it"
+            f"{path} has {x.size} columns of x and {z.shape[1]} of heights, they must be equal in number: complete it"
         )
     axes = []
     for name, axis in (("x", x), ("y", y)):
         step = np.diff(axis)
         if not ((step > 0).all() or (step < 0).all()):
-            raise MapError(f"{path} has {name} that neither ascend nor descend from {name} to {name}: sort the table")
+            raise MapError(f"{path} has values of {name} that neither ascend nor descend: sort the table")
         axes.append(np.argsort(axis))
     z = z[np.ix_(axes[1], axes[0])] * scales["z"]
     return HeightMap(
@@ -281,23 +287,23 @@ def _read_crossed(
 
 
 def _as_map(
-    path: Path, found: dict[str, Floats], scales: dict[str, float | None], metadata: dict[str, str]
+    path: Path, columns: dict[str, Floats], scales: dict[str, float | None], metadata: dict[str, str]
 ) -> HeightMap:
-    """Return points as a grid where they stand on one, in mm."""
-    x, z = found["x"], found["z"]
-    y = found.get("y", np.zeros_like(x))
+    """Return points as a grid where they lie on one, in mm."""
+    x, z = columns["x"], columns["z"]
+    y = columns.get("y", np.zeros_like(x))
     pixels = scales["x"] is None
     if scales["z"] is None or pixels != (scales.get("y", scales["x"]) is None):
-        raise MapError(f"{path} counts pixels where a length is needed: only x and y together may, never z")
-    placed = np.isfinite(x) & np.isfinite(y)
-    if not placed.any() or (np.isfinite(z) & ~placed).any():
-        raise MapError(f"{path} has heights whose place is missing: give every height its x and y, or leave it out")
-    x, y, z = x[placed], y[placed], finite_or_missing(z[placed] * scales["z"])
+        raise MapError(f"{path} has an axis in pixels, only x and y together may be: give the other units as lengths")
+    has_place = np.isfinite(x) & np.isfinite(y)
+    if not has_place.any() or (np.isfinite(z) & ~has_place).any():
+        raise MapError(f"{path} has heights without x or y: complete or remove them")
+    x, y, z = x[has_place], y[has_place], finite_or_missing(z[has_place] * scales["z"])
     lattice = on_lattice(x, y)
     along_x, along_y = scales["x"] or 1.0, (scales["y"] or 1.0) if "y" in scales else 1.0
     if lattice is None:
         if pixels:
-            raise MapError(f"{path} counts pixels in x and y that stand on no grid: give lengths")
+            raise MapError(f"{path} has x and y in pixels that are not on a grid: give lengths")
         return HeightMap(x=x * along_x, y=y * along_y, z=z, name=path.name, metadata=metadata)
     require_points(path, lattice.x.size, lattice.y.size)
     heights = np.full((lattice.y.size, lattice.x.size), np.nan)
@@ -308,12 +314,12 @@ def _as_map(
     return HeightMap(z=heights, x=lattice.x * along_x, y=lattice.y * along_y, name=path.name, metadata=metadata)
 
 
-# ------------------------------------------------------------------ how it is written
+# ------------------------------------------------------------------ format of the table
 def _first_lines(text: str) -> list[str]:
-    """Return the lines in which a table must begin."""
+    """Return the lines among which a table must begin."""
     lines: list[str] = []
     begin = 0
-    while begin < len(text) and len(lines) < MOST_LINES + 20:
+    while begin < len(text) and len(lines) < MAX_DESCRIPTION_LINES + 20:
         end = text.find("\n", begin)
         end = len(text) if end < 0 else end
         lines.append(text[begin:end].rstrip("\r"))
@@ -322,38 +328,38 @@ def _first_lines(text: str) -> list[str]:
 
 
 def _layout(path: Path, lines: list[str]) -> _Layout:
-    """Find where the table begins and how it is written."""
-    for first, line in enumerate(lines[:MOST_LINES]):
+    """Return the format of the table and its first line."""
+    for first, line in enumerate(lines[:MAX_DESCRIPTION_LINES]):
         if not line.strip() or line.lstrip()[0] in MARKS:
             continue
-        some = [one for one in lines[first:] if one.strip() and one.lstrip()[0] not in MARKS][: ALIKE + 17]
-        above = next((one for one in reversed(lines[:first]) if one.strip()), "")
-        widths = [(*way, _width(some, above, way[0])) for way in _ways(some)]
-        ways = [(*way, agreed == ALL) for way in widths if (agreed := _agree(some, *way))]
-        # A way in which all is numbers is meant before one in which some is not.
-        ways = [way for way in ways if way[-1]] or ways
-        if len(ways) > 1 or (
-            not ways and len(re.findall(r"\d+", line)) > 2 and "," in line and ONLY_NUMBERS.fullmatch(line)
+        rows = [row for row in lines[first:] if row.strip() and row.lstrip()[0] not in MARKS][: MIN_EQUAL_ROWS + 17]
+        above = next((row for row in reversed(lines[:first]) if row.strip()), "")
+        candidates = [(*form, _width(rows, above, form[0])) for form in _formats(rows)]
+        formats = [(*form, match == ALL_NUMERIC) for form in candidates if (match := _match(rows, *form))]
+        # Formats in which every cell is a number are preferred.
+        formats = [form for form in formats if form[-1]] or formats
+        if len(formats) > 1 or (
+            not formats and len(re.findall(r"\d+", line)) > 2 and "," in line and ONLY_NUMBERS.fullmatch(line)
         ):
             raise MapError(
-                f"{path} can be read in more than one way from line {first + 1}, {line.strip()[:60]!r}, for commas may "
-                "part numbers, decimals or thousands: write decimal points, or part the columns by semicolons"
+                f"{path} is ambiguous from line {first + 1}, {line.strip()[:60]!r}, as commas may separate numbers, "
+                "decimals or thousands: write decimal points, or separate the columns by semicolons"
             )
-        if ways:
-            separator, comma, width, numeric = ways[0]
+        if formats:
+            separator, comma, width, numeric = formats[0]
             return _Layout(first, separator, comma, width, numeric)
         if ONLY_NUMBERS.fullmatch(line) and len(line.split()) > 1:
             raise MapError(
                 f"{path} has the numbers {line.strip()[:60]!r} in line {first + 1}, unlike the lines below: every line "
-                "must have the same columns, or be marked as a remark with #"
+                "must have the same columns, or be marked as a comment with #"
             )
     raise MapError(
-        f"{path} has no table of numbers within its first {MOST_LINES} lines: it holds no map, or is no text"
+        f"{path} has no table of numbers within its first {MAX_DESCRIPTION_LINES} lines: it is not a map, or not text"
     )
 
 
-def _ways(lines: list[str]) -> list[tuple[str | None, bool]]:
-    """Return the separators that can be meant, with and without decimal commas."""
+def _formats(lines: list[str]) -> list[tuple[str | None, bool]]:
+    """Return the possible separators, with and without decimal commas."""
     joined = "".join(lines)
     for strong in ";\t":
         if strong in joined:
@@ -364,7 +370,7 @@ def _ways(lines: list[str]) -> list[tuple[str | None, bool]]:
 
 
 def _cells(line: str, separator: str | None, width: int = 1) -> list[str]:
-    """Return the cells of a line; what follows a separator at its end is one only up to the width of the table."""
+    """Return the cells of a line; an empty cell after a final separator counts only within the width of the table."""
     cells = [cell.strip().strip('"').strip() for cell in line.split(separator)]
     if separator is not None and len(cells) > width and not cells[-1]:
         cells.pop()
@@ -372,16 +378,16 @@ def _cells(line: str, separator: str | None, width: int = 1) -> list[str]:
 
 
 def _width(lines: list[str], above: str, separator: str | None) -> int:
-    """Return how many columns the first rows have: the last may be empty in some, or in all below a name."""
-    width = max(len(_cells(line, separator)) for line in lines[:ALIKE])
+    """Return the number of columns of the first rows; the last column may be empty if it has a name."""
+    width = max(len(_cells(line, separator)) for line in lines[:MIN_EQUAL_ROWS])
     names = len(_cells(above, separator))
-    every = all(len(_cells(line, separator, names)) == names for line in lines[:ALIKE])
+    every = all(len(_cells(line, separator, names)) == names for line in lines[:MIN_EQUAL_ROWS])
     return names if names == width + 1 and every else width
 
 
-def _agree(lines: list[str], separator: str | None, comma: bool, width: int) -> int:
-    """Return how well lines read as a table: ALL numbers, SOME of them with the first column, or not at all (0)."""
-    rows = [_cells(line, separator, width) for line in lines[:ALIKE]]
+def _match(lines: list[str], separator: str | None, comma: bool, width: int) -> int:
+    """Return whether lines are a table: `ALL_NUMERIC`, `PARTLY_NUMERIC` with a numeric first column, or 0 for no."""
+    rows = [_cells(line, separator, width) for line in lines[:MIN_EQUAL_ROWS]]
     kind = COMMA if comma else NUMBER
     if width < 2 or any(len(row) != width for row in rows) or not any(kind.fullmatch(cell) for cell in rows[0]):
         return 0
@@ -392,19 +398,19 @@ def _agree(lines: list[str], separator: str | None, comma: bool, width: int) -> 
         return 0
     cells = [cell for line in lines for cell in _cells(line, separator, width)]
     if comma:
-        # Where each comma could part thousands, nothing says that it is a decimal sign.
+        # Where each comma could separate thousands, it need not be a decimal sign.
         marked = [cell for cell in cells if "," in cell]
         clear = not marked or not all(GROUPED.fullmatch(cell) for cell in marked)
     else:
-        # Whole numbers between commas are as well decimals, if they are even in number.
+        # An even number of integers between commas may be decimals too.
         clear = separator != "," or width % 2 == 1 or any("." in cell or "e" in cell.lower() for cell in cells)
-    return (ALL if all(numeric) else SOME) if clear else 0
+    return (ALL_NUMERIC if all(numeric) else PARTLY_NUMERIC) if clear else 0
 
 
 def _table(path: Path, body: str, layout: _Layout, columns: tuple[int, ...] | None) -> Floats:
     """Return the columns of the table, or all; missing numbers are nan."""
     if layout.numeric and columns is not None:
-        # All columns are read, for then no line may have more of them.
+        # Reading all columns ensures that no line has more of them.
         return _table(path, body, layout, None)[:, columns]
     body = body.replace(",", ".") if layout.comma else body
     for mark in "%!":
@@ -412,7 +418,7 @@ def _table(path: Path, body: str, layout: _Layout, columns: tuple[int, ...] | No
     try:
         return table(path, body, layout.separator, columns, layout.first + 1)
     except MapError:
-        # Words for missing numbers are put right only where there are some.
+        # Replace words for missing numbers, only where the plain table cannot be read.
         separator = layout.separator
         if separator is None:
             body = re.sub(r"(?i)(?<!\S)(?:no data|nodata|bad|n/?a|null|\*+|-{2,})(?!\S)", "nan", body)
@@ -420,22 +426,22 @@ def _table(path: Path, body: str, layout: _Layout, columns: tuple[int, ...] | No
             part = re.escape(separator)
             word = r"[ \"]*(?:no ?data|bad|n/?a|null|\*+|-{2,})[ \"]*"
             body = re.sub(rf"(?im)(?:(?<={part})|^){word}(?={part}|\r?$)", "nan", body)
-            # A cell with nothing in it; a line with nothing in it is none.
+            # An empty cell; an empty line is skipped.
             body = re.sub(rf"(?m)(?<={part})[ \"]*(?={part}|\r?$)|^[ \"]*(?={part})", "nan", body)
         return table(path, body, separator, columns, layout.first + 1)
 
 
-# ------------------------------------------------------------------ what it means
+# ------------------------------------------------------------------ names and units
 def _names(above: list[str], layout: _Layout) -> list[str] | None:
     """Return the cells of the line of names above the table, if it has one."""
     for line in reversed(above):
         plain = line.strip().lstrip(MARKS).strip()
-        # A row of numbers that is too short for the table, or a rule, is none of names.
+        # A row of numbers too short for the table, or a rule, has no names.
         values = all(NUMBER.fullmatch(cell) or MISSING.fullmatch(cell) for cell in _cells(plain, layout.separator))
         if values or STATED.search(line):
             continue
         for separator in (layout.separator, ",", ";", "\t", None):
-            # A unit belongs to the name before it, also where white space parts the names.
+            # A unit belongs to the name before it, also where white space separates the names.
             joined = re.sub(r"(?<!\s)\s++(?=[\[(/])", "", plain) if separator is None else plain
             cells = _cells(joined, separator, layout.columns)
             if len(cells) == layout.columns and not any(NUMBER.fullmatch(cell) for cell in cells):
@@ -446,10 +452,10 @@ def _names(above: list[str], layout: _Layout) -> list[str] | None:
 
 def _split_cell(cell: str) -> tuple[str, str]:
     """Return name and unit of a column."""
-    found = CELL.fullmatch(" ".join(cell.split()))  # blanks in a row would be tried again and again
-    if found is None:
+    match = CELL.fullmatch(" ".join(cell.split()))  # runs of blanks would cause backtracking
+    if match is None:
         return cell.lower(), ""
-    return found[1].lower(), (found[2] or found[3] or "")
+    return match[1].lower(), (match[2] or match[3] or "")
 
 
 def _axis(cell: str) -> str | None:
@@ -458,33 +464,35 @@ def _axis(cell: str) -> str | None:
 
 
 def _columns(path: Path, names: list[str] | None, width: int, numeric: list[int]) -> dict[str, int] | None:
-    """Return where x, y and z stand; nothing for a bare table of heights."""
+    """Return the columns of x, y and z; ``None`` for a table of heights without axes."""
     axes = [_axis(cell) for cell in names or []]
     places = {axis: axes.index(axis) for axis in "xyz" if axis in axes}
-    twice = [axis for axis in "xyz" if axes.count(axis) > 1]
-    if twice:
-        raise MapError(f"{path} has {axes.count(twice[0])} columns {twice[0]}, the limit is 1: name them apart")
+    repeated = [axis for axis in "xyz" if axes.count(axis) > 1]
+    if repeated:
+        raise MapError(
+            f"{path} has {axes.count(repeated[0])} columns {repeated[0]}, only 1 is allowed: rename the others"
+        )
     if places.keys() == {"x", "y", "z"} or (places.keys() == {"x", "z"} and width == 2):
         return places
     if names is not None and places:
         raise MapError(
-            f"{path} names its columns {', '.join(names)}, x, y and z (or x and z alone) are needed: name them so"
+            f"{path} has the columns {', '.join(names)}, it needs x, y and z (or only x and z): rename them"
             + _as_profile(names, numeric)
         )
     if width == 3:
         return {"x": 0, "y": 1, "z": 2}
-    if width > BARE:
+    if width > MAX_POINT_COLUMNS:
         return None
     raise MapError(
-        f"{path} has {width} columns without names, x, y and z are 3, and a table of heights has more than {BARE}: "
-        "name the columns in the line above them"
+        f"{path} has {width} columns without names, points have 3 and a table of heights has more than "
+        f"{MAX_POINT_COLUMNS}: name the columns in the line above them"
     )
 
 
 def _as_profile(names: list[str], numeric: list[int]) -> str:
-    """Return the advice to read columns as a profile, if one is a distance and another can be a height."""
+    """Return the advice to read columns as a profile, if one is a distance and another may be a height."""
     distance = [at for at in numeric if ROLES["distance"].fullmatch(_split_cell(names[at])[0])]
-    height = [at for at in numeric if at not in distance and _says(names[at], "height")]
+    height = [at for at in numeric if at not in distance and _allows(names[at], "height")]
     if not distance or not height:
         return ""
     return f", or read a profile (show --profile --height {quote(names[height[-1]])}, read_profile in Python)"
@@ -496,28 +504,28 @@ def _column_units(above: list[str], layout: _Layout) -> dict[str, str]:
 
 
 def _stated(above: list[str]) -> dict[str, set[str]]:
-    """Return the units that lines of description state, by axis."""
+    """Return the units in lines of description, by axis."""
     stated: dict[str, set[str]] = {"x": set(), "y": set(), "z": set()}
-    for found in STATED.finditer("\n".join(above)):
-        what = re.sub(r"[^a-z]", "", (found[1] or found[2] or "xyz").lower())
+    for match in STATED.finditer("\n".join(above)):
+        what = re.sub(r"[^a-z]", "", (match[1] or match[2] or "xyz").lower())
         axes = {"lateral": "xy", "height": "z", "heights": "z"}.get(what, what)
         for axis in axes:
-            stated[axis].add(found[3])
+            stated[axis].add(match[3])
     return stated
 
 
 def _unit(
-    path: Path, columns: dict[str, str], stated: dict[str, set[str]], axis: str, given: str | None,
-    rest: str | None = None,
+    path: Path, columns: dict[str, str], stated: dict[str, set[str]], axis: str, option: str | None,
+    default: str | None = None,
 ) -> float | None:  # fmt: skip
-    """Return the unit of an axis in mm, or nothing if it counts pixels; ``rest`` is for what nothing else states."""
+    """Return the unit of an axis in mm; ``None`` for pixels. ``option`` must not contradict the file."""
     names = {columns[axis]} if axis in columns else stated[axis]
-    if len({_spelled(one) for one in names}) > 1:
-        raise MapError(f"{path} states the units {', '.join(sorted(names))} for {axis}, the limit is 1: state one")
-    if names and given is not None and _spelled(given) not in map(_spelled, names):
-        whose, option = ("its heights", "unit") if axis == "z" else (axis, "lateral_unit")
-        raise MapError(f"{path} states the unit of {whose}, {next(iter(names))}: do not give {option}={given!r}")
-    unit = next(iter(names), given or rest)
+    if len({_spelled(name) for name in names}) > 1:
+        raise MapError(f"{path} states the units {', '.join(sorted(names))} for {axis}, only 1 is allowed: state one")
+    if names and option is not None and _spelled(option) not in map(_spelled, names):
+        whose, keyword = ("its heights", "unit") if axis == "z" else (axis, "lateral_unit")
+        raise MapError(f"{path} states the unit of {whose}, {next(iter(names))}: do not give {keyword}={option!r}")
+    unit = next(iter(names), option or default)
     if unit is None:
         raise MapError(f"{path} does not state the unit of {axis}: give it as unit='mm', or as a column '{axis} [mm]'")
     return None if unit.lower() in PIXELS else to_mm(unit, f"{path} has {axis} in")

@@ -1,4 +1,4 @@
-"""One door for reading maps: the bytes say which format, and where they do not, the suffix."""
+"""Reading maps of any format, detected by signature or suffix."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from turnwright.files import (
     x3p,
     zygo_text,
 )
-from turnwright.files.base import DAMAGE, LARGEST_FILE, require_heights
+from turnwright.files.base import DAMAGE, MAX_FILE_BYTES, require_heights
 from turnwright.files.numbers import text_of
 
 if TYPE_CHECKING:
@@ -42,9 +42,9 @@ def read_map(
     unit: str | None = None,
     lateral_unit: str | None = None,
 ) -> HeightMap:
-    """Read a measured map, whatever instrument wrote it.
+    """Read a measured map from the file of an instrument.
 
-    The first bytes tell the format, and where they do not, the suffix: Zygo ``.dat``, ``.datx``, ASCII and XYZ;
+    The format is detected by the first bytes, otherwise by the suffix: Zygo ``.dat``, ``.datx``, ASCII and XYZ;
     ISO 25178-72 ``.x3p``; ISO 25178-71 ``.sdf``; Digital Surf ``.sur``; Zemax grid sag; NumPy ``.npz`` and ``.npy``;
     text and CSV of x, y and z, or with x in the first row and y in the first column; and with the extra ``formats``
     those that SurfaceTopography reads, such as ``.opd``, ``.plu`` and ``.al3d``.
@@ -54,74 +54,78 @@ def read_map(
     file
         The instrument's file.
     pixel_size
-        Along x and y, or one size for both, for a file that does not say. Without it such a map counts pixels, and is
+        Pixel size along x and y, or one size for both, for a file without one. Otherwise such a map is in pixels and
         not `calibrated`. [mm]
     unit
-        Of the numbers in a text file that states none, such as "um".
+        Unit of the numbers in a text file without units, such as "um".
     lateral_unit
-        The same of x and y alone, where ``unit`` is that of the heights; empty where only the file may state it.
+        Unit of x and y, where ``unit`` is that of the heights; empty to accept only a unit in the file.
 
     Returns
     -------
     HeightMap
-        In mm, rows ascending in y, nan where nothing was measured; points that stand on no grid are scattered. Its
-        ``metadata`` are what the file says beside the heights.
+        In mm, rows ascending in y, nan where nothing was measured; points that are not on a grid are scattered. Its
+        ``metadata`` are further entries of the file.
 
     Raises
     ------
     MapError
-        If the file cannot be read, is damaged, or leaves open what its numbers mean; if a pixel size or unit is given
-        for a file that states its own.
+        If the file cannot be read, is damaged or ambiguous, or a pixel size or unit is given for a file that has its
+        own.
     """
     path = Path(file)
     data = contents(path)
     reader, kind = _reader_of(path, data)
     if reader is not _read_text and (unit or lateral_unit):
-        raise MapError(f"{path} is {kind} and states its own units: do not give {_given(unit, lateral_unit)}")
+        raise MapError(f"{path} is {kind} and states its own units: do not give {_unit_option(unit, lateral_unit)}")
     try:
-        # Numbers that overflow are no heights: they end as missing points.
+        # Numbers that overflow become missing points.
         with np.errstate(over="ignore", invalid="ignore"):
-            texts = {"unit": unit, "lateral_unit": lateral_unit} if reader is _read_text else {}
-            found = reader(path, data, **texts)
+            units = {"unit": unit, "lateral_unit": lateral_unit} if reader is _read_text else {}
+            heights = reader(path, data, **units)
     except MapError:
         raise
     except DAMAGE as error:
-        said = str(error).split("\n")[0].rstrip(".")[:200] or type(error).__name__
+        reason = str(error).split("\n")[0].rstrip(".")[:200] or type(error).__name__
         raise MapError(
-            f"{path} cannot be read as {kind} ({said}): it is damaged, so export or copy it again"
+            f"{path} cannot be read as {kind} ({reason}): it is damaged, so export or copy it again"
         ) from error
-    require_heights(path, found.z)
+    require_heights(path, heights.z)
     if pixel_size is None:
-        return found
-    if found.calibrated:
-        raise MapError(f"{path} states the size of its pixels: do not give pixel_size={pixel_size}")
+        return heights
+    if heights.calibrated:
+        raise MapError(f"{path} states its pixel size: do not give pixel_size={pixel_size}")
     sizes = tuple(np.ravel(pixel_size).tolist())
     if len(sizes) > 2:
-        raise MapError(f"{path} is given {len(sizes)} pixel sizes, the limit is 2: give one, or one along x and y each")
-    return found.scaled(sizes if len(sizes) == 2 else sizes[0])
+        raise MapError(
+            f"pixel_size has {len(sizes)} values for {path}, it must be one, or one each for x and y: correct it"
+        )
+    return heights.scaled(sizes if len(sizes) == 2 else sizes[0])
 
 
-def _given(unit: str | None, lateral_unit: str | None) -> str:
+def _unit_option(unit: str | None, lateral_unit: str | None) -> str:
     return f"unit={unit!r}" if unit else f"lateral_unit={lateral_unit!r}"
 
 
 def contents(path: Path) -> bytes:
-    """Return the bytes of a file that can be a map."""
+    """Return the bytes of a file, or raise if it is missing, empty or too large."""
     try:
         size = path.stat().st_size if path.is_file() or not path.exists() else -1
-        data = path.read_bytes() if 0 < size <= LARGEST_FILE else b""
+        data = path.read_bytes() if 0 < size <= MAX_FILE_BYTES else b""
     except (OSError, MemoryError, ValueError) as error:
-        said = getattr(error, "strerror", None) or error
-        raise MapError(f"{path} cannot be read ({said}): check its name and place") from error
+        reason = getattr(error, "strerror", None) or error
+        raise MapError(f"{path} cannot be read ({reason}): check its name and place") from error
     if size < 0:
-        raise MapError(f"{path} is no file: name the instrument's file itself")
+        raise MapError(f"{path} is not a file: name the instrument's file")
     if not data:
-        raise MapError(f"{path} has {size:,} bytes, the limits are 1 and {LARGEST_FILE:,}: export it again, or crop it")
+        raise MapError(
+            f"{path} has {size:,} bytes, the limits are 1 and {MAX_FILE_BYTES:,}: export it again, or crop it"
+        )
     return data
 
 
 def _reader_of(path: Path, data: bytes) -> tuple[Callable[[Path, bytes], HeightMap], str]:
-    """Return what reads a file and what the file is."""
+    """Return the reader of a file and the name of its format."""
     suffix = path.suffix.lower()
     for begins, reader, kind in SIGNATURES:
         if data.startswith(begins):
@@ -136,13 +140,13 @@ def _reader_of(path: Path, data: bytes) -> tuple[Callable[[Path, bytes], HeightM
 
 
 def _reader_of_archive(path: Path, data: bytes) -> tuple[Callable[[Path, bytes], HeightMap], str]:
-    """Return what reads a zip archive, by what is in it."""
+    """Return the reader of a zip archive, by its contents, and the name of its format."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             names = archive.namelist()
     except DAMAGE as error:
         raise MapError(
-            f"{path} is an archive that cannot be opened: it is cut short or damaged, so copy it again"
+            f"{path} is an archive that cannot be opened: it is truncated or damaged, so copy it again"
         ) from error
     if any(name.endswith("main.xml") for name in names):
         return x3p.read, "x3p"
@@ -152,20 +156,20 @@ def _reader_of_archive(path: Path, data: bytes) -> tuple[Callable[[Path, bytes],
 
 
 def _read_text(path: Path, data: bytes, unit: str | None = None, lateral_unit: str | None = None) -> HeightMap:
-    """Read a text, of whatever kind it is; the units are for numbers that it gives none."""
+    """Read a text file of any format; the units are for numbers without a unit in the text."""
     text = text_of(data)
     if text is None:
         raise MapError(
-            f"{path} is of no known format: maps are .dat, .datx, .asc, .xyz, .x3p, .sdf, .sur, .npz, .npy, .csv or, "
+            f"{path} has an unknown format: maps are .dat, .datx, .asc, .xyz, .x3p, .sdf, .sur, .npz, .npy, .csv or, "
             "with the extra 'formats', .opd, .plu, .al3d and others"
         )
-    own = zygo_text.read if text.startswith((zygo_text.PHASES, zygo_text.POINTS)) else None
-    own = grid_sag.read if grid_sag.is_grid_sag(text) else own
-    if own is None:
+    reader = zygo_text.read if text.startswith((zygo_text.PHASES, zygo_text.POINTS)) else None
+    reader = grid_sag.read if grid_sag.is_grid_sag(text) else reader
+    if reader is None:
         return points.read(path, text, unit, lateral_unit)
     if unit or lateral_unit:
-        raise MapError(f"{path} states its own units: do not give {_given(unit, lateral_unit)}")
-    return own(path, text)
+        raise MapError(f"{path} states its own units: do not give {_unit_option(unit, lateral_unit)}")
+    return reader(path, text)
 
 
 SIGNATURES = (
@@ -174,4 +178,4 @@ SIGNATURES = (
     (digital_surf.SIGNATURES, digital_surf.read, "Digital Surf"),
     (arrays.SIGNATURE, arrays.read_bare, "NumPy .npy"),
 )
-"""What files begin with, what reads them, and what they are."""
+"""Signatures, readers and names of formats."""

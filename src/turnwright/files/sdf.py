@@ -1,10 +1,10 @@
 """ISO 25178-71 ``.sdf``, text or binary, revisions 1 and 2 and their forerunner BCR, read by sdfio.
 
-Rows ascend in y as the standard says; in BCR files they descend, as MountainsMap reads them. A profile is one row.
+Rows ascend in y as in the standard; in BCR files they descend, as MountainsMap reads them. A profile is one row.
 
 Sources
 -------
-Oracles: the files that sdfio, SurfaceTopography, surfalize and Gwyddion read alike; files packed field by field.
+Oracles: files on which sdfio, SurfaceTopography, surfalize and Gwyddion agree; files packed field by field.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def read(path: Path, data: bytes) -> HeightMap:
     """Read an SDF file."""
     import sdfio  # noqa: PLC0415 - needed by few
 
-    # sdfio asks for no memory that the bytes of the file do not stand for.
+    # sdfio allocates no more memory than the length of the file justifies.
     file = sdfio.SdfFile.loads(data)
     header = file.header
     rows, columns = file.data.shape

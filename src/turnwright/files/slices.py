@@ -1,4 +1,4 @@
-"""Profiles as instruments export them: slices in text, and files of maps that hold one line."""
+"""Reading profiles: slices in text files, and map files with one line."""
 
 from __future__ import annotations
 
@@ -32,14 +32,13 @@ def read_profile(
     lateral_unit: str | None = None,
     number: int | None = None,
 ) -> Profile:
-    """Read a measured profile: a slice in a text file, or a file of maps that holds one line, such as ``.sdf``.
+    """Read a measured profile: a slice in a text file, or a map file with one line, such as ``.sdf``.
 
-    In a text each row has a distance and a height, in two columns of numbers or in those that are asked for. The names
-    of two columns say which is which, whatever their order: X, distance or position, and Z or height; one called Y may
-    be either. Only columns whose names say neither are taken in this order. Words beside them, such as the name of the
-    slice, are left out. Where the distances begin again, another slice begins. Rows of falling distances are sorted, so
-    that every height keeps the distance that the file gives it. Distances are put on even steps where they stand there
-    but for their decimals, with nan where a row is left out.
+    In a text file each row has a distance and a height, in two numeric columns or in the columns requested. They are
+    identified by their names in any order: X, distance or position, and Z or height; a column named Y may be either.
+    Columns with other names are taken in the order distance, height. Columns of text, such as the name of the slice,
+    are ignored. Where the distances begin again, another slice begins. Rows with falling distances are sorted.
+    Distances that are evenly spaced to their last decimal are made exactly even, with nan where a row is missing.
 
     Parameters
     ----------
@@ -48,11 +47,11 @@ def read_profile(
     distance, height
         Names of their columns, with or without the unit, in any case; or their numbers from 1.
     unit
-        Of distances and heights where the text states none, such as "um".
+        Unit of distances and heights where the text has none, such as "um".
     lateral_unit
-        The same of the distances alone, where ``unit`` is that of the heights.
+        Unit of the distances, where ``unit`` is that of the heights.
     number
-        Which slice of several, from 1.
+        Number of the slice, from 1, for a file with several.
 
     Returns
     -------
@@ -62,14 +61,14 @@ def read_profile(
     Raises
     ------
     MapError
-        If the file cannot be read, has no such columns, states no unit and none is given, or holds a whole map or
-        several slices without a number.
+        If the file cannot be read, lacks the columns or a unit, holds a map, or holds several slices and no number is
+        given.
     """
     path = Path(file)
     text = text_of(contents(path))
     if text is None or path.suffix.lower() in {".sdf", ".x3p"}:
         if (distance, height, unit, lateral_unit) != (None,) * 4:
-            raise MapError(f"{path} is no text and names its own axes: do not give columns or units")
+            raise MapError(f"{path} is not text and defines its own axes: do not give columns or units")
         return _only_line(path)
     at, z, description = read_slice(path, text, (distance, height), unit, lateral_unit)
     require_heights(path, z)
@@ -86,7 +85,7 @@ def _only_line(path: Path) -> Profile:
     heights.require_calibrated()
     if heights.x is None or heights.z.ndim != 2 or 1 not in heights.z.shape:
         raise MapError(
-            f"{path} holds a map, not a profile: show it without --profile, or take a line of it (line_profile)"
+            f"{path} holds a map, not a profile: show it without --profile, or extract a line (line_profile)"
         )
     at = heights.x if heights.z.shape[0] == 1 else heights.y
     assert at is not None  # noqa: S101 - a rectangular grid has x and y
@@ -96,13 +95,13 @@ def _only_line(path: Path) -> Profile:
 
 
 def _one_slice(path: Path, at: Floats, z: Floats, number: int | None) -> tuple[Floats, Floats]:
-    """Return the slice that is asked for, its distances ascending."""
+    """Return the requested slice, with ascending distances."""
     step = np.diff(at)
     falling = bool(step.size and (step < 0).mean() > 0.5)
     begins = np.flatnonzero((step >= 0) if falling else (step <= 0)) + 1
     count = begins.size + 1
     if number is None and count > 1:
-        raise MapError(f"{path} holds {count} slices, the limit is 1: say which (number=1, ...), or export one")
+        raise MapError(f"{path} holds {count} slices, a profile is one: give its number (number=1, ...)")
     chosen = whole(1 if number is None else number, "the number of the slice", 1, count) - 1
     ends = [0, *begins.tolist(), at.size]
     rows = np.arange(ends[chosen], ends[chosen + 1])[:: -1 if falling else 1]

@@ -1,4 +1,4 @@
-"""Units of length as files spell them."""
+"""Spellings of units of length in files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SPELLINGS = {
     **dict.fromkeys(("nm", "nanometer", "nanometers", "nanometre", "nanometres"), "nm"),
     **dict.fromkeys(("in", "inch", "inches"), "in"),
 }
-"""The house's name of each unit, by how it is written in small letters."""
+"""Unit by its spelling in lower case."""
 
 
 def to_mm(unit: str, where: str) -> float:
@@ -24,10 +24,10 @@ def to_mm(unit: str, where: str) -> float:
     Raises
     ------
     MapError
-        If it is not a length; ``where`` begins the sentence.
+        If it is not a length; the message begins with ``where``.
     """
-    known = SPELLINGS.get(unit.strip().lower())
-    # A capital M is a mega, not a milli.
-    if known is None or unit.strip() in {"M", "Mm"}:
+    symbol = SPELLINGS.get(unit.strip().lower())
+    # A capital M means mega, not milli.
+    if symbol is None or unit.strip() in {"M", "Mm"}:
         raise MapError(f"{where} {unit.strip()!r}, the known units are m, cm, mm, um, nm and in: export it in one")
-    return convert(1.0, known, "mm")
+    return convert(1.0, symbol, "mm")

@@ -1,4 +1,4 @@
-"""One door for writing maps: the suffix says which format."""
+"""Writing maps; the suffix selects the format."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ WRITERS = {".x3p": x3p.packed, ".npz": arrays.packed, ".dat": grid_sag.packed, "
 
 
 def write_map(map: HeightMap, file: str | PathLike[str]) -> None:  # noqa: A002 - the field's word
-    """Write a map, in the format that the suffix of the file says; what stood there before is replaced.
+    """Write a map in the format of the file's suffix; an existing file is replaced.
 
-    ``.npz`` keeps every map whole, bit by bit. ``.x3p`` (ISO 25178-72, revision "ISO5436 - 2000") and ``.dat`` or
-    ``.grd`` (Zemax grid sag) hold rectangular grids with even steps, and give them back to rounding.
+    ``.npz`` stores every map exactly. ``.x3p`` (ISO 25178-72, revision "ISO5436 - 2000") and ``.dat`` or ``.grd``
+    (Zemax grid sag) store evenly spaced rectangular grids, to rounding.
 
     Parameters
     ----------
     map
-        What to write.
+        The map to write.
     file
-        Its name ends in ``.npz``, ``.x3p``, ``.dat`` or ``.grd``.
+        Path with the suffix ``.npz``, ``.x3p``, ``.dat`` or ``.grd``.
 
     Raises
     ------
     MapError
-        If the suffix is another one, the format cannot hold the map, or the file cannot be written.
+        If the suffix is unknown, the format cannot hold the map, or the file cannot be written.
 
     Sources
     -------
@@ -45,10 +45,10 @@ def write_map(map: HeightMap, file: str | PathLike[str]) -> None:  # noqa: A002 
     writer = WRITERS.get(path.suffix.lower())
     if writer is None:
         raise MapError(
-            f"{path} ends in {path.suffix!r}, maps are written as {', '.join(WRITERS)}: choose one of these endings"
+            f"{path} has the suffix {path.suffix!r}, maps are written as {', '.join(WRITERS)}: choose one of these"
         )
     data = writer(map)
     try:
         write_whole(path, data)
     except OSError as error:
-        raise MapError(f"{path} cannot be written ({error.strerror}): check its folder and your rights") from error
+        raise MapError(f"{path} cannot be written ({error.strerror}): check its folder and permissions") from error

@@ -1,12 +1,11 @@
 """ISO 25178-72 ``.x3p``, a zip archive of XML and binary heights in metres, read and written by x3pio.
 
-Rows ascend in y, as the standard says. A file that places its surface by a shift is read where that puts it; a rotation
-is kept as text, for registration finds the pose anyhow. Written files have the revision "ISO5436 - 2000", which every
-reader accepts.
+Rows ascend in y, as in the standard. The shift of a surface is applied; its rotation is kept as text, as registration
+determines the part pose. Written files have the revision "ISO5436 - 2000", which every reader accepts.
 
 Sources
 -------
-Oracles: files of MountainsMap, of openGPS and of the standard, on which x3pio, SurfaceTopography and surfalize agree.
+Oracles: files of MountainsMap, openGPS and the standard, on which x3pio, SurfaceTopography and surfalize agree.
 """
 
 from __future__ import annotations
@@ -30,12 +29,12 @@ if TYPE_CHECKING:
 
 __all__ = ["packed", "read"]
 
-LONGEST_XML = 64 << 20
-"""Bytes of the largest XML that is parsed; in memory it takes many times as many."""
+MAX_XML_BYTES = 64 << 20
+"""Bytes of XML; in memory it takes many times as many."""
 
-PIECE = 1 << 20
-RECORD = ("creator", "comment", "manufacturer", "model", "serial", "version", "date")
-"""Metadata that have a place of their own in the file."""
+PIECE_BYTES = 1 << 20
+RECORD_KEYS = ("creator", "comment", "manufacturer", "model", "serial", "version", "date")
+"""Metadata with a field of their own in the file."""
 
 
 def read(path: Path, data: bytes) -> HeightMap:
@@ -45,12 +44,12 @@ def read(path: Path, data: bytes) -> HeightMap:
     _require_honest(path, data)
     file = x3pio.X3pFile.loads(data)
     if len(file.layers) != 1:
-        raise MapError(f"{path} holds {len(file.layers)} layers, the limit is 1: export the one that is meant")
+        raise MapError(f"{path} holds {len(file.layers)} layers, only 1 is allowed: export a single layer")
     layer = file.layers[0]
     rotation, offset = layer.placement.rotation, layer.placement.offset * 1e3
-    turned = bool(np.abs(rotation - np.eye(3)).max() > 1e-12)
+    is_rotated = bool(np.abs(rotation - np.eye(3)).max() > 1e-12)
     metadata = {"format": "ISO 25178-72 .x3p", **_metadata(file)}
-    if turned:
+    if is_rotated:
         metadata["placement"] = f"rotation {rotation.tolist()}, offset {offset.tolist()} mm, not applied"
         offset = np.zeros(3)
     heights = layer.z * 1e3 + offset[2]
@@ -67,18 +66,18 @@ def read(path: Path, data: bytes) -> HeightMap:
 
 
 def _require_honest(path: Path, data: bytes) -> None:
-    """Raise if the archive unpacks to more than it says, or than any map could need."""
+    """Raise if the archive unpacks to more than it states, or than any map needs."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         for member in archive.infolist():
             inflated(path, member.compress_size, member.file_size)
-            if member.filename.lower().endswith(".xml") and member.file_size > LONGEST_XML:
+            if member.filename.lower().endswith(".xml") and member.file_size > MAX_XML_BYTES:
                 raise MapError(
-                    f"{path} has {member.file_size:,} bytes of XML, the limit is {LONGEST_XML:,}: export it with "
+                    f"{path} has {member.file_size:,} bytes of XML, the limit is {MAX_XML_BYTES:,}: export it with "
                     "binary heights"
                 )
-            # Reading in pieces checks size and sum before anybody unpacks all at once.
+            # Reading in pieces checks size and checksum before the file is unpacked at once.
             with archive.open(member) as stream:
-                while stream.read(PIECE):
+                while stream.read(PIECE_BYTES):
                     pass
 
 
@@ -99,18 +98,18 @@ def _metadata(file: x3pio.X3pFile) -> dict[str, str]:
     }
 
 
-def packed(one: HeightMap) -> bytes:
+def packed(heights: HeightMap) -> bytes:
     """Return the bytes of an x3p file of a map on an even grid."""
     import x3pio  # noqa: PLC0415
 
-    start, pixel = even_axes(one, ".x3p")
+    start, pixel = even_axes(heights, ".x3p")
     file = x3pio.Surface.from_array(
-        one.z * 1e-3,
+        heights.z * 1e-3,
         x_scale=pixel[0] * 1e-3,
         y_scale=pixel[1] * 1e-3,
         placement=x3pio.Placement.translation(start[0] * 1e-3, start[1] * 1e-3, 0.0),
         coordinate_system=x3pio.CoordinateSystem.VIEW,
-        metadata=_record(one),
+        metadata=_record(heights),
         revision=x3pio.Revision.ISO5436_2000,
     )
     data: bytes = file.dumps()
@@ -118,30 +117,30 @@ def packed(one: HeightMap) -> bytes:
 
 
 def _plain(text: str) -> str:
-    """Return a text without what XML cannot hold."""
+    """Return a text without characters that XML does not allow."""
     return "".join(letter if letter.isprintable() or letter == "\n" else " " for letter in text)
 
 
-def _record(one: HeightMap) -> Any:
-    """Return the metadata of a map where x3p keeps them; what has no place of its own goes into the comment."""
+def _record(heights: HeightMap) -> Any:
+    """Return the metadata of a map as an x3p record; entries without a field go into the comment."""
     import x3pio  # noqa: PLC0415
 
-    told = {key: _plain(one.metadata.get(key, "")) for key in RECORD}
-    others = [_plain(f"{key}: {text}") for key, text in one.metadata.items() if key not in {*RECORD, "format"}]
+    texts = {key: _plain(heights.metadata.get(key, "")) for key in RECORD_KEYS}
+    others = [_plain(f"{key}: {text}") for key, text in heights.metadata.items() if key not in {*RECORD_KEYS, "format"}]
     try:
-        date = datetime.fromisoformat(told["date"])
+        date = datetime.fromisoformat(texts["date"])
     except ValueError:
         date = None
     record = x3pio.Metadata.for_software("Turnwright", version("turnwright"), date=date)
     instrument = record.instrument
-    if told["manufacturer"] or told["model"]:
-        instrument = x3pio.Instrument(told["manufacturer"], told["model"], told["serial"], told["version"])
-    comment = "\n".join(line for line in (told["comment"], *others) if line)
+    if texts["manufacturer"] or texts["model"]:
+        instrument = x3pio.Instrument(texts["manufacturer"], texts["model"], texts["serial"], texts["version"])
+    comment = "\n".join(line for line in (texts["comment"], *others) if line)
     return x3pio.Metadata(
         date=record.date,
-        creator=told["creator"] or None,
+        creator=texts["creator"] or None,
         instrument=instrument,
         calibration_date=None,
         probing_system=record.probing_system,
-        comment=comment or _plain(one.name) or None,
+        comment=comment or _plain(heights.name) or None,
     )

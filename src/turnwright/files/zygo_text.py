@@ -1,12 +1,12 @@
 """Zygo's text files: ``Zygo ASCII Data File - Format 2`` (phase) and ``Zygo XYZ Data File - Format 1`` (heights).
 
-Both begin with lines of description up to a line ``#``. Format 2 has the intensities, ``#``, the phases, ``#``; a phase
-is a height as in `turnwright.files.metropro`. Format 1 has a row ``column row height`` in micrometres, or ``column row
-No Data``, for every pixel. Rows go down from the top of the camera's picture.
+Both begin with lines of description up to a line ``#``. Format 2 has the intensities, ``#``, the phases, ``#``; phases
+are scaled as in `turnwright.files.metropro`. Format 1 has a row ``column row height`` in micrometres, or ``column row
+No Data``, for every pixel. The first row is the top of the camera's picture.
 
 Sources
 -------
-The layout is the one that public files have. Oracle: files written by hand from it.
+The layout is that of public files. Oracle: files written by hand from it.
 """
 
 from __future__ import annotations
@@ -32,30 +32,29 @@ __all__ = ["PHASES", "POINTS", "read"]
 
 PHASES = "Zygo ASCII Data File - Format 2"
 POINTS = "Zygo XYZ Data File - Format 1"
-MOST_LINES = 30
-"""Lines of description, at most."""
+MAX_DESCRIPTION_LINES = 30
 
 
 def read(path: Path, text: str) -> HeightMap:
     """Read a text file of a Zygo instrument."""
     head, body = _split(path, text)
     phases = head[0].startswith(PHASES)
-    left, top, columns, rows = (_whole(path, head, 4, index) for index in range(4))
+    first_column, first_row, columns, rows = (_integer(path, head, 4, index) for index in range(4))
     require_points(path, columns, rows)
     fringes = Fringes(
         scale=_number(path, head, 8, 1),
         wavelength=_number(path, head, 8, 2),
         obliquity=_number(path, head, 8, 4),
-        resolution=_whole(path, head, 11, 0) if phases else 0,
+        resolution=_integer(path, head, 11, 0) if phases else 0,
     )
     if phases:
         require_bytes(path, 2 * columns * rows, len(text))
-        blocks = [_whole(path, head, 3, index) for index in range(2, 5)]
+        blocks = [_integer(path, head, 3, index) for index in range(2, 5)]
         heights = _phases(path, body, blocks, (rows, columns)) * fringe_scale(path, fringes)
     else:
-        heights = _points(path, body, (left, top), (rows, columns))
+        heights = _points(path, body, (first_column, first_row), (rows, columns))
     size = 1e3 * _number(path, head, 8, 6)
-    stamp = _whole(path, head, 8, 7)
+    stamp = _integer(path, head, 8, 7)
     return grid_map(
         path,
         heights[::-1],
@@ -74,10 +73,10 @@ def read(path: Path, text: str) -> HeightMap:
 
 
 def _split(path: Path, text: str) -> tuple[list[str], str]:
-    """Return the lines of description and what stands below them."""
+    """Return the lines of description and the text below them."""
     head: list[str] = []
     begin = 0
-    while len(head) < MOST_LINES:
+    while len(head) < MAX_DESCRIPTION_LINES:
         end = text.find("\n", begin)
         if end < 0:
             break
@@ -89,13 +88,13 @@ def _split(path: Path, text: str) -> tuple[list[str], str]:
             return head, text[begin:]
         head.append(line)
     raise MapError(
-        f"{path} has {len(head)} lines of description above its first '#', they are 11 to {MOST_LINES}: it is cut "
-        "short or damaged, so export it again"
+        f"{path} has {len(head)} lines of description above its first '#', the limits are 11 to "
+        f"{MAX_DESCRIPTION_LINES}: it is truncated or damaged, so export it again"
     )
 
 
 def _number(path: Path, head: list[str], line: int, index: int) -> float:
-    """Return a number of the description, which counts lines from 1."""
+    """Return a number of the description; lines count from 1."""
     try:
         return float(shlex.split(head[line - 1])[index])
     except (ValueError, IndexError) as error:
@@ -105,22 +104,22 @@ def _number(path: Path, head: list[str], line: int, index: int) -> float:
         ) from error
 
 
-def _whole(path: Path, head: list[str], line: int, index: int) -> int:
+def _integer(path: Path, head: list[str], line: int, index: int) -> int:
     value = _number(path, head, line, index)
     if not (abs(value) < 1 << 53 and value == int(value)):
-        raise MapError(f"{path} has {value:g} in its line {line}, a whole number is needed: it is damaged")
+        raise MapError(f"{path} has {value:g} in its line {line}, it must be an integer: it is damaged")
     return int(value)
 
 
 def _phases(path: Path, body: str, intensity: list[int], shape: tuple[int, int]) -> Floats:
-    """Return the counts of phase, (rows, columns)."""
+    """Return the phase counts, (rows, columns)."""
     blocks = body.split("#")
-    # A file without a picture of the camera may leave its empty block out.
+    # A file without intensities may omit their block.
     pictures = min(intensity) > 0 or (len(blocks) > 1 and not blocks[0].strip())
     counts = numbers(path, "".join(blocks[1:2] if pictures else blocks[:1]))
     if counts.size != shape[0] * shape[1]:
         raise MapError(
-            f"{path} has {counts.size} phases for {shape[0]} rows of {shape[1]}: it is cut short or damaged, so export "
+            f"{path} has {counts.size} phases for {shape[0]} rows of {shape[1]}: it is truncated or damaged, so export "
             "it again"
         )
     counts[counts >= MISSING] = np.nan
@@ -129,19 +128,19 @@ def _phases(path: Path, body: str, intensity: list[int], shape: tuple[int, int])
 
 def _points(path: Path, body: str, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
     """Return the heights of rows ``column row height``, (rows, columns) [mm]."""
-    found = table(path, body.split("#", 1)[0].replace("No Data", "nan"), None, (0, 1, 2), 3)
-    column, row = found[:, 0] - corner[0], found[:, 1] - corner[1]
+    points = table(path, body.split("#", 1)[0].replace("No Data", "nan"), None, (0, 1, 2), 3)
+    column, row = points[:, 0] - corner[0], points[:, 1] - corner[1]
     inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
     inside &= (column == np.rint(column)) & (row == np.rint(row))
     if not inside.all():
         bad = int(np.argmin(inside))
         raise MapError(
-            f"{path} has a height at column {found[bad, 0]:g}, row {found[bad, 1]:g}, outside its {shape[1]} x "
+            f"{path} has a height at column {points[bad, 0]:g}, row {points[bad, 1]:g}, outside its {shape[1]} x "
             f"{shape[0]} pixels from {corner}: it is damaged, so export it again"
         )
     place = (row * shape[1] + column).astype(np.int64)
     if np.bincount(place, minlength=1).max() > 1:
         raise MapError(f"{path} has two heights at one pixel: it is damaged, so export it again")
     heights: Floats = np.full(shape, np.nan)
-    heights.reshape(-1)[place] = found[:, 2] * 1e-3
+    heights.reshape(-1)[place] = points[:, 2] * 1e-3
     return heights

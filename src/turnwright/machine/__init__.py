@@ -1,4 +1,4 @@
-"""The lathe: what its axes can do, how they err, and how its controller counts."""
+"""The lathe: limits, dynamics and geometric errors of its axes, and its controller."""
 
 from turnwright.machine.axes import FAST, ROTARY, Axis
 from turnwright.machine.controller import INTERPOLATIONS, Controller, Convention

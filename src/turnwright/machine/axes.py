@@ -1,4 +1,4 @@
-"""The axes of a lathe: travel, limits and how they follow."""
+"""The axes of a lathe: travel, limits and servo response."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 __all__ = ["ROTARY", "Axes", "Axis"]
 
 ROTARY = frozenset("ABC")
-"""Letters of the axes that turn; all others slide."""
+"""Letters of the rotary axes; all others are linear."""
 
 FAST = MappingProxyType({"U": "X", "W": "Z"})
-"""Letters of the axes of a fast tool, and of the slides that they add to."""
+"""Letters of the axes of a fast tool, and of the slides to which they add."""
 
 _UNITS = {
     "speed": ("mm/s", "rad/s"),
@@ -35,15 +35,15 @@ _UNITS = {
     "jerk": ("mm/s^3", "rad/s^3"),
     **dict.fromkeys(("low", "high", "bandwidth_residual"), ("mm", "rad")),
 }
-"""Units of the limits that a sliding axis has, and a turning one."""
+"""Units of the limits of a linear and of a rotary axis."""
 
-LATEST = 1.0
-"""A dead time beyond this is a slip of the unit. [s]"""
+MAX_DEAD_TIME_S = 1.0
+"""Longest dead time; larger values are taken for a wrong unit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Axis(Stated):
-    """Limits of one axis; ``None`` is a limit that nobody states.
+    """Limits of one axis; ``None`` where a limit is not known.
 
     Parameters
     ----------
@@ -52,19 +52,19 @@ class Axis(Stated):
     low, high
         Ends of the travel. [mm or rad]
     bandwidth_hz
-        Highest frequency at which the axis still follows; `check_limits` says what a motion has of it. [Hz]
+        Highest frequency that the axis follows; `check_limits` compares a motion with it. [Hz]
     bandwidth_residual
-        What may remain of a motion above that: the amplitude of a sine of the same power over two turns; ``None`` for
+        Motion allowed above the bandwidth: the amplitude of a sine of the same power over two revolutions; ``None`` for
         1e-5. [mm or rad]
     response
-        How the axis answers its command; ``None`` follows exactly.
+        Closed-loop response from command to position; ``None`` for an axis that follows exactly.
     dead_time
-        By how much it does so later; ``None`` for at once. [s]
+        Delay of the response; ``None`` for no delay. [s]
 
     Raises
     ------
     InputError
-        If a limit is not positive, the travel ends before it begins, or the dead time is not a short one.
+        If a limit is not positive, ``low`` is not below ``high``, or the dead time is not from 0 to 1 s.
     """
 
     key_names = MappingProxyType({"bandwidth_hz": "bandwidth"})
@@ -91,14 +91,16 @@ class Axis(Stated):
         low = -np.inf if self.low is None else self.low
         high = np.inf if self.high is None else self.high
         if not low < high:
-            raise InputError(f"the travel of an axis is {low:g} to {high:g} mm or rad: let low be below high")
-        between(self.dead_time or 0.0, "the dead_time of an axis", 0.0, LATEST, "s")
+            raise InputError(
+                f"the travel of an axis is {low:g} to {high:g} mm or rad, low must be below high: correct it"
+            )
+        between(self.dead_time or 0.0, "the dead_time of an axis", 0.0, MAX_DEAD_TIME_S, "s")
 
     def amplitude(self, frequency_hz: ArrayLike) -> Floats:
-        r"""Return the largest sine that keeps travel, speed, acceleration, jerk and bandwidth, at some frequencies.
+        r"""Return the largest amplitude of a sine within travel, speed, acceleration, jerk and bandwidth.
 
-        A sine of amplitude a has the peaks :math:`a\omega`, :math:`a\omega^2` and :math:`a\omega^3`; beyond the
-        bandwidth nothing is allowed, and infinity is where nobody states a limit. Any shape [mm or rad]
+        A sine of amplitude a has the peaks :math:`a\omega`, :math:`a\omega^2` and :math:`a\omega^3`. Above the
+        bandwidth the amplitude is 0; without limits it is infinite. Any shape [mm or rad]
 
         >>> fast = Axis(low=-0.035, high=0.035, acceleration=1e5, bandwidth_hz=700)
         >>> fast.amplitude([100.0, 500.0, 800.0]).round(5).tolist()
@@ -116,7 +118,7 @@ class Axis(Stated):
 
 
 class Axes:
-    """The annotation of axes by their letters: sliding ones count in mm, turning ones in rad."""
+    """Annotation of axes by letter: linear axes in mm, rotary axes in rad."""
 
     @classmethod
     def __get_pydantic_core_schema__(cls, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -127,16 +129,16 @@ class Axes:
 
 
 def _check_axes(axes: Any) -> Any:
-    """Raise unless every axis of a table has a letter, and quantities of its own kind."""
+    """Raise unless every axis of a table is named by a letter and has quantities of the right dimension."""
     problems: dict[tuple[str | int, ...], Exception | str] = {}
     for letter, limits in axes.items() if isinstance(axes, Mapping) else ():
         if len(letter) != 1 or not letter.isupper():
             problems[letter,] = "it is not an axis: name it with one capital letter"
             continue
         for key, value in limits.items() if isinstance(limits, Mapping) else ():
-            kinds = [one for one in _UNITS.get(key, ()) if ("rad" in one) == (letter in ROTARY)]
+            units = [symbol for symbol in _UNITS.get(key, ()) if ("rad" in symbol) == (letter in ROTARY)]
             try:
-                _ = [parse(value, one) for one in kinds]
+                _ = [parse(value, symbol) for symbol in units]
             except UnitError as error:
                 problems[letter, key] = error
     if problems:

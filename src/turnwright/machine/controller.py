@@ -1,4 +1,4 @@
-"""How a controller joins points, and how it counts axes."""
+"""The controller: interpolation between points, and sign conventions of its axes."""
 
 from __future__ import annotations
 
@@ -18,28 +18,29 @@ __all__ = ["INTERPOLATIONS", "Controller", "Convention"]
 Sign: TypeAlias = Annotated[int, plain()]
 
 INTERPOLATIONS = ("linear", "hermite", "quadratic spline", "cubic spline")
-"""What a controller makes of the points, in the order of the kernel's numbers."""
+"""Interpolations of a controller, in the order of the kernel's constants."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Controller(Stated, Value):
-    """What a controller makes of the points of a program.
+    """Interpolation of the points of a program by the controller.
 
     Parameters
     ----------
     interpolation
         "linear", "hermite" (PVT), "quadratic spline" or "cubic spline", see `track`.
     look_ahead
-        Blocks that it knows beforehand, within which it must be able to brake; ``None`` for as many as it needs.
+        Number of blocks that the controller reads ahead, within which it must be able to brake; ``None`` for no limit.
     variable_speed
-        Whether the spindle may turn at another speed in every block, as times or inverse times of blocks allow.
+        Whether the spindle speed may differ from block to block, as in programs with block times or inverse time feed.
     other_interpolations
-        What else it offers, each with the dialect of the programs that ask for it; see `Machine.interpolating`.
+        Other interpolations that the controller offers, each with the program dialect that selects it; see
+        `Machine.interpolating`.
 
     Raises
     ------
     InputError
-        If there is no such interpolation, or it looks ahead by less than one block.
+        If the interpolation is unknown, or the look-ahead is below one block.
     """
 
     interpolation: Text = "linear"
@@ -63,7 +64,7 @@ class Controller(Stated, Value):
                 raise InputError(f"interpolation is {name!r}, it must be one of {', '.join(INTERPOLATIONS)}: name one")
         if self.interpolation in others:
             raise InputError(
-                f"other_interpolations names {self.interpolation!r}, which is the interpolation already: leave it out"
+                f"other_interpolations has {self.interpolation!r}, which is the interpolation already: remove it"
             )
         if self.look_ahead is not None:
             object.__setattr__(self, "look_ahead", whole_number(self.look_ahead, "look_ahead", 1))
@@ -71,7 +72,7 @@ class Controller(Stated, Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Convention(Stated):
-    """How the controller counts, against Turnwright's own axes.
+    """Signs and zero of the controller's axes relative to Turnwright's.
 
     Parameters
     ----------
@@ -82,7 +83,7 @@ class Convention(Stated):
     z_sign
         +1 if the controller's Z grows out of the part, -1 if it grows into it.
     clocking
-        Controller's C when the part's +x mark stands under the tool. [rad]
+        The controller's C when the part's +x direction is under the tool. [rad]
 
     Raises
     ------
@@ -100,7 +101,5 @@ class Convention(Stated):
         for name in ("x_side", "c_sense", "z_sign"):
             sign = getattr(self, name)
             if sign not in (-1, 1):
-                raise InputError(
-                    f"{name} of the convention is {sign!r}, it must be the whole number 1 or -1: give the sign"
-                )
+                raise InputError(f"{name} of the convention is {sign!r}, it must be the integer 1 or -1: give the sign")
         check_angle(self.clocking, "clocking of the convention")

@@ -1,4 +1,4 @@
-"""The lathe: what its axes can do, how they err, and how its controller counts."""
+"""The lathe: axes, controller and geometric errors, and the files that describe it."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ if TYPE_CHECKING:
 
 __all__ = ["Machine"]
 
-MOST_BASES = 8
-"""Machine files that may build on each other."""
+MAX_BASES = 8
+"""Machine files in a chain of ``base`` keys."""
 
 PLAUSIBLE = MappingProxyType(
     {"squareness": "rad", "straightness": "mm", "servo lag": "rad", "drift of X": "mm", "drift of Z": "mm"}
 )
-"""Errors whose plausible size a machine may state, and their units."""
+"""Error sources whose plausible size a machine may give, and their units."""
 
 PLAUSIBLE_TEXTS = MappingProxyType({
     "squareness": "Of the X slide to the spindle.",
     "straightness": "Of the X slide.",
-    "servo lag": "Angle by which Z comes late.",
-    "drift of X": "Over the time of a cut; as large as the maps allow if left out.",
-    "drift of Z": "Over the time of a cut; as large as the maps allow if left out.",
+    "servo lag": "Angle of C by which Z lags.",
+    "drift of X": "Over the time of a cut; limited only by the maps if not given.",
+    "drift of Z": "Over the time of a cut; limited only by the maps if not given.",
 })  # fmt: skip
 
 ErrorSizes: TypeAlias = Annotated[Mapping[str, float], Plausible(PLAUSIBLE, PLAUSIBLE_TEXTS, slopes=("squareness",))]
 
-STEEPEST = 0.1
-"""A squareness beyond this is a slip of the unit, not an error of a machine. [rad]"""
+MAX_SQUARENESS_RAD = 0.1
+"""Largest squareness error; larger values are taken for a wrong unit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,37 +55,37 @@ class Machine(Stated, Value):
     Parameters
     ----------
     name
-        What the machine is called.
+        Name of the machine.
     axes
         `Axis` by letter, at least "C", "X" and "Z".
     spindle_rpm
         Highest speed of the spindle as a C axis. [rev/min]
     block_rate_hz
-        Program blocks that the controller can take in a second, coordinated over all axes.
+        Program blocks per second that the controller executes, coordinated over all axes. [1/s]
     dialect
         Name of the program dialect.
     convention
-        How the controller counts.
+        Signs and zero of the controller's axes.
     controller
-        What it makes of the points.
+        Interpolation of the controller.
     squareness
         Height error of the tip per distance along X: Z error = squareness * X. [rad]
     straightness
-        Height error of the tip along X beyond squareness: ascending positions and errors, linear in between, held
-        beyond. ((n,), (n,)) [mm]
+        Further height error of the tip along X: ascending positions and errors, linear in between, constant beyond the
+        ends. ((n,), (n,)) [mm]
     plausible
-        How large its errors plausibly are, one standard deviation, where they are not as `CAUSES` of the diagnosis
-        says: "squareness" [rad], "straightness" [mm], "servo lag" [rad]; and "drift of X", "drift of Z" over the time
-        of a cut [mm], else as large as the maps allow.
+        Plausible sizes (standard deviations) of errors that differ from `CAUSES` of the diagnosis: "squareness" [rad],
+        "straightness" [mm], "servo lag" [rad]; and "drift of X", "drift of Z" over the time of a cut [mm], limited only
+        by the maps if not given.
     sources
-        Where each fact comes from, by field ("axes.X.speed"); anything assumed says so.
+        Source of each value, by field ("axes.X.speed"); assumed values are marked.
     loaded
-        What `load` was given, and what that states; ``None`` for a machine that was put together.
+        Name given to `load` and the value it loaded; ``None`` for a machine that was not loaded.
 
     Raises
     ------
     InputError
-        If an axis is missing, a limit is not positive, or an error of the geometry cannot be one.
+        If an axis is missing, a limit is not positive, or a geometric error is out of range.
 
     Examples
     --------
@@ -120,7 +120,7 @@ class Machine(Stated, Value):
             raise InputError(f"machine {self.name!r} lacks axis {', '.join(missing)}: give at least C, X and Z")
         object.__setattr__(self, "spindle_rpm", positive(self.spindle_rpm, "spindle_rpm", "rev/min"))
         object.__setattr__(self, "block_rate_hz", positive(self.block_rate_hz, "block_rate_hz", "blocks/s"))
-        check_angle(self.squareness, "squareness", -STEEPEST, STEEPEST)
+        check_angle(self.squareness, "squareness", -MAX_SQUARENESS_RAD, MAX_SQUARENESS_RAD)
         if self.straightness is not None:
             if len(self.straightness) != 2:
                 raise InputError(
@@ -132,8 +132,8 @@ class Machine(Stated, Value):
             )
             if x.size < 2 or x.shape != error.shape or not (np.diff(x) > 0).all():
                 raise InputError(
-                    f"straightness has {x.size} positions and {error.size} errors, it needs as many of one as of the "
-                    "other, at least 2, at ascending positions: sort and complete it"
+                    f"straightness has {x.size} positions and {error.size} errors, it needs equal numbers of both, at "
+                    "least 2, positions ascending: sort and complete it"
                 )
             object.__setattr__(self, "straightness", (x, error))
 
@@ -145,7 +145,7 @@ class Machine(Stated, Value):
         ----------
         name
             "nanotech-350fg", "nanoform", "nanoform-fts-70", "nanoform-fts-500", "generic", or the path of a ``.toml``
-            file. A file that says ``base = NAME`` adds to another machine, or says some of its facts anew.
+            file. A file with ``base = NAME`` extends another machine and overrides its values.
 
         Raises
         ------
@@ -153,17 +153,17 @@ class Machine(Stated, Value):
             If there is no such machine, or its file is wrong; the message names the key.
         """
         table, what = _read(name, ()), f"machine file {str(name)!r}"
-        found = read_table(cls, table, what)
-        facts = flat({key: value for key, value in table.items() if key != "sources"})
-        for key in found.sources:
-            if key not in facts:
-                raise InputError(f"{what}: sources has {key!r}, which the file does not state: correct or drop it")
-        return replace(found, loaded=Loaded(str(name), found))
+        machine = read_table(cls, table, what)
+        values = flat({key: value for key, value in table.items() if key != "sources"})
+        for key in machine.sources:
+            if key not in values:
+                raise InputError(f"{what}: sources has {key!r}, a key that the file lacks: correct or remove it")
+        return replace(machine, loaded=Loaded(str(name), machine))
 
     def interpolating(self, interpolation: str) -> Machine:
-        """Return the machine with its controller asked for one of the interpolations that it offers.
+        """Return the machine with another interpolation of its controller selected.
 
-        Its programs are then in the dialect that asks for it.
+        Its programs are then in the dialect that selects this interpolation.
 
         Raises
         ------
@@ -175,22 +175,22 @@ class Machine(Stated, Value):
         >>> machine.dialect, both.interpolating("hermite").dialect
         ('generic', 'pmac')
         """
-        own, others = self.controller.interpolation, dict(self.controller.other_interpolations)
-        if interpolation == own:
+        current, others = self.controller.interpolation, dict(self.controller.other_interpolations)
+        if interpolation == current:
             return self
         if interpolation not in others:
             raise InputError(
                 f"interpolation is {interpolation!r}, the controller of {self.name} offers "
-                f"{', '.join((own, *others))}: choose one of these, or add it to the machine file"
+                f"{', '.join((current, *others))}: choose one of these, or add it to the machine file"
             )
         dialect = others.pop(interpolation)
         controller = replace(
-            self.controller, interpolation=interpolation, other_interpolations={own: self.dialect, **others}
+            self.controller, interpolation=interpolation, other_interpolations={current: self.dialect, **others}
         )
         return replace(self, controller=controller, dialect=dialect)
 
     def z_error(self, x: ArrayLike) -> Floats:
-        """Height of the tip where X stands at ``x``, minus what it should be. (n,) [mm]."""
+        """Return the height error of the tip at positions of X: actual minus nominal. (n,) [mm]."""
         x = np.asarray(x, dtype=np.float64)
         error = self.squareness * x
         if self.straightness is not None:
@@ -198,7 +198,7 @@ class Machine(Stated, Value):
         return error
 
     def z_error_slope(self, x: ArrayLike) -> Floats:
-        """Return the derivative of `z_error` by X, at a corner that of the line toward +X. (n,) [1]."""
+        """Return the derivative of `z_error` by X; at a corner, that toward +X. (n,) [1]."""
         x = np.asarray(x, dtype=np.float64)
         slope = np.full(x.shape, self.squareness)
         if self.straightness is not None:
@@ -209,38 +209,38 @@ class Machine(Stated, Value):
 
 
 def _read(name: str | Path, above: tuple[str | Path, ...]) -> dict[str, Any]:
-    """Return the tables of a machine file over those of its base; files that it names stand in the same folder."""
-    folder = resources.files("turnwright") / "machines"
-    known = sorted(Path(entry.name).stem for entry in folder.iterdir() if entry.name.endswith(".toml"))
-    if name in known:
-        data, beside = (folder / f"{name}.toml").read_bytes(), Path()
+    """Return the tables of a machine file merged over those of its base; file names are relative to its folder."""
+    shipped = resources.files("turnwright") / "machines"
+    names = sorted(Path(entry.name).stem for entry in shipped.iterdir() if entry.name.endswith(".toml"))
+    if name in names:
+        data, folder = (shipped / f"{name}.toml").read_bytes(), Path()
     else:
-        remedy = f"name one of {', '.join(known)}, or give the path of a .toml file"
-        data, beside = bytes_of(Path(name), "machine file", remedy), Path(name).parent
+        remedy = f"name one of {', '.join(names)}, or give the path of a .toml file"
+        data, folder = bytes_of(Path(name), "machine file", remedy), Path(name).parent
     table = read_toml(data, f"machine file {str(name)!r}")
     axes = table.get("axes")
     for axis in axes.values() if isinstance(axes, dict) else ():
         response = axis.get("response") if isinstance(axis, dict) else None
         if isinstance(response, dict) and isinstance(response.get("file"), str):
-            response["file"] = str(beside / response["file"])
+            response["file"] = str(folder / response["file"])
     base = table.get("base")
     if base is None:
         return table
     if not isinstance(base, str) or not base:
         raise InputError(f"machine file {str(name)!r}: base is {shown(base)}, it must be a name or a file: correct it")
-    if len(above) == MOST_BASES:
+    if len(above) == MAX_BASES:
         raise InputError(
-            f"machine file {str(name)!r}: more than {MOST_BASES} files build on each other, or in a ring: let one of "
-            "them stand alone"
+            f"machine file {str(name)!r}: base leads to a chain of more than {MAX_BASES} files, or to a circle: remove "
+            "base from one of them"
         )
     del table["base"]
-    return _over(_read(base if base in known else beside / base, (*above, name)), table)
+    return _merge(_read(base if base in names else folder / base, (*above, name)), table)
 
 
-def _over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
-    """Return tables with those of another laid over them."""
-    both = dict(base)
+def _merge(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
+    """Return nested tables with those of another merged over them."""
+    merged = dict(base)
     for key, value in table.items():
         below = base.get(key)
-        both[key] = _over(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
-    return both
+        merged[key] = _merge(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+    return merged

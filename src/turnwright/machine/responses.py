@@ -1,7 +1,7 @@
-r"""How an axis answers a command: the closed loop of a servo, from command to position.
+r"""The closed-loop response of a servo axis, from command to position.
 
-Everything is said by the transfer function :math:`H(s)`, position over command, with :math:`H(0) = 1`: an axis that
-stands still stands where it was sent.
+A response is the transfer function :math:`H(s)`, position over command, with :math:`H(0) = 1`: at rest an axis is at
+its commanded position.
 """
 
 from __future__ import annotations
@@ -32,30 +32,30 @@ __all__ = [
     "AnyResponse", "FrequencyResponse", "RationalResponse", "Response", "SecondOrder", "TransferFunction",
 ]  # fmt: skip
 
-STATIC = 1e-6
-"""How far the gain of an axis at rest may be from 1."""
+STATIC_GAIN_TOL = 1e-6
+"""Deviation of the gain at rest from 1."""
 
-MOST_POLES = 20
-"""Orders beyond this are a slip, and lose their poles to rounding."""
+MAX_POLES = 20
+"""Order of a transfer function; poles of higher orders are lost to rounding."""
 
-LARGEST_FILE = 16 << 20
-"""Bytes of the largest file that is a frequency response."""
+MAX_FILE_BYTES = 16 << 20
+"""Bytes of a file of a frequency response."""
 
 
 @runtime_checkable
 class Response(Protocol):
-    """What an axis makes of its command."""
+    """Closed-loop response of an axis to its command."""
 
     def at(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
-        """Return position over command at some frequencies, any shape [Hz]."""
+        """Return position over command at frequencies of any shape [Hz]."""
 
     def slower(self, factor: float) -> Response:
-        """Return the response of an axis whose every time is longer by a factor."""
+        """Return the response with all times longer by a factor."""
 
 
 @runtime_checkable
 class RationalResponse(Response, Protocol):
-    """A response that is a ratio of polynomials, so that what it makes of a command has a closed form."""
+    """A response that is a ratio of polynomials, so that its answer to a command has a closed form."""
 
     @property
     def polynomials(self) -> tuple[Floats, Floats]:
@@ -113,11 +113,11 @@ class SecondOrder(Stated):
         )
 
     def at(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
-        """Return position over command at some frequencies, any shape [Hz]."""
+        """Return position over command at frequencies of any shape [Hz]."""
         return _ratio(self.polynomials, frequency_hz)
 
     def slower(self, factor: float) -> SecondOrder:
-        """Return the response of an axis whose every time is longer by a factor."""
+        """Return the response with all times longer by a factor."""
         return SecondOrder(
             frequency_hz=self.frequency_hz / factor, damping=self.damping,
             velocity_feedforward=self.velocity_feedforward, acceleration_feedforward=self.acceleration_feedforward,
@@ -131,13 +131,13 @@ class TransferFunction(Stated, Value):
     Parameters
     ----------
     numerator, denominator
-        Coefficients, highest power first; the constant terms are equal, so that the axis at rest stands where it was
-        sent. (m,), (n,) with m <= n [powers of s]
+        Coefficients, highest power first; the constant terms are equal, so that the static gain is 1. (m,), (n,) with
+        m <= n [powers of s]
 
     Raises
     ------
     InputError
-        If the response is not stable, not proper, of too high an order, or does not hold its position.
+        If the response is not stable, not proper, of too high an order, or its static gain is not 1.
 
     >>> lag = TransferFunction(numerator=[50.0], denominator=[1.0, 50.0])
     >>> round(float(abs(lag.at(50 / (2 * np.pi)))), 6)
@@ -153,17 +153,17 @@ class TransferFunction(Stated, Value):
             values = np.trim_zeros(frozen(getattr(self, name), name), "f")
             object.__setattr__(self, name, frozen(values, name))
         above, below = self.numerator, self.denominator
-        if not 2 <= below.size <= MOST_POLES + 1:
+        if not 2 <= below.size <= MAX_POLES + 1:
             raise InputError(
-                f"the denominator has {below.size} coefficients, the limits are 2 to {MOST_POLES + 1}: give the "
+                f"the denominator has {below.size} coefficients, the limits are 2 to {MAX_POLES + 1}: give the "
                 "closed loop from command to position"
             )
         if not 1 <= above.size <= below.size:
             raise InputError(
-                f"the numerator has {above.size} coefficients, the limits are 1 to {below.size}, as many as the "
-                "denominator: an axis cannot answer faster than its command"
+                f"the numerator has {above.size} coefficients, the limits are 1 to {below.size} (those of the "
+                "denominator): give a proper transfer function"
             )
-        if below[-1] == 0 or abs(above[-1] / below[-1] - 1) > STATIC:
+        if below[-1] == 0 or abs(above[-1] / below[-1] - 1) > STATIC_GAIN_TOL:
             raise InputError(
                 f"the constant terms are {above[-1]:g} and {below[-1]:g}, they must be equal and not 0: give the "
                 "closed loop from command to position, in equal units"
@@ -180,11 +180,11 @@ class TransferFunction(Stated, Value):
         return self.numerator, self.denominator
 
     def at(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
-        """Return position over command at some frequencies, any shape [Hz]."""
+        """Return position over command at frequencies of any shape [Hz]."""
         return _ratio(self.polynomials, frequency_hz)
 
     def slower(self, factor: float) -> TransferFunction:
-        """Return the response of an axis whose every time is longer by a factor."""
+        """Return the response with all times longer by a factor."""
         return TransferFunction(
             numerator=self.numerator * factor ** np.arange(self.numerator.size - 1.0, -1, -1),
             denominator=self.denominator * factor ** np.arange(self.denominator.size - 1.0, -1, -1),
@@ -195,13 +195,14 @@ class TransferFunction(Stated, Value):
 class FrequencyResponse(Value):
     """A measured response: position over command at ascending frequencies.
 
-    Logarithm of the magnitude and unwrapped phase run straight between the frequencies, from 1 and no phase at rest;
-    beyond the last one the phase stays and the magnitude falls with the square of the frequency.
+    Logarithm of the magnitude and unwrapped phase are linear between the frequencies, and begin with magnitude 1 and
+    phase 0 at rest. Above the last frequency the phase is constant and the magnitude falls with the square of the
+    frequency.
 
     Parameters
     ----------
     frequency_hz
-        Ascending, above 0, dense enough that the phase changes by less than half a turn from one to the next. (n,) [Hz]
+        Ascending, above 0, with phase changes below half a turn from one frequency to the next. (n,) [Hz]
     magnitude
         Position over command. (n,)
     phase
@@ -225,10 +226,12 @@ class FrequencyResponse(Value):
         if f.size < 2 or f.shape != self.magnitude.shape or f.shape != self.phase.shape:
             raise InputError(
                 f"a frequency response has {f.size} frequencies, {self.magnitude.size} magnitudes and "
-                f"{self.phase.size} phases: give as many of each, at least 2"
+                f"{self.phase.size} phases: give equal numbers of each, at least 2"
             )
         if not (f[0] > 0 and (np.diff(f) > 0).all()):
-            raise InputError(f"the frequencies of a response begin at {f[0]:g} Hz: let them ascend from above 0 Hz")
+            raise InputError(
+                f"the frequencies of a response begin at {f[0]:g} Hz, they must ascend and be above 0 Hz: sort them"
+            )
         if not (self.magnitude > 0).all():
             raise InputError(
                 f"a magnitude of the response is {self.magnitude.min():g}, it must be above 0: give position over "
@@ -241,24 +244,24 @@ class FrequencyResponse(Value):
     def load(cls, path: str | PathLike[str]) -> FrequencyResponse:
         """Return the response in a text file of three columns: frequency [Hz], magnitude [dB], phase [deg].
 
-        Columns stand apart by commas, semicolons or blanks; lines that begin with a letter or # are headings.
+        Columns are separated by commas, semicolons or blanks; lines that begin with a letter or # are skipped.
 
         Raises
         ------
         InputError
-            If the file cannot be read or holds anything else.
+            If the file cannot be read or has other contents.
         """
         path = Path(path)
         try:
-            if path.stat().st_size > LARGEST_FILE:
+            if path.stat().st_size > MAX_FILE_BYTES:
                 raise InputError(
                     f"{path} has {path.stat().st_size / 1e6:.0f} MB, a frequency response has at most "
-                    f"{LARGEST_FILE / 1e6:.0f} MB: give the file of three columns"
+                    f"{MAX_FILE_BYTES / 1e6:.0f} MB: give the file of three columns"
                 )
             lines = path.read_text(encoding="utf-8-sig").splitlines()
         except (OSError, UnicodeDecodeError) as error:
-            why = getattr(error, "strerror", None) or "it is not text"
-            raise InputError(f"{path} cannot be read as a frequency response ({why}): check its name") from error
+            reason = getattr(error, "strerror", None) or "it is not text"
+            raise InputError(f"{path} cannot be read as a frequency response ({reason}): check its name") from error
         rows = []
         for number, line in enumerate(lines, 1):
             words = line.replace(",", " ").replace(";", " ").split()
@@ -280,22 +283,22 @@ class FrequencyResponse(Value):
             raise InputError(f"{path}: {error}") from error
 
     def at(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
-        """Return position over command at some frequencies, any shape [Hz]."""
-        asked = np.abs(np.asarray(frequency_hz, dtype=np.float64))
-        known = np.concatenate(([0.0], self.frequency_hz))
-        gain = np.interp(asked, known, np.concatenate(([0.0], np.log(self.magnitude))))
-        phase = np.interp(asked, known, np.concatenate(([0.0], self.phase)))
-        beyond = np.maximum(asked / known[-1], 1.0)
+        """Return position over command at frequencies of any shape [Hz]."""
+        frequency = np.abs(np.asarray(frequency_hz, dtype=np.float64))
+        knots = np.concatenate(([0.0], self.frequency_hz))
+        gain = np.interp(frequency, knots, np.concatenate(([0.0], np.log(self.magnitude))))
+        phase = np.interp(frequency, knots, np.concatenate(([0.0], self.phase)))
+        beyond = np.maximum(frequency / knots[-1], 1.0)
         value: NDArray[np.complex128] = np.exp(gain + 1j * np.sign(frequency_hz) * phase) / beyond**2
         return value
 
     def slower(self, factor: float) -> FrequencyResponse:
-        """Return the response of an axis whose every time is longer by a factor."""
+        """Return the response with all times longer by a factor."""
         return FrequencyResponse(frequency_hz=self.frequency_hz / factor, magnitude=self.magnitude, phase=self.phase)
 
 
 class AnyResponse:
-    """The annotation of a response: a file of measured values, polynomials, or a second order."""
+    """Annotation of a response: a file of measured values, polynomials, or a second-order system."""
 
     @classmethod
     def __get_pydantic_core_schema__(cls, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -309,7 +312,7 @@ class AnyResponse:
 
 
 def _read_response(table: Any) -> Any:
-    """Return the response that a table states."""
+    """Return the response that a table describes."""
     if isinstance(table, SecondOrder | TransferFunction | FrequencyResponse):
         return table
     if isinstance(table, Mapping) and table.keys() == {"file"}:

@@ -20,7 +20,7 @@ from turnwright.motion.limits import (
     find_limit_demands,
     find_speed_factor,
 )
-from turnwright.path import STRAIGHT, TURNED, Motion
+from turnwright.path import LINEARITY_TOL_MM, LINEARITY_TOL_RAD, Motion
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -310,7 +310,7 @@ def _path_deviation(course: Course, ramp: Course, block: Ints, phase: Floats, sp
         exact, _ = _evaluate_course(course, block, between(phase, speed_factor, u), 1.0)
         for letter, position in ramp.axes.items():
             miss = np.abs(between(position, ramp.velocity[letter], u) - exact[letter])
-            off = np.maximum(off, miss / (TURNED if letter in ROTARY else STRAIGHT))
+            off = np.maximum(off, miss / (LINEARITY_TOL_RAD if letter in ROTARY else LINEARITY_TOL_MM))
     return off
 
 

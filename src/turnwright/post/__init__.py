@@ -1,4 +1,4 @@
-"""Programs on disk: write them, read them back, read other people's."""
+"""NC programs: writing, reading back, and reading programs of other origin."""
 
 from turnwright.post.approach import (
     GAP,

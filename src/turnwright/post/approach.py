@@ -1,4 +1,4 @@
-"""How the tool comes to a pass and leaves it: down from a clear plane, and into the material only while C turns."""
+"""Approach and plunge of a pass: down from a clear plane, and into the material only while C turns."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from turnwright.machine import Machine
 
 __all__ = [
-    "DOWN",
+    "DOWN_FEED",
     "GAP",
     "MOST_CLEARANCE",
     "PLUNGE_FEED",
-    "TRAVERSE",
+    "TRAVERSE_FEED",
     "Approach",
     "approach_to",
     "entry_path",
@@ -40,54 +40,54 @@ __all__ = [
 TURN = 2 * math.pi
 
 GAP = 0.1
-"""Height above material, and distance beside it, down to which the tool may move with C at rest. [mm]"""
+"""Smallest distance from the material with C at rest, vertical and lateral. [mm]"""
 PLUNGE_FEED = 0.03
-"""Fastest plunge into material, unless another is stated. [mm/s]"""
+"""Default of the largest plunge feed into material. [mm/s]"""
 MOST_CLEARANCE = 1000.0
-"""Highest clear plane above a pass. [mm]"""
-TRAVERSE, DOWN = 500 / 60, 100 / 60
+"""Largest height of the clear plane above a pass. [mm]"""
+TRAVERSE_FEED, DOWN_FEED = 500 / 60, 100 / 60
 """Feeds in free space: to and along the clear plane, and down from it. [mm/s]"""
-LEAST_ADVANCE = 1e-3
-"""Least plunge in a revolution, however fine the feed of the pass. [mm/rev]"""
-MOST_POINTS = 5_000_000
-"""Points of a plunge: beyond this a feed or a height is a slip of the unit."""
-SLOWEST = 60.0
-"""Longest revolution of a plunge whose pass is less than one, or whose heights are extrapolated. [s]"""
-SLOWEST_PVT = 4.0
-"""The same where the pass states velocities. [s]"""
-LONGEST_PVT = 1.5
-"""Longest block of a plunge there at its speed; the first one, from rest, takes twice as long. [s]"""
-ROOM_PVT = 0.95
-"""Share of the stated feed there: between the points of the pass cubics fall a little faster."""
-FINEST = math.radians(0.05)
-"""Least step of C there, whose way to speed divides it, and where a pass of less than a turn is closed. [rad]"""
-BETWEEN = 16
-"""Heights that are wanted on each step of C there: on the way to speed its points lie between those of the pass."""
-LEAST_STEP = math.radians(1e-5)
-"""Points of C nearer than this are one to a program. [rad]"""
-FINER = (16, 8, 4, 2, 1)
-"""Into how many each step of C is divided there, the finest that the block rate allows: cubics through few points leave
-the heights between them. Where the way to speed cannot stay on the path with that, others are tried."""
-STEADY = 0.99
-"""A pass that states velocities is at its speed from this share of it on."""
-WIDEST = 0.9 * math.pi
-"""Widest step of C in a plunge. [rad]"""
+MIN_PLUNGE_PER_REV = 1e-3
+"""Plunge per revolution of a pass with a finer feed. [mm/rev]"""
+MAX_POINTS = 5_000_000
+"""Points of a plunge; more come from a wrong unit of a feed or a height."""
+MAX_REV_S = 60.0
+"""Time per revolution of a plunge whose pass is shorter than one revolution, or whose heights are extrapolated."""
+MAX_REV_PVT_S = 4.0
+"""The same for a pass with velocities (PVT)."""
+MAX_BLOCK_PVT_S = 1.5
+"""Time of a block of a plunge with velocities, at full speed; the first block, from rest, takes twice as long."""
+FEED_FACTOR_PVT = 0.95
+"""Fraction of the plunge feed used with velocities, as cubics between the points are slightly faster."""
+MIN_STEP_PVT_RAD = math.radians(0.05)
+"""Step of C in a plunge with velocities, which acceleration divides; also that of a closed pass below one turn."""
+HEIGHTS_PER_STEP = 16
+"""Entry heights per step of C with velocities: points of the acceleration lie between those of the pass."""
+MIN_POINT_DISTANCE_RAD = math.radians(1e-5)
+"""Distance in C below which a program cannot distinguish two points."""
+SUBDIVISIONS = (16, 8, 4, 2, 1)
+"""Subdivisions of a step of C with velocities; the largest that the block rate allows is tried first, as cubics through
+few points deviate from the heights. Where acceleration cannot follow the path with it, the others are tried."""
+FULL_SPEED_FRACTION = 0.99
+"""Fraction of the speed from which a pass with velocities counts as at full speed."""
+MAX_STEP_RAD = 0.9 * math.pi
+"""Step of C in a plunge."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Approach:
-    """How the tool comes to the first point of a pass, in Turnwright's own axes.
+    """Approach to the first point of a pass, in Turnwright's axes.
 
     Parameters
     ----------
     clear
         Height of the clear plane, along which the tool moves above all material. [mm]
     start
-        Position by axis letter where the way straight down from the clear plane ends, C at rest until then.
+        Position by axis letter at the end of the straight move down from the clear plane, with C at rest.
     plunge
-        From there to the first point of the pass, while C turns; ``None`` where the pass begins in free space.
+        Motion from there to the first point of the pass, while C turns; ``None`` where the pass begins in free space.
     per_rev
-        Plunge in a revolution; 0 without one. [mm/rev]
+        Plunge per revolution; 0 without a plunge. [mm/rev]
     """
 
     clear: float
@@ -102,7 +102,7 @@ class Approach:
 
     @property
     def plunge_feed(self) -> float:
-        """Mean speed of the plunge, what the surface under the tool rises and falls by apart. [mm/s]."""
+        """Mean feed of the plunge, without the rise and fall of the surface. [mm/s]."""
         return 0.0 if self.plunge is None else self.per_rev * self.turns / self.plunge_s
 
     @property
@@ -129,28 +129,28 @@ def approach_to(
 ) -> Approach:
     """Return the approach to a pass.
 
-    Straight down from the clear plane, C at rest, to 0.1 mm above the material; then C turns at the speed of the pass
-    and the tool follows the heights of one revolution at the radius where the pass begins, raised by less and less. In
-    a revolution it plunges by no more than the pass advances (or 1 um), and in no block faster than ``plunge_feed``.
-    Where the heights are extrapolated, what that may add to the fall of a block counts, and C turns slower if it must,
-    up to a minute a revolution.
+    The tool moves straight down from the clear plane, with C at rest, to 0.1 mm above the material. Then C turns at the
+    speed of the pass and the tool follows the heights of one revolution at the radius where the pass begins, plus a
+    falling offset. The offset falls per revolution by at most the feed of the pass (or 1 um), and in no block faster
+    than ``plunge_feed``. Where the heights are extrapolated, their possible error counts too, and C turns slower if
+    necessary, down to one revolution per minute.
 
     Parameters
     ----------
     motion
         The pass.
     clearance
-        Of the clear plane above its highest point. [mm]
+        Height of the clear plane above the highest point of the pass. [mm]
     depth
         Height of the material above the path at the radius where the pass begins; ``None`` where it begins clear of
         the material. [mm]
     plunge_feed
-        Fastest plunge. [mm/s]
+        Largest plunge feed. [mm/s]
     name
-        Of the pass, for messages.
+        Name of the pass, for messages.
     heights
         Z of the lathe at the radius where the pass begins, at the angles of `entry_path`; shifted so that they begin
-        at the first point of the pass. Without them they are extrapolated from its first revolutions. (n,) [mm]
+        at the first point of the pass. By default extrapolated from its first revolutions. (n,) [mm]
     """
     clear = float(motion.axes["Z"].max()) + clearance
     first = {letter: float(values[0]) for letter, values in motion.axes.items()}
@@ -164,29 +164,28 @@ def approach_to(
 def _plunge(
     motion: Motion, height: float, plunge_feed: float, name: str, heights: Floats | None
 ) -> tuple[Motion, float]:
-    """Return the motion down to the first point of a pass, and its depth in a revolution [mm/rev]."""
+    """Return the motion down to the first point of a pass, and its plunge per revolution [mm/rev]."""
     turned, time, around, advance = _first_turn(motion)
-    z_angle, z = _wanted(motion, turned), around["Z"]
+    z_angle, z = _height_angles(motion, turned), around["Z"]
     if heights is None:
-        z_angle, doubt = turned, z - _one_term_less(motion, z)
+        z_angle, uncertainty = turned, z - _one_term_less(motion, z)
     else:
         _require_heights(heights, z_angle, f"pass {name}")
-        z, doubt = heights - heights[0] + z[0], np.zeros(turned.size)
+        z, uncertainty = heights - heights[0] + z[0], np.zeros(turned.size)
         around["Z"] = z[:: (z_angle.size - 1) // (turned.size - 1)].copy()
-    time, turns = _paced(motion, turned, time, height, plunge_feed, max(advance, LEAST_ADVANCE), doubt)
+    time, turns = _paced(motion, turned, time, height, plunge_feed, max(advance, MIN_PLUNGE_PER_REV), uncertainty)
     each = turned.size - 1
-    if turns * each > MOST_POINTS:
+    if turns * each > MAX_POINTS:
         raise ProgramError(
-            f"pass {name} plunges {height:.4g} mm by {height / turns * 1e3:.3g} um in a revolution, "
-            f"{turns * each:.3g} points, the limit is {MOST_POINTS:.0e}: take less off at a time, or raise the plunge "
-            "feed"
+            f"pass {name} plunges {height:.4g} mm by {height / turns * 1e3:.3g} um/rev with {turns * each:.3g} points, "
+            f"the limit is {MAX_POINTS:.0e} points: reduce the depth of cut, or raise the plunge feed"
         )
     number = np.arange(turns * each + 1)
     turn, place = number // each, number % each
     axes = {letter: values[place] for letter, values in around.items()}
     axes["C"] = motion.axes["C"][0] + motion.sense * (turned[place] + TURN * (turn - turns))
     clock = time[place] + time[-1] * turn
-    # Evenly in time, so that no block is faster where C is.
+    # Linear in time, so that no block is faster where C turns faster.
     axes["Z"] = axes["Z"] + height * (1 - clock / clock[-1])
     for letter, values in axes.items():
         values[-1] = motion.axes[letter][0]
@@ -194,47 +193,47 @@ def _plunge(
     if motion.velocity is None:
         return plunge, height / turns
     curves = {letter: _closed(turned, values) for letter, values in around.items()} | {"Z": _closed(z_angle, z)}
-    fits = [one for one in FINER if one == 1 or _fits(one, turned, time[-1], turns, motion.machine)]
-    for finer in [*fits, *(one for one in reversed(FINER) if one not in fits)]:
+    fits = [each for each in SUBDIVISIONS if each == 1 or _fits(each, turned, time[-1], turns, motion.machine)]
+    for subdivision in [*fits, *(each for each in reversed(SUBDIVISIONS) if each not in fits)]:
         with suppress(LimitError):
-            divided = _in_velocities(plunge, turned, curves, finer, height / turns)
-            return _apart(from_rest_to_rest(divided)), height / turns
+            divided = _in_velocities(plunge, turned, curves, subdivision, height / turns)
+            return _without_close_points(from_rest_to_rest(divided)), height / turns
     raise ProgramError(
-        f"pass {name} has too few points per turn to plunge with C turning: give it more, or begin it beside the blank"
+        f"pass {name} has too few points per turn for a plunge with C turning: use more, or begin it outside the blank"
     )
 
 
 def _paced(
-    motion: Motion, turned: Floats, time: Floats, height: float, plunge_feed: float, advance: float, doubt: Floats
+    motion: Motion, turned: Floats, time: Floats, height: float, plunge_feed: float, advance: float, uncertainty: Floats
 ) -> tuple[Floats, int]:
-    """Return the time over a turn of a plunge (n,) [s], and its turns."""
-    longest = SLOWEST / float(time[-1])
+    """Return the time over one revolution of a plunge (n,) [s], and its number of revolutions."""
+    longest = MAX_REV_S / float(time[-1])
     if motion.velocity is not None:
         widest = float(np.diff(turned).max())
-        time = turned * min(1 / _fastest(motion), LONGEST_PVT / widest)
-        longest = LONGEST_PVT / float(np.diff(time).max())
-    # What the heights may fall beyond the part's: twice what the last term of their extrapolation adds to a block.
-    beyond = float((2 * np.abs(np.diff(doubt)) / np.diff(time)).max())
-    slower = min(max(1.0, 2 * beyond / plunge_feed), max(longest, 1.0))
+        time = turned * min(1 / _fastest(motion), MAX_BLOCK_PVT_S / widest)
+        longest = MAX_BLOCK_PVT_S / float(np.diff(time).max())
+    # Possible excess feed of extrapolated heights: twice the contribution of the last term of the extrapolation.
+    excess = float((2 * np.abs(np.diff(uncertainty)) / np.diff(time)).max())
+    slower = min(max(1.0, 2 * excess / plunge_feed), max(longest, 1.0))
     time = time * slower
-    room = plunge_feed if motion.velocity is None else ROOM_PVT * plunge_feed
-    per_rev = min(max(room - beyond / slower, room / 2) * float(time[-1]), advance)
+    feed = plunge_feed if motion.velocity is None else FEED_FACTOR_PVT * plunge_feed
+    per_rev = min(max(feed - excess / slower, feed / 2) * float(time[-1]), advance)
     turns = math.ceil(height / per_rev - 1e-9)
-    # In velocities it comes to speed and to rest.
+    # With velocities it accelerates from rest and stops again.
     return time, turns if motion.velocity is None else max(turns, 2)
 
 
 def _fastest(motion: Motion) -> float:
-    """Return how fast C turns at most in the plunge to a pass that states velocities. [rad/s]."""
+    """Return the largest speed of C in the plunge of a pass with velocities. [rad/s]."""
     assert motion.velocity is not None  # noqa: S101 - for the type checker
-    passed = np.abs(motion.axes["C"] - motion.axes["C"][0])
-    if passed[-1] < 2 * TURN:
-        return max(float(passed[-1] / (motion.time[-1] - motion.time[0])), TURN / SLOWEST_PVT)
-    return float(np.abs(motion.velocity["C"])[passed <= 2 * TURN].max())
+    turned = np.abs(motion.axes["C"] - motion.axes["C"][0])
+    if turned[-1] < 2 * TURN:
+        return max(float(turned[-1] / (motion.time[-1] - motion.time[0])), TURN / MAX_REV_PVT_S)
+    return float(np.abs(motion.velocity["C"])[turned <= 2 * TURN].max())
 
 
 def entry_path(motion: Motion) -> tuple[Floats, dict[str, Floats]]:
-    """Return the path of a pass around its first point, where the heights of its plunge are wanted.
+    """Return the path of one revolution at the first point of a pass, where the heights of its plunge are needed.
 
     Parameters
     ----------
@@ -244,34 +243,34 @@ def entry_path(motion: Motion) -> tuple[Floats, dict[str, Floats]]:
     Returns
     -------
     turned, axes
-        Angles from the first point, 0 to a whole turn, as dense as the points of the pass, or 16 times where it states
-        velocities (n,) [rad]; and every axis but C there at the radius of the first point, by letter, extrapolated from
-        the first revolutions (n,) [mm].
+        Angles from the first point, 0 to one full turn, as dense as the points of the pass, or 16 times as dense with
+        velocities (n,) [rad]; and every axis but C at the radius of the first point, by letter, extrapolated from the
+        first revolutions (n,) [mm].
     """
     turned, _, axes, _ = _first_turn(motion)
     if motion.velocity is None:
         return turned, axes
-    angle = _wanted(motion, turned)
+    angle = _height_angles(motion, turned)
     return angle, {letter: _closed(turned, values)(angle) for letter, values in axes.items()}
 
 
-def _wanted(motion: Motion, turned: Floats) -> Floats:
-    """Return the angles at which the heights of a plunge are wanted: on its way to speed points lie between others."""
-    return turned if motion.velocity is None else _finely(turned, BETWEEN)
+def _height_angles(motion: Motion, turned: Floats) -> Floats:
+    """Return the angles at which the heights of a plunge are needed; denser for the acceleration with velocities."""
+    return turned if motion.velocity is None else _subdivided(turned, HEIGHTS_PER_STEP)
 
 
 def _require_heights(heights: Floats, angle: Floats, what: str) -> None:
     if heights.shape != angle.shape or not np.isfinite(heights).all():
         raise ProgramError(
             f"{what} has entry heights of shape {heights.shape}, they must be finite and {angle.shape}: give one for "
-            "each angle of its first revolution"
+            "each angle of entry_path"
         )
 
 
 def entry_shares(motion: Motion, heights: Floats) -> tuple[Floats, dict[str, Floats]]:
-    """Share the heights of a plunge among lathe and fast tool.
+    """Split the heights of a plunge between lathe and fast tool.
 
-    The lathe goes on as in the first revolutions of the pass, the fast tool adds the rest.
+    The lathe moves as in the first revolutions of the pass, the fast tool adds the difference.
 
     Parameters
     ----------
@@ -283,72 +282,73 @@ def entry_shares(motion: Motion, heights: Floats) -> tuple[Floats, dict[str, Flo
     Returns
     -------
     lathe, fast
-        Z at the angles of `entry_path` of the lathe's share, (m,) [mm]; the fast tool's axes by letter at those of the
-        motion. Each (n,) [mm]
+        Z at the angles of `entry_path` of the lathe's motion, (m,) [mm]; the fast tool's axes by letter at those of
+        the whole motion. Each (n,) [mm]
     """
     angle, axes = entry_path(motion)
     _require_heights(heights, angle, "the pass")
     turned, lathe = entry_path(motion.lathe())
     z = lathe["Z"]
-    between = np.interp(angle, turned, z) if motion.velocity is None else _closed(turned, z)(angle)
+    lathe_z = np.interp(angle, turned, z) if motion.velocity is None else _closed(turned, z)(angle)
     fast = {letter: values for letter, values in axes.items() if letter in FAST}
-    return z, fast | {"W": heights - heights[0] + axes["Z"][0] + axes["W"][0] - between}
+    return z, fast | {"W": heights - heights[0] + axes["Z"][0] + axes["W"][0] - lathe_z}
 
 
 def _closed(turned: Floats, values: Floats) -> CubicSpline:
-    """Return the cubic spline of values that repeat with every turn."""
+    """Return the periodic cubic spline of values over one turn."""
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - costly to import
 
     return CubicSpline(turned, np.append(values[:-1], values[0]), bc_type="periodic")
 
 
-def _finely(turned: Floats, each: int) -> Floats:
-    """Return angles with each step divided into some."""
+def _subdivided(turned: Floats, each: int) -> Floats:
+    """Return angles with each step divided into equal parts."""
     steps = turned.size - 1
     return np.interp(np.arange(each * steps + 1) / each, np.arange(steps + 1), turned)
 
 
-def _fits(finer: int, turned: Floats, turn_s: float, turns: int, machine: Machine) -> bool:
-    """Say whether each step of a plunge may be divided into so many."""
-    steps = np.diff(turned).min() / finer
-    points = turns * (turned.size - 1) * finer
+def _fits(subdivision: int, turned: Floats, turn_s: float, turns: int, machine: Machine) -> bool:
+    """Whether the steps of a plunge may be divided into so many parts."""
+    steps = np.diff(turned).min() / subdivision
+    points = turns * (turned.size - 1) * subdivision
     fast_enough = steps * turn_s / TURN * machine.block_rate_hz >= 1
-    return bool(fast_enough and steps >= FINEST and points <= MOST_POINTS)
+    return bool(fast_enough and steps >= MIN_STEP_PVT_RAD and points <= MAX_POINTS)
 
 
-def _apart(plunge: Motion) -> Motion:
-    """Return a motion without the points, near where it is at rest, that a program cannot tell apart."""
+def _without_close_points(plunge: Motion) -> Motion:
+    """Return a motion without the points near rest that a program cannot distinguish."""
     assert plunge.velocity is not None  # noqa: S101 - for the type checker
     c = np.abs(plunge.axes["C"] - plunge.axes["C"][0])
-    if np.diff(c).min() >= LEAST_STEP:
+    if np.diff(c).min() >= MIN_POINT_DISTANCE_RAD:
         return plunge
-    unit = np.floor(c / LEAST_STEP)
-    kept = np.append(True, np.diff(unit) > 0)
-    kept[-1] = True
-    before = int(np.flatnonzero(kept[:-1])[-1])
-    kept[before] = before == 0 or c[-1] - c[before] >= LEAST_STEP
+    unit = np.floor(c / MIN_POINT_DISTANCE_RAD)
+    distinct = np.append(True, np.diff(unit) > 0)
+    distinct[-1] = True
+    before = int(np.flatnonzero(distinct[:-1])[-1])
+    distinct[before] = before == 0 or c[-1] - c[before] >= MIN_POINT_DISTANCE_RAD
     return replace(
-        plunge, time=plunge.time[kept], axes={letter: values[kept] for letter, values in plunge.axes.items()},
-        velocity={letter: values[kept] for letter, values in plunge.velocity.items()},
+        plunge, time=plunge.time[distinct],
+        axes={letter: values[distinct] for letter, values in plunge.axes.items()},
+        velocity={letter: values[distinct] for letter, values in plunge.velocity.items()},
     )  # fmt: skip
 
 
 def _in_velocities(
-    plunge: Motion, turned: Floats, curves: Mapping[str, CubicSpline], finer: int, per_rev: float
+    plunge: Motion, turned: Floats, curves: Mapping[str, CubicSpline], subdivision: int, per_rev: float
 ) -> Motion:
-    """Return a plunge at a steady speed with the velocities of its axes, each step divided into some."""
+    """Return a plunge at constant speed with the velocities of its axes, each step subdivided."""
     each = turned.size - 1
-    steps = np.arange(finer * (plunge.time.size - 1) + 1) / finer
-    angle = _finely(turned, finer)
-    place = np.arange(steps.size) % (finer * each)
+    steps = np.arange(subdivision * (plunge.time.size - 1) + 1) / subdivision
+    angle = _subdivided(turned, subdivision)
+    place = np.arange(steps.size) % (subdivision * each)
     time = np.interp(steps, np.arange(plunge.time.size), plunge.time)
     c = np.interp(steps, np.arange(plunge.time.size), plunge.axes["C"])
     pace = (c[-1] - c[0]) / (time[-1] - time[0])
     axes, velocity = {"C": c}, {"C": np.full(c.size, pace)}
     for letter, curve in curves.items():
         axes[letter], velocity[letter] = curve(angle)[place], abs(pace) * curve(angle, 1)[place]
-    left = np.abs(c - c[-1]) / TURN
-    axes["Z"], velocity["Z"] = axes["Z"] + per_rev * left, velocity["Z"] - per_rev * abs(pace) / TURN
+    remaining_turns = np.abs(c - c[-1]) / TURN
+    axes["Z"], velocity["Z"] = axes["Z"] + per_rev * remaining_turns, velocity["Z"] - per_rev * abs(pace) / TURN
     for letter, values in axes.items():
         values[-1] = plunge.axes[letter][-1]
     return replace(
@@ -358,7 +358,7 @@ def _in_velocities(
 
 
 def _one_term_less(motion: Motion, z: Floats) -> Floats:
-    """Return the heights around the first point from one revolution less; those given if it has only one. (n,)."""
+    """Return the heights extrapolated from one revolution fewer; ``z`` if the pass has only one. (n,)."""
     turns = float(abs(motion.axes["C"][-1] - motion.axes["C"][0])) / TURN + 1e-9
     if turns < 2:
         return z
@@ -366,42 +366,42 @@ def _one_term_less(motion: Motion, z: Floats) -> Floats:
 
 
 def _first_turn(motion: Motion, *, most: int = 3) -> tuple[Floats, Floats, dict[str, Floats], float]:
-    """Return the path of a pass around its first point, at the radius of that point.
+    """Return the path of one revolution at the radius of the first point of a pass.
 
-    The radius of a pass changes over its first revolution. What its other axes are at the radius of the first point is
-    extrapolated from its first three revolutions by the parabola through them, or from fewer if ``most`` says so. After
-    a whole turn the error of that is known, as the first point is; it grows as the product of the distances from the
-    three radii, and this share of it is taken off all around, so that the turn closes without a step.
+    The radius of a pass changes over its first revolution. The other axes at the radius of the first point are
+    extrapolated by a parabola through the first three revolutions, or through ``most`` if that is fewer. After one full
+    turn the extrapolation error is known from the first point. It grows as the product of the distances from the three
+    radii and is subtracted in proportion all around, so that the turn closes without a step.
 
     Returns
     -------
     turned, time, axes, advance
-        Angle from the first point, 0 to a whole turn (n,) [rad]; time (n,) [s]; every axis but C there, by letter (n,)
-        [mm]; and how far the first revolution moves X [mm].
+        Angle from the first point, 0 to one full turn (n,) [rad]; time (n,) [s]; every axis but C, by letter (n,) [mm];
+        and the change of X in the first revolution [mm].
     """
     angle = np.abs(motion.axes["C"] - motion.axes["C"][0])
     x = motion.axes["X"]
     last = int(np.searchsorted(angle, TURN - 1e-9))
     letters = [letter for letter in motion.axes if letter != "C"]
     if last >= angle.size:
-        # Less than a revolution says nothing of the rest of the way around: it is bridged, at an even pace.
-        step = max(min(float(np.diff(angle).max()), math.pi / 4), FINEST)
+        # A pass of less than a revolution is closed by interpolation, at constant speed.
+        step = max(min(float(np.diff(angle).max()), math.pi / 4), MIN_STEP_PVT_RAD)
         turned = np.linspace(0, TURN, max(math.ceil(TURN / step), 8) + 1)
-        pace = min(float(motion.time[-1] - motion.time[0]) / float(angle[-1]), SLOWEST / TURN)
-        axes = {one: np.interp(turned, angle, motion.axes[one], period=TURN) for one in letters}
+        pace = min(float(motion.time[-1] - motion.time[0]) / float(angle[-1]), MAX_REV_S / TURN)
+        axes = {letter: np.interp(turned, angle, motion.axes[letter], period=TURN) for letter in letters}
         axes["X"] = np.full(turned.size, x[0])
         return turned, turned * pace, axes, abs(float(x[-1] - x[0])) * TURN / float(angle[-1])
-    turned = angle[:last] if motion.velocity is None else _as_at_speed(motion, angle, last)
+    turned = angle[:last] if motion.velocity is None else _without_acceleration(motion, angle, last)
     closing = TURN - turned[-1]
     if last > 2 and closing < 0.5 * float(np.median(np.diff(turned))):
-        # A point so near to the end of the turn would make a block too short: it goes, or to the middle of its gap.
-        wide = closing + turned[-1] - turned[-2] >= WIDEST
+        # A point close to the end of the turn would make a short block: drop it, or move it to the middle of the gap.
+        wide = closing + turned[-1] - turned[-2] >= MAX_STEP_RAD
         turned = np.append(turned[:-1], [turned[-2] + (TURN - turned[-2]) / 2] if wide else [])
     turned = np.append(turned, TURN)
     time = np.interp(turned, angle, motion.time) - motion.time[0]
 
-    known = min(int(angle[-1] / TURN + 1e-9), most)
-    some = slice(0, int(np.searchsorted(angle, known * TURN)) + 4)
+    count = min(int(angle[-1] / TURN + 1e-9), most)
+    first_turns = slice(0, int(np.searchsorted(angle, count * TURN)) + 4)
 
     def at(values: Floats, turn: int) -> Floats:
         place = turned + turn * TURN
@@ -409,42 +409,42 @@ def _first_turn(motion: Motion, *, most: int = 3) -> tuple[Floats, Floats, dict[
             return np.interp(place, angle, values)
         from scipy.interpolate import CubicSpline  # noqa: PLC0415 - costly to import
 
-        return np.asarray(CubicSpline(angle[some], values[some])(np.minimum(place, angle[-1])))
+        return np.asarray(CubicSpline(angle[first_turns], values[first_turns])(np.minimum(place, angle[-1])))
 
-    radii = [at(x, turn) for turn in range(known)]
+    radii = [at(x, turn) for turn in range(count)]
     axes = {"X": np.full(turned.size, x[0])}
     weights = _weights(radii, float(x[0]))
-    share = turned / TURN
+    fraction = turned / TURN
     if len(weights) > 1:
-        away = np.prod([float(x[0]) - one for one in radii[: len(weights)]], axis=0)
-        share = np.clip(away / away[-1], 0.0, 1.0)
+        growth = np.prod([float(x[0]) - radius for radius in radii[: len(weights)]], axis=0)
+        fraction = np.clip(growth / growth[-1], 0.0, 1.0)
     for letter in letters:
         if letter != "X":
             values = sum(weight * at(motion.axes[letter], turn) for turn, weight in enumerate(weights))
             first = motion.axes[letter][0]
-            axes[letter] = np.asarray(values - (np.asarray(values)[-1] - first) * share)
+            axes[letter] = np.asarray(values - (np.asarray(values)[-1] - first) * fraction)
             axes[letter][[0, -1]] = first
     return turned, time, axes, abs(float(at(x, 0)[-1] - x[0]))
 
 
-def _as_at_speed(motion: Motion, angle: Floats, last: int) -> Floats:
-    """Return the angles of the first points of a pass without those that its way to speed is divided by. (n,) [rad]."""
+def _without_acceleration(motion: Motion, angle: Floats, last: int) -> Floats:
+    """Return the angles of the first points of a pass, without the subdivision of its acceleration. (n,) [rad]."""
     assert motion.velocity is not None  # noqa: S101 - for the type checker
     speed, steps = np.abs(motion.velocity["C"]), np.diff(angle)
-    steady = np.minimum(speed[1:], speed[:-1]) >= STEADY * speed.max()
-    least = max(float(steps[steady].min()) if steady.any() else float(steps.max()) / 2, FINEST)
-    kept = [0]
+    steady = np.minimum(speed[1:], speed[:-1]) >= FULL_SPEED_FRACTION * speed.max()
+    least = max(float(steps[steady].min()) if steady.any() else float(steps.max()) / 2, MIN_STEP_PVT_RAD)
+    selected = [0]
     for number in range(1, last):
-        if angle[number] - angle[kept[-1]] >= least * (1 - 1e-6):
-            kept.append(number)
-    return np.asarray(angle[kept])
+        if angle[number] - angle[selected[-1]] >= least * (1 - 1e-6):
+            selected.append(number)
+    return np.asarray(angle[selected])
 
 
 def _weights(radii: list[Floats], radius: float) -> list[Floats]:
-    """Return Lagrange's weights of some revolutions at a radius; of the first alone where the others coincide."""
-    far = max((float(np.ptp(one)) for one in radii), default=0.0)
-    apart = [float(np.abs(after - before).min()) for before, after in pairwise(radii)]
-    count = next((k + 1 for k, gap in enumerate(apart) if not gap > max(1e-9, 0.2 * far)), len(radii))
+    """Return the Lagrange weights of revolutions at a radius, without revolutions at nearly the same radius."""
+    largest = max((float(np.ptp(radius)) for radius in radii), default=0.0)
+    gaps = [float(np.abs(after - before).min()) for before, after in pairwise(radii)]
+    count = next((k + 1 for k, gap in enumerate(gaps) if not gap > max(1e-9, 0.2 * largest)), len(radii))
     weights = []
     for i in range(count):
         weight = np.ones(radii[0].size)
@@ -456,23 +456,23 @@ def _weights(radii: list[Floats], radius: float) -> list[Floats]:
 
 
 def link_seconds(approaches: list[tuple[Approach, Motion]], machine: Machine) -> float:
-    """Return the time of all approaches, plunges and retracts; that of the way to the first clear plane apart. [s]."""
+    """Return the time of all approaches, plunges and retracts, without the move to the first clear plane. [s]."""
     seconds = 0.0
     place: dict[str, float] | None = None
     for approach, motion in approaches:
         if place is not None:
             lateral = math.hypot(*(approach.start[letter] - place[letter] for letter in "XY" if letter in place))
-            seconds += (abs(place["Z"] - approach.clear) + lateral) / TRAVERSE
+            seconds += (abs(place["Z"] - approach.clear) + lateral) / TRAVERSE_FEED
             seconds += motion.sense * (approach.start["C"] - place["C"]) % TURN / TURN * 60 / machine.spindle_rpm
-        seconds += (approach.clear - approach.start["Z"]) / DOWN + approach.plunge_s
+        seconds += (approach.clear - approach.start["Z"]) / DOWN_FEED + approach.plunge_s
         place = {letter: float(values[-1]) for letter, values in motion.axes.items()}
-        seconds += (approach.clear - place["Z"]) / DOWN
+        seconds += (approach.clear - place["Z"]) / DOWN_FEED
         place["Z"] = approach.clear
     return seconds
 
 
 def entry_words(approach: Approach) -> str:
-    """Say how the tool enters the material of a pass."""
+    """Return a sentence on the entry into the material of a pass."""
     if approach.plunge is None:
         return "begins clear of the material, no plunge"
     return (

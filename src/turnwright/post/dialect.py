@@ -1,4 +1,4 @@
-"""What one controller's programs look like, as data."""
+"""Program dialects of controllers, as data."""
 
 from __future__ import annotations
 
@@ -14,42 +14,42 @@ __all__ = ["Dialect"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dialect:
-    """One controller's way of writing a program: to add a controller, add a file with one of these.
+    """The program format of one controller: to add a controller, add a module with one instance.
 
     Parameters
     ----------
     name
-        What `Machine.dialect` says.
+        Name that `Machine.dialect` refers to.
     decimals
-        Decimals by axis letter, in the order in which the words stand in a block; a motion without Y has no Y word.
+        Decimals by axis letter, in the order of the words in a block; a motion without Y has no Y word.
     wrapped
         Whether C is written modulo one turn (the axis rolls over and takes the short way) or cumulative.
     feed
-        What F means under G93: the block's time in seconds, or one over its time in minutes; or, where words hold
-        velocities, what PVT means: its time in milliseconds.
+        Meaning of F under G93: the block time in seconds, or one over the block time in minutes; where words have
+        velocities, the meaning of PVT: the block time in milliseconds.
     feed_decimals
-        Most decimals of the number that says the time of a block.
+        Largest number of decimals of the block time.
     feed_every_block
-        Whether G93 needs an F in every block, or F is modal.
+        Whether G93 needs an F in every block; otherwise F is modal.
     block
         Text before the words of every cutting block.
     setup
-        Lines before anything moves.
+        Lines before the first move.
     call
         Format of a call of the sub-program ``{file}``; empty where there is none.
     always_call
-        Whether every pass is a sub-program, or only the passes of a program too long for one file.
+        Whether every pass is a sub-program, or only those of a program too long for one file.
     max_lines
-        Most lines in one file.
+        Largest number of lines in one file.
     sources
-        Where these facts come from; anything assumed says so.
+        Source of each value; assumed values are marked.
     velocities
-        Whether each word ends with the velocity that the axis has at the end of the block, ``X1.5:20``, in mm/s or
-        deg/s. The moves between the cuts are then said in plain words, LINEAR and RAPID, with F in mm/s.
+        Whether each word ends with the velocity of the axis at the end of the block, ``X1.5:20``, in mm/s or deg/s.
+        The moves between the cuts are then plain words after LINEAR and RAPID, with F in mm/s.
     comment
-        What begins a comment, before its bracket; nothing where the bracket does.
+        Text that begins a comment, before its bracket; empty where the bracket does.
     longest_block
-        Longest time that a block may last. [s]
+        Longest block time. [s]
     """
 
     name: str
@@ -78,12 +78,12 @@ class Dialect:
 
     @property
     def interpolation(self) -> str:
-        """What its cutting blocks ask the controller for: "hermite" by velocities, else "linear"."""
+        """Interpolation of its cutting blocks: "hermite" with velocities, else "linear"."""
         return "hermite" if self.velocities else "linear"
 
     @property
     def feed_unit(self) -> int:
-        """Number of the meaning of F, as the kernels count."""
+        """Number of the meaning of F in the kernels."""
         return ("seconds", "inverse minutes", "milliseconds").index(self.feed)
 
     def begin(self) -> list[str]:
@@ -91,11 +91,11 @@ class Dialect:
         return ["DWELL10"] if self.velocities else ["G93"]
 
     def plunge(self) -> list[str]:
-        """Return the lines before the first block of a plunge, which is written like a cut."""
+        """Return the lines before the first block of a plunge, which has the form of a cut."""
         return ["DWELL10"] if self.velocities else ["G93 G1"]
 
     def end(self) -> list[str]:
-        """Return the lines that end a cut, or any other way of moving, for feed moves at mm per minute."""
+        """Return the lines that end a cut and select feed moves in mm per minute."""
         return ["LINEAR"] if self.velocities else ["G94"]
 
     def straight(self, words: str, feed: float, note: str = "") -> list[str]:
@@ -104,9 +104,9 @@ class Dialect:
         return [f"F{feed / 60:.4f}", f"{words}{note}"] if self.velocities else [f"G1 {words} F{feed:g}{note}"]
 
     def rapid(self, words: str) -> list[str]:
-        """Return the lines of a rapid move, after which feed moves go on."""
+        """Return the lines of a rapid move, after which feed moves continue."""
         return ["RAPID", words, "LINEAR"] if self.velocities else [f"G0 {words}"]
 
     def commented(self, rows: Sequence[str]) -> list[str]:
-        """Return lines with what begins a comment before their brackets."""
+        """Return lines with the text that begins a comment before their brackets."""
         return [row.replace("(", f"{self.comment}(", 1) if self.comment else row for row in rows]

@@ -1,4 +1,4 @@
-"""What the hash of a pass is taken over: the numbers as they stand in the program."""
+"""The hash of a pass, over its numbers as written in the program."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ __all__ = ["hashed_rows"]
 
 
 def hashed_rows(units: Ints, duration: Floats) -> memoryview:
-    """Return the bytes to hash for some points, see `ProgramPass`.
+    """Return the bytes to hash for points, see `ProgramPass`.
 
     Parameters
     ----------
     units
         Words without their decimal points, in the order in which they are written. (n, k)
     duration
-        Of the block that ends at the point; 0 at the first. (n,) [s]
+        Duration of the block that ends at the point; 0 at the first. (n,) [s]
     """
     packed = np.empty((units.shape[0], units.shape[1] + 1), dtype=np.uint32)
     text.pack(units, duration.view(np.int64), packed)

@@ -17,8 +17,8 @@ GENERIC = Dialect(
     always_call=False,
     max_lines=1_000_000,
     sources={
-        "feed": "RS-274/NGC: under G93, F is one over the minutes of the move and stands in every block",
-        "feed_decimals": "assumed: as many as any controller takes",
+        "feed": "RS-274/NGC: under G93, F is one over the minutes of the move and is required in every block",
+        "feed_decimals": "assumed: accepted by any controller",
         "call": "assumed: a Fanuc-like call of a file by name",
         "max_lines": "assumed: files of about 50 MB",
     },

@@ -1,4 +1,4 @@
-"""What a program says about itself, and reading it back."""
+"""The header of a program: writing it, and reading it back."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ __all__ = ["ProgramHeader", "ProgramInfo", "ProgramPass", "ProgramWarning", "ins
 SIGNATURE = "( TURNWRIGHT PROGRAM 1 )"
 SUB_SIGNATURE = "( TURNWRIGHT SUB-PROGRAM 1 )"
 ENTRY = ", ENTRY"
-"""What follows the name of a pass where its plunge begins: its blocks are no cut."""
+"""Suffix of the name of a pass where its plunge begins, whose blocks are not part of the cut."""
 NO_HASH = "0" * 64
 BOM = b"\xef\xbb\xbf"
-"""Three bytes that some text editors put before the first line."""
+"""Byte order mark of UTF-8."""
 
 
 class ProgramWarning(UserWarning):
-    """A program was read that is not, or may not be, the one that was written."""
+    """A program differs, or may differ, from the one that was written, or was read only in part."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProgramHeader:
-    """What a program's header tells the person at the lathe, beside what it must say anyway.
+    """Free texts in the header of a program, for the operator.
 
     Parameters
     ----------
     design, tool, notes
-        Plain text; brackets, line breaks and letters beyond ASCII are replaced by what a controller can read, control
-        characters are left out.
+        Plain text; brackets, line breaks and letters beyond ASCII are replaced by characters that a controller can
+        read, control characters are removed.
     date
-        Day of writing; today (UTC) if it is not given.
+        Day of writing; today (UTC) by default.
     """
 
     design: str = ""
@@ -63,13 +63,13 @@ class ProgramPass:
     Parameters
     ----------
     name
-        What the pass is called.
+        Name of the pass.
     points
         Number of points, one more than its cutting blocks.
     minutes
         Time of the cut, without approach and retract. [min]
     first_c
-        Controller's C at the first point, cumulative. [deg]
+        The controller's C at the first point, cumulative. [deg]
     sense
         +1 where the azimuth of the part under the tool grows, else -1.
     hash
@@ -88,18 +88,18 @@ class ProgramPass:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProgramInfo:
-    """What a program's header says.
+    """Contents of a program's header.
 
     Parameters
     ----------
     header
         Design, tool, date and notes.
     software, machine, dialect
-        Who wrote it, for which machine and controller.
+        The software that wrote it, the machine, and the program dialect.
     convention
-        How its controller counts, as one line of text.
+        Signs and zero of the controller's axes, as one line of text.
     passes
-        The passes, in the order in which they are cut.
+        The passes, in the order of cutting.
     """
 
     header: ProgramHeader
@@ -111,7 +111,7 @@ class ProgramInfo:
 
 
 def plain(text: str) -> str:
-    """Return text that can stand inside a controller's comment."""
+    """Return text that is allowed in a controller's comment."""
     one_line = " ".join(text.split()).translate(str.maketrans("()", "[]"))
     return "".join(letter for letter in one_line if letter.isprintable()).encode("ascii", "replace").decode()
 
@@ -131,7 +131,7 @@ def convention_line(machine: Machine) -> str:
 
 
 def language(machine: Machine, dialect: Dialect) -> list[str]:
-    """Return the two comments without which the numbers of a file mean nothing; every file carries them."""
+    """Return the comments on dialect and convention, which define the meaning of the numbers; every file has them."""
     return [f"( DIALECT: {dialect.name} )", f"( CONVENTION: {convention_line(machine)} )"]
 
 
@@ -144,24 +144,24 @@ def software() -> str:
 
 
 def _feed_line(dialect: Dialect) -> str:
-    """Return the comment that says what the time of a block is."""
+    """Return the comment on the unit of the block time."""
     if dialect.velocities:
         return (
             "( FEED: PVT IS THE MILLISECONDS OF A BLOCK, AFTER A COLON STANDS THE VELOCITY AT ITS END, MM/S OR DEG/S; "
             "F IS MM/S; FROM REST TO REST )"
         )
-    said = "THE SECONDS OF A BLOCK" if dialect.feed == "seconds" else "ONE OVER THE MINUTES OF A BLOCK"
-    kept = "" if dialect.feed_every_block else ", IN FORCE UNTIL THE NEXT F"
-    return f"( FEED: UNDER G93, F IS {said}{kept}; WITH {dialect.feed_decimals} DECIMALS AT MOST )"
+    meaning = "THE SECONDS OF A BLOCK" if dialect.feed == "seconds" else "ONE OVER THE MINUTES OF A BLOCK"
+    validity = "" if dialect.feed_every_block else ", IN FORCE UNTIL THE NEXT F"
+    return f"( FEED: UNDER G93, F IS {meaning}{validity}; WITH {dialect.feed_decimals} DECIMALS AT MOST )"
 
 
 def after_stop(dialect: Dialect) -> tuple[str, ...]:
-    """Return what to do at the lathe after a program was stopped, as sentences."""
-    again = "Retract in Z first, then begin the pass again with its approach"
+    """Return instructions for the operator after a program was stopped, as sentences."""
+    restart = "Retract in Z first, then begin the pass again with its approach"
     if dialect.wrapped:
-        return (again,)
-    before = "Before that, set C by whole turns to within 360 deg of where that approach begins, else it unwinds"
-    return again, before
+        return (restart,)
+    unwind = "Before that, set C by whole turns to within 360 deg of where that approach begins, else it unwinds"
+    return restart, unwind
 
 
 def lines(
@@ -175,18 +175,18 @@ def lines(
 ) -> list[str]:
     """Return the header as comment lines; its length does not depend on the hashes.
 
-    ``begins`` has the words of C at which the approaches begin.
+    ``begins`` are the C words at which the approaches begin.
     """
     convention = machine.convention
     written = [SIGNATURE, f"( SOFTWARE: {software()} )"]
     for key in ("design", "tool", "notes"):
         text = getattr(header, key)
         written += comments(key.upper(), text) if text else []
-    spoken, counted = language(machine, dialect)
+    dialect_comment, convention_comment = language(machine, dialect)
     written += [
         f"( DATE: {plain(header.date)} )",
         f"( MACHINE: {plain(machine.name)} )",
-        spoken,
+        dialect_comment,
         "( UNITS: MM AND DEGREES, ABSOLUTE )",
         _feed_line(dialect),
         f"( X: {'GROWS' if convention.x_side > 0 else 'FALLS'} AWAY FROM THE AXIS ON THE SIDE WHERE THE TOOL CUTS )",
@@ -198,26 +198,26 @@ def lines(
             else "CUMULATIVE FROM PASS TO PASS; FROM C BELOW IS LESS WHOLE TURNS )"
         ),
         f"( MARK: C = {np.rad2deg(convention.clocking) + 0.0:.5f} WHERE THE +X MARK OF THE PART IS UNDER THE TOOL )",
-        counted,
+        convention_comment,
         "( SPINDLE: C AXIS, NO M03 OR M04; M03 IS CLOCKWISE SEEN FROM BEHIND THE SPINDLE )",
         "( BEFORE THE START: SELECT WORK OFFSET AND TOOL )",
     ]
-    for one, approach, begin in zip(passes, approaches, begins, strict=True):
-        written.append(f"( ENTRY {one.name}: {entry_words(approach).upper()} )")
+    for cut, approach, begin in zip(passes, approaches, begins, strict=True):
+        written.append(f"( ENTRY {cut.name}: {entry_words(approach).upper()} )")
         if not dialect.wrapped:
-            written.append(f"( APPROACH {one.name}: BEGINS AT {begin} )")
+            written.append(f"( APPROACH {cut.name}: BEGINS AT {begin} )")
         written.append(
-            f"( TURNS {one.name}: C {'GROWS' if one.sense * convention.c_sense > 0 else 'FALLS'}, SEEN FROM THE TOOL "
-            f"THE PART TURNS {'CLOCKWISE, AS M04' if one.sense > 0 else 'COUNTER-CLOCKWISE, AS M03'} )"
+            f"( TURNS {cut.name}: C {'GROWS' if cut.sense * convention.c_sense > 0 else 'FALLS'}, SEEN FROM THE TOOL "
+            f"THE PART TURNS {'CLOCKWISE, AS M04' if cut.sense > 0 else 'COUNTER-CLOCKWISE, AS M03'} )"
         )
         written.append(
-            f"( CUT {one.name}: {one.points} POINTS, {one.minutes:.3f} MINUTES, FROM C {one.first_c:.6f}, "
-            f"SENSE {one.sense:+d}, SHA256 {one.hash} )"
+            f"( CUT {cut.name}: {cut.points} POINTS, {cut.minutes:.3f} MINUTES, FROM C {cut.first_c:.6f}, "
+            f"SENSE {cut.sense:+d}, SHA256 {cut.hash} )"
         )
     written += [
-        f"( MINUTES: {sum(one.minutes for one in passes):.3f} )",
+        f"( MINUTES: {sum(cut.minutes for cut in passes):.3f} )",
         f"( LINKS: {links_s / 60:.3f} MINUTES FOR APPROACH, PLUNGE AND RETRACT )",
-        *(f"( AFTER A STOP: {one.upper()} )" for one in after_stop(dialect)),
+        *(f"( AFTER A STOP: {instruction.upper()} )" for instruction in after_stop(dialect)),
     ]
     return written
 
@@ -230,7 +230,7 @@ CUT = re.compile(
 
 
 def _info(text: str, signature: str) -> ProgramInfo | None:
-    """Return what a header says, or ``None`` if the text does not begin with the signature."""
+    """Return the contents of a header, or ``None`` if the text does not begin with the signature."""
     rows = [row.lstrip("; \t").rstrip() for row in text.splitlines()]
     if not rows or rows[0] != signature:
         return None
@@ -265,20 +265,20 @@ def _info(text: str, signature: str) -> ProgramInfo | None:
 
 
 def read_info(path: Path, signature: str = SIGNATURE) -> ProgramInfo | None:
-    """Return what the header of a file says, or ``None`` if it does not begin with the signature."""
+    """Return the contents of a file's header, or ``None`` if the file does not begin with the signature."""
     require_regular(path)
     with path.open("rb") as file:
         return _info(file.read(1 << 18).removeprefix(BOM).decode("latin-1"), signature)
 
 
 def require_regular(path: Path) -> None:
-    """Raise for a device or a pipe, which may never end."""
+    """Raise for a device or a pipe, which may be endless."""
     if path.exists() and not path.is_file() and not path.is_dir():
-        raise ProgramError(f"{path} cannot be read, it is a device or a pipe and not a file: give a file on disk")
+        raise ProgramError(f"{path} is a device or a pipe, it must be a file on disk: give one")
 
 
 def inspect_nc(path: str | PathLike[str]) -> ProgramInfo:
-    """Return what a program's header says, without reading its cuts.
+    """Return the contents of a program's header, without reading its cuts.
 
     Raises
     ------
@@ -292,6 +292,6 @@ def inspect_nc(path: str | PathLike[str]) -> ProgramInfo:
         raise ProgramError(f"{path} cannot be read ({error.strerror}): check its name and place") from error
     if info is None:
         raise ProgramError(
-            f"{path} has no Turnwright header, its first line must be {SIGNATURE!r}: use read_nc instead"
+            f"{path} has no Turnwright header, its first line must be {SIGNATURE!r}: read it with read_nc"
         )
     return info

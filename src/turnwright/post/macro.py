@@ -1,4 +1,4 @@
-"""The arithmetic that programs write for themselves: numbered variables, sums, products, comparisons."""
+"""Macro arithmetic in programs: numbered variables, sums, products, comparisons."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ __all__ = ["Macros"]
 NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+))")
 VARIABLE = re.compile(r"\s*#\s*(\d{1,9})")
 COMPARE = re.compile(r"(.+?)\s*(LT|LE|GT|GE|EQ|NE)\s*(.+)", re.IGNORECASE)
-DEEPEST = 20
-"""Brackets and signs in one another."""
+MAX_NESTING = 20
+"""Brackets and signs inside one another."""
 RELATIONS = {name: getattr(operator, name.lower()) for name in ("LT", "LE", "GT", "GE", "EQ", "NE")}
 
 
 def next_of(text: str, at: int, signs: str) -> str:
-    """Return the next letter that is not blank, if it is one of ``signs``."""
-    rest = text[at:].lstrip()
-    return rest[0] if rest and rest[0] in signs else ""
+    """Return the next character that is not blank, if it is one of ``signs``."""
+    remainder = text[at:].lstrip()
+    return remainder[0] if remainder and remainder[0] in signs else ""
 
 
 class Macros:
-    """The variables of a program, and its expressions.
+    """The variables and expressions of a program.
 
     Parameters
     ----------
     error
-        Makes the exception for a fault from what is wrong.
+        Makes an exception from the description of a fault.
 
     >>> macros = Macros(ValueError)
     >>> macros.variables[8] = 0.02
@@ -45,7 +45,7 @@ class Macros:
         self.depth = 0
 
     def holds(self, condition: str) -> bool:
-        """Return whether a comparison, such as ``#1 LT 2``, is true."""
+        """Whether a comparison, such as ``#1 LT 2``, is true."""
         match = COMPARE.fullmatch(condition.strip())
         if match is None:
             raise self.error(f"has a condition that cannot be read ({condition[:30]})")
@@ -76,7 +76,7 @@ class Macros:
         return value, at
 
     def factor(self, text: str, at: int) -> tuple[float, int]:
-        """Return the value of a number, a variable or a bracket, and where it ends."""
+        """Return the value of a number, a variable or a bracket, and the position after it."""
         if match := NUMBER.match(text, at):
             return float(match[1]), match.end()
         if variable := VARIABLE.match(text, at):
@@ -85,8 +85,8 @@ class Macros:
                 raise self.error(f"uses #{number}, which has no value")
             return self.variables[number], variable.end()
         self.depth += 1
-        if self.depth > DEEPEST:
-            raise self.error(f"has brackets and signs {DEEPEST} deep and more")
+        if self.depth > MAX_NESTING:
+            raise self.error(f"nests more than {MAX_NESTING} brackets and signs")
         if sign := next_of(text, at, "+-"):
             value, at = self.factor(text, text.index(sign, at) + 1)
             value = -value if sign == "-" else value

@@ -21,7 +21,7 @@ NANOTECH = Dialect(
         "1021-r1000sts-res1-0.02-0.5-tool191.nc (G93 F0.001 at 0.5 deg per block), and O. Spires's post-processor for "
         "the 350FG, which names the number 'Inverse Feedrate (seconds per line)'",
         "feed_decimals": "assumed: a nanosecond, a millionth of a block of 1 ms",
-        "wrapped": "the same program runs C from 0 to 360 and starts again",
+        "wrapped": "the same program runs C from 0 to 360 repeatedly",
         "setup": "G71, G90, G40, G18 and M26.1 as in the same program",
         "call": "assumed: the form in which these controllers are known to call a file by name",
         "max_lines": "assumed: files of about 30 MB",

@@ -1,4 +1,4 @@
-"""Which dialects there are: a new one is a sibling file and one more name here."""
+"""The available dialects: a new one is another module and another entry here."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ DIALECTS = {dialect.name: dialect for dialect in (GENERIC, NANOTECH, PMAC)}
 
 
 def dialect_of(machine: Machine) -> Dialect:
-    """Return the dialect that a machine's controller speaks.
+    """Return the program dialect of a machine's controller.
 
     Raises
     ------
     ProgramError
-        If there is no such dialect, or its programs ask for another interpolation than the controller's.
+        If the dialect is unknown, or its programs need another interpolation than the controller's.
     """
     dialect = DIALECTS.get(machine.dialect)
     if dialect is None:
         raise ProgramError(
-            f"machine {machine.name} speaks the dialect {machine.dialect!r}, Turnwright writes "
-            f"{', '.join(sorted(DIALECTS))}: name one of these, or add a file to turnwright/post"
+            f"machine {machine.name} has the dialect {machine.dialect!r}, Turnwright writes "
+            f"{', '.join(sorted(DIALECTS))}: name one of these, or add a module to turnwright/post"
         )
-    own = machine.controller.interpolation
-    if dialect.velocities and own != "hermite":
+    interpolation = machine.controller.interpolation
+    if dialect.velocities and interpolation != "hermite":
         raise ProgramError(
-            f"programs in the dialect {dialect.name} ask for cubics by their velocities (hermite), the controller of "
-            f"{machine.name} is said to interpolate by {own}: choose another dialect, or interpolation hermite"
+            f"the dialect {dialect.name} has velocities and needs the interpolation hermite, the controller of "
+            f"{machine.name} has {interpolation}: choose another dialect, or the interpolation hermite"
         )
     return dialect

@@ -1,4 +1,4 @@
-"""A lathe's program and, beside it, the heights of a fast tool: by position or by time."""
+"""A lathe program with a table of the heights of a fast tool, by position or by time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from turnwright.post.approach import PLUNGE_FEED, entry_path, entry_shares
 from turnwright.post.header import NO_HASH, convention_line, inspect_nc, plain, require_regular, software
 from turnwright.post.reader import read_nc
 from turnwright.post.registry import dialect_of
-from turnwright.post.writer import CHUNK, ProgramFiles, _disk_error, _velocity, write_nc
+from turnwright.post.writer import CHUNK_POINTS, ProgramFiles, _disk_error, _velocity, write_nc
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -38,30 +38,30 @@ __all__ = ["FastToolFiles", "read_fast_tool", "write_fast_tool"]
 
 SIGNATURE = "# TURNWRIGHT FAST TOOL 1"
 COLUMNS = {"position": ("radius_mm", "angle_deg"), "time": ()}
-"""What stands in a row before the fast tool's own axes."""
-OWN = {"W": "height_mm", "U": "outward_mm"}
+"""Columns before those of the fast tool's axes."""
+AXIS_COLUMNS = {"W": "height_mm", "U": "outward_mm"}
 """Columns of the fast tool's axes."""
-HEIGHT = 7
-"""Decimals of a height, or of what U adds: a tenth of a nanometre."""
-MOST_LEFT_OUT = 0.05
-"""Share of the stroke that straight lines between the heights of a stream may leave out."""
-MOST_ROWS = 300_000_000
-"""Beyond this no memory holds the motion."""
-SAME = 1e-6
-"""Share of the time between two heights within which a block of the program is at the same time as one of them."""
-BOWED = 1e-6
-"""How far Z of a controller that makes cubics may be from the lathe's share of a motion between its blocks. [mm]"""
-FEWEST = 4
-"""Blocks of which there are some between the first and the last."""
-BEGUN = 1e-6
-"""How far the first and the last row of a cut may be from the ends of the program's, which are both rounded. [rad]"""
-APART = 1e-5
-"""How far the radius of a table may be from the X of its program, which are both rounded. [mm]"""
+HEIGHT_DECIMALS = 7
+"""Decimals of W and U: a tenth of a nanometre."""
+MAX_DEVIATION = 0.05
+"""Deviation of a motion from straight lines between the heights of a stream, relative to the stroke."""
+MAX_ROWS = 300_000_000
+"""Rows that fit into memory."""
+COINCIDENCE_TOL = 1e-6
+"""Time difference at which a block and a height coincide, relative to the time between two heights."""
+LINEARITY_TOL_MM = 1e-6
+"""Deviation of Z between blocks, for a controller with cubic interpolation, from the lathe's motion."""
+MIN_BLOCKS = 4
+"""Blocks from which some are between the first and the last."""
+END_TOL_RAD = 1e-6
+"""Difference of C between the ends of table and program, which are both rounded."""
+RADIUS_TOL_MM = 1e-5
+"""Difference between the radius of a table and X of its program, which are both rounded."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FastToolFiles:
-    """What `write_fast_tool` left on disk.
+    """The files that `write_fast_tool` wrote.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class FastToolFiles:
     entry_rows
         Rows of the plunge before them.
     off
-        Largest distance of the motion's W, or U, from the straight lines between the rows, at its own points. [mm]
+        Largest deviation of W, or U, at the points of the motion from the straight lines between the rows. [mm]
     """
 
     program: ProgramFiles
@@ -101,18 +101,18 @@ def write_fast_tool(
     entry_heights: Floats | None = None,
     progress: Progress | None = None,
 ) -> FastToolFiles:
-    """Write the program of the lathe without W, see `write_nc` and `Motion.lathe`, and a table of W beside it.
+    """Write the lathe program without W, see `write_nc` and `Motion.lathe`, and a table of W for the fast tool.
 
     A fast tool with a second axis U, which adds to X, has one more column.
 
-    The table is text, part.fast.csv beside part.nc. By position it has a row of radius, angle and height for every
-    point of the motion: the radius is the X of the program, the angle its C within one turn, with as many decimals, so
-    that the tool's controller reads both from the scales of the lathe; between two rows heights run straight over the
-    angle turned. Where the tool plunges, the table begins with the revolution at the radius where the cut begins, which
-    holds for every turn of the plunge. By time it has one height every 1/``rate_hz`` s, straight in between, and the
-    first one belongs to the first point of the cut, where the approach of the program ends. Heights add to Z, out of
-    the part, whatever the convention of the lathe, and U to the distance from the axis; their last decimal is 0.1 nm.
-    The first lines say all this, the hash of the rows and that of the program they belong to.
+    The table is a text file, part.fast.csv for part.nc. By position it has a row of radius, angle and height for every
+    point of the motion: radius and angle are X and C (within one turn) of the program, with the same decimals, so that
+    the controller of the tool reads both from the scales of the lathe; between two rows heights are linear in the
+    angle. For a plunge, the table begins with the revolution at the radius where the cut begins, which is valid for
+    every turn of the plunge. By time it has one height every 1/``rate_hz`` s, linear in between; the first one belongs
+    to the first point of the cut, where the approach of the program ends. Heights add to Z, out of the part, whatever
+    the convention of the lathe, and U to the distance from the axis; the last decimal is 0.1 nm. The header describes
+    this and has the hashes of the rows and of the program.
 
     The table is written under another name beside its place before the program is, and put in place after it: if
     anything fails before, nothing changes.
@@ -122,22 +122,22 @@ def write_fast_tool(
     motion
         With an axis W.
     machine
-        Names the dialect and the convention.
+        Machine with the dialect and the convention.
     path
         The main program.
     by
-        What the table is synchronised by.
+        Synchronisation of the table.
     rate_hz
         Heights per second, by time only. [Hz]
     header, clearance, depth, plunge_feed, entry_heights, progress
-        See `write_nc`; the heights are Z and W together, at the angles of `turnwright.post.entry_path`. Without them
-        lathe and fast tool are extrapolated, and what the fast tool may fall beyond the part does not slow the plunge.
+        See `write_nc`; the heights are the sum of Z and W, at the angles of `turnwright.post.entry_path`. Without them
+        lathe and fast tool are extrapolated; the extrapolation error of the fast tool does not slow the plunge down.
 
     Raises
     ------
     ProgramError
-        If the motion has no W, there is not a rate with time alone or it is too low for the motion, the angle within a
-        row stands still, or the files cannot be written.
+        If the motion has no W, the rate is missing, superfluous or too low for the motion, the angle does not change
+        from row to row, or the files cannot be written.
     """
     path = Path(path)
     if "W" not in motion.axes:
@@ -155,12 +155,12 @@ def write_fast_tool(
     table = path.parent / f"{path.stem}.fast.csv"
     hidden = table.with_name(f".{table.name}.{os.getpid()}")
     _require_straight(motion, dialect)
-    lathe_heights, whole = entry_heights, motion
+    lathe_heights, table_motion = entry_heights, motion
     if depth is not None:
         lathe_heights, entered = _with_entry(motion, entry_heights)
-        whole = entered if by == "position" else motion
-    rows, decimals, off = _position(whole, machine, dialect) if by == "position" else _stream(motion, rate_hz)
-    counts = rows.shape[0], whole.time.size - motion.time.size
+        table_motion = entered if by == "position" else motion
+    rows, decimals, off = _position(table_motion, machine, dialect) if by == "position" else _stream(motion, rate_hz)
+    counts = rows.shape[0], table_motion.time.size - motion.time.size
     try:
         try:
             with hidden.open("wb") as file:
@@ -181,25 +181,25 @@ def write_fast_tool(
 
 
 def _require_straight(motion: Motion, dialect: Dialect) -> None:
-    """Raise if the lathe's controller leaves the heights between its blocks that its fast tool reckons with."""
+    """Raise if Z of the lathe's controller deviates between its blocks from the motion that the table assumes."""
     lathe = motion.lathe()
-    if not dialect.velocities or lathe.time.size < FEWEST:
+    if not dialect.velocities or lathe.time.size < MIN_BLOCKS:
         return
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415 - costly to import
 
     curve = CubicHermiteSpline(lathe.time, lathe.axes["Z"], _velocity(lathe)["Z"])
-    # The first block and the last come from rest and to it.
+    # The first and the last block begin or end at rest.
     steady = (motion.time >= lathe.time[1]) & (motion.time <= lathe.time[-2])
     off = float(np.abs(curve(motion.time[steady]) - motion.axes["Z"][steady]).max(initial=0.0))
-    if off > BOWED:
+    if off > LINEARITY_TOL_MM:
         raise ProgramError(
-            f"between its blocks Z is up to {off * 1e6:.3g} nm off what the fast tool reckons with, as programs in the "
-            f"dialect {dialect.name} make cubics of them, the limit is {BOWED * 1e6:g} nm: leave blocks_per_rev out"
+            f"Z deviates by up to {off * 1e6:.3g} nm between blocks from what the fast tool assumes, as the dialect "
+            f"{dialect.name} interpolates by cubics, the limit is {LINEARITY_TOL_MM * 1e6:g} nm: remove blocks_per_rev"
         )
 
 
 def _with_entry(motion: Motion, heights: Floats | None) -> tuple[Floats | None, Motion]:
-    """Return the lathe's heights in a plunge, where those of both are known, and the motion with a turn before it."""
+    """Return the lathe's heights in a plunge, if ``heights`` are given, and the motion with one turn before it."""
     turned, axes = entry_path(motion)
     lathe, fast = entry_shares(motion, axes["Z"] + axes["W"] if heights is None else np.asarray(heights, np.float64))
     ahead = turned[-1] - turned[:-1]
@@ -211,18 +211,18 @@ def _with_entry(motion: Motion, heights: Floats | None) -> tuple[Floats | None, 
 
 
 def _position(motion: Motion, machine: Machine, dialect: Dialect) -> tuple[Ints, Ints, float]:
-    """Return radius, angle and height in units of their last decimals, these, and the distance from them."""
+    """Return radius, angle and height in units of their last decimals, the decimals, and the rounding error."""
     convention = machine.convention
-    own = _own(motion)
-    decimals = np.array([dialect.decimals["X"], dialect.decimals["C"], *[HEIGHT] * len(own)])
+    letters = _fast_axes(motion)
+    decimals = np.array([dialect.decimals["X"], dialect.decimals["C"], *[HEIGHT_DECIMALS] * len(letters)])
     scale = 10.0**decimals
     turn = 360 * int(scale[1])
-    rows = np.empty((motion.time.size, 2 + len(own)), dtype=np.int64)
+    rows = np.empty((motion.time.size, 2 + len(letters)), dtype=np.int64)
     degrees, mark = float(np.rad2deg(convention.c_sense)), float(np.rad2deg(convention.clocking))
     text_kernel.quantise(motion.axes["X"], convention.x_side * scale[0], 0.0, 0, rows, 0)
     text_kernel.quantise(motion.axes["C"], degrees * scale[1], mark * scale[1], turn, rows, 1)
     off = 0.0
-    for column, letter in enumerate(own, 2):
+    for column, letter in enumerate(letters, 2):
         text_kernel.quantise(motion.axes[letter], scale[2], 0.0, 0, rows, column)
         off = max(off, float(np.abs(rows[:, column] / scale[2] - motion.axes[letter]).max()))
     step = np.diff(rows[:, 1]) * (motion.sense * convention.c_sense) % turn
@@ -236,30 +236,31 @@ def _position(motion: Motion, machine: Machine, dialect: Dialect) -> tuple[Ints,
 
 
 def _stream(motion: Motion, rate_hz: float | None) -> tuple[Ints, Ints, float]:
-    """Return the heights at a steady rate in units of their last decimal, this, and the distance from them."""
+    """Return the heights at a constant rate in units of their last decimal, the decimals, and the largest deviation."""
     rate = positive(rate_hz or 0.0, "rate_hz", "Hz")
     time = motion.time - motion.time[0]
     count = math.ceil(time[-1] * rate - 1e-6) + 1
-    if count > MOST_ROWS:
-        raise ProgramError(f"the stream has {count:.3g} heights, the limit is {MOST_ROWS:.0e}: lower rate_hz")
+    if count > MAX_ROWS:
+        raise ProgramError(f"the stream has {count:.3g} heights, the limit is {MAX_ROWS:.0e}: lower rate_hz")
     at = np.arange(count) / rate
-    own = [motion.axes[letter] for letter in _own(motion)]
-    rows = np.stack([np.rint(np.interp(at, time, values) * 10.0**HEIGHT) for values in own], axis=1).astype(np.int64)
-    again = [np.interp(time, at, column / 10.0**HEIGHT) for column in rows.T]
-    off = max(float(np.abs(back - values).max()) for back, values in zip(again, own, strict=True))
-    stroke = max(float(np.ptp(values)) for values in own)
-    if off > MOST_LEFT_OUT * stroke + 10.0**-HEIGHT:
+    unit = 10.0**HEIGHT_DECIMALS
+    positions = [motion.axes[letter] for letter in _fast_axes(motion)]
+    rows = np.stack([np.rint(np.interp(at, time, values) * unit) for values in positions], axis=1).astype(np.int64)
+    restored = [np.interp(time, at, column / unit) for column in rows.T]
+    off = max(float(np.abs(back - values).max()) for back, values in zip(restored, positions, strict=True))
+    stroke = max(float(np.ptp(values)) for values in positions)
+    if off > MAX_DEVIATION * stroke + 10.0**-HEIGHT_DECIMALS:
         raise ProgramError(
-            f"{rate:g} heights per second leave out up to {off * 1e3:.3g} um of the fast tool's motion, the limit is "
-            f"{MOST_LEFT_OUT:.0%} of its stroke of {stroke * 1e3:.3g} um: raise the rate, the points of the motion "
-            f"come at up to {1 / float(np.diff(time).min()):.4g} Hz"
+            f"at rate_hz {rate:g} heights deviate by up to {off * 1e3:.3g} um from the fast tool's motion, the "
+            f"limit is {MAX_DEVIATION:.0%} of its stroke of {stroke * 1e3:.3g} um: raise the rate, the motion has "
+            f"points at up to {1 / float(np.diff(time).min()):.4g} Hz"
         )
-    return rows, np.full(len(own), HEIGHT), off
+    return rows, np.full(len(positions), HEIGHT_DECIMALS), off
 
 
-def _own(motion: Motion) -> list[str]:
+def _fast_axes(motion: Motion) -> list[str]:
     """Return the letters of the fast tool's axes, in the order of their columns."""
-    return [letter for letter in OWN if letter in motion.axes]
+    return [letter for letter in AXIS_COLUMNS if letter in motion.axes]
 
 
 def _head(
@@ -271,7 +272,7 @@ def _head(
     path: Path,
     hashes: tuple[str, str],
 ) -> bytes:
-    """Return the first lines, ``counts`` of all rows and of those of the entry; their length depends on no hash."""
+    """Return the header; its length does not depend on the hashes. ``counts`` are all rows and the entry rows."""
     away = "GROWS" if machine.convention.x_side > 0 else "FALLS"
     grows = "GROWS" if motion.sense * machine.convention.c_sense > 0 else "FALLS"
     if rate_hz is None:
@@ -303,21 +304,21 @@ def _head(
         f"# MACHINE: {plain(machine.name)}",
         f"# CONVENTION: {convention_line(machine)}",
         *lines_of_kind,
-        f"# HEIGHT: MM THAT THE FAST TOOL ADDS TO Z, OUT OF THE PART, DECIMALS {HEIGHT}",
+        f"# HEIGHT: MM THAT THE FAST TOOL ADDS TO Z, OUT OF THE PART, DECIMALS {HEIGHT_DECIMALS}",
         *(["# OUTWARD: MM THAT IT ADDS TO THE DISTANCE FROM THE AXIS, DECIMALS 7"] if "U" in motion.axes else []),
         f"# ROWS: {counts[0]}",
         f"# PROGRAM: {plain(path.name)}, SHA256 {hashes[1]}",
         f"# SHA256: {hashes[0]}",
-        ",".join([*names, *(OWN[letter] for letter in _own(motion))]),
+        ",".join([*names, *(AXIS_COLUMNS[letter] for letter in _fast_axes(motion))]),
     ]
     return ("\n".join(lines) + "\n").encode("ascii")
 
 
 def _body(file: BinaryIO, rows: Ints, decimals: Ints) -> str:
-    """Write the rows; return their hash."""
+    """Write the rows and return their hash."""
     digest = hashlib.sha256()
-    for start in range(0, rows.shape[0], CHUNK):
-        part = rows[start : start + CHUNK]
+    for start in range(0, rows.shape[0], CHUNK_POINTS):
+        part = rows[start : start + CHUNK_POINTS]
         out = np.empty(part.size * 24 + 8, dtype=np.uint8)
         data = out[: table_kernel.format_rows(part, decimals, out)].tobytes()
         digest.update(data)
@@ -326,17 +327,17 @@ def _body(file: BinaryIO, rows: Ints, decimals: Ints) -> str:
 
 
 def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Progress | None = None) -> Motion:
-    """Read a program and the table beside it back as one motion, with the axis W.
+    """Read a program and its fast-tool table back as one motion, with the axis W.
 
     By position the motion has a point at every row of the table, by time at every block of the program and at every
-    height of the stream; in between, all that a controller does straight is straight.
+    height of the stream; in between, axes are linear.
 
     Parameters
     ----------
     path
-        The main program; the table is part.fast.csv beside part.nc.
+        The main program; the table of part.nc is part.fast.csv in the same folder.
     machine
-        Names the dialect and the convention.
+        Machine with the dialect and the convention.
     progress
         See `read_nc`.
 
@@ -352,11 +353,11 @@ def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Pro
     if fields["CONVENTION"] != convention_line(machine):
         raise ProgramError(
             f"{file} is written for {fields['CONVENTION']}, {machine.name} has {convention_line(machine)}: read it "
-            "with its own machine"
+            "with the machine that it was written for"
         )
     info = inspect_nc(path)
-    whole = hashlib.sha256("\n".join(one.hash for one in info.passes).encode()).hexdigest()
-    if not fields["PROGRAM"].endswith(f"SHA256 {whole}"):
+    program_hash = hashlib.sha256("\n".join(cut.hash for cut in info.passes).encode()).hexdigest()
+    if not fields["PROGRAM"].endswith(f"SHA256 {program_hash}"):
         raise ProgramError(f"{file} belongs to another program than {path}: write both again")
     motion = read_nc(path, machine, progress=progress)
     if fields["BY"] == "TIME":
@@ -366,44 +367,44 @@ def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Pro
             raise ProgramError(f"{file} states no rate: write it again")
         at = np.arange(len(table)) / rate
         after = np.clip(np.searchsorted(motion.time, at), 1, motion.time.size - 1)
-        beside = np.minimum(np.abs(at - motion.time[after - 1]), np.abs(motion.time[after] - at))
-        # Two times that are one but for rounding would leave C no way to turn between them.
-        time = np.union1d(motion.time, at[(beside * rate > SAME) & (at < motion.time[-1])])
+        distance = np.minimum(np.abs(at - motion.time[after - 1]), np.abs(motion.time[after] - at))
+        # Times that differ only by rounding are merged, as C must turn between two points.
+        time = np.union1d(motion.time, at[(distance * rate > COINCIDENCE_TOL) & (at < motion.time[-1])])
         blocks = np.searchsorted(time, motion.time)
         rows = {name: np.interp(time, at, column) for name, column in zip(names, table.T, strict=True)}
     else:
         match = re.match(r"\d{1,9}(?=,)", fields.get("ENTRY ROWS", ""))
         if match is None or int(match[0]) > len(table) - 2:
-            raise ProgramError(f"{file} does not say how many of its {len(table)} rows are the entry: write it again")
+            raise ProgramError(f"{file} does not state how many of its {len(table)} rows are the entry: write it again")
         table = table[int(match[0]) :]
         time = _turned(file, table, motion, machine)
         blocks = None
         rows = dict(zip(names, table.T, strict=True))
     axes = {letter: np.interp(time, motion.time, values) for letter, values in motion.axes.items()}
-    own = {letter: rows[name] for letter, name in OWN.items() if name in rows}
-    return Motion(time=time, axes={**axes, **own}, machine=machine, stated_blocks=blocks)
+    fast = {letter: rows[name] for letter, name in AXIS_COLUMNS.items() if name in rows}
+    return Motion(time=time, axes={**axes, **fast}, machine=machine, stated_blocks=blocks)
 
 
 def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> Floats:
-    """Return when the program is at each row of a table by position."""
+    """Return the time of the program at each row of a table by position."""
     convention = machine.convention
     step = np.diff(table[:, 1])
     degrees = np.concatenate([[0.0], np.cumsum(step - 360 * np.rint(step / 360))]) + table[0, 1]
     c = convention.c_sense * (np.deg2rad(degrees) - convention.clocking)
     c += 2 * np.pi * np.rint((motion.axes["C"][0] - c[0]) / (2 * np.pi))
     if not (np.diff(c) * motion.sense > 0).all():
-        raise ProgramError(f"{file} does not turn as its program does: write both again")
+        raise ProgramError(f"{file} turns C in another sense than its program: write both again")
     ahead = motion.sense * motion.axes["C"]
-    if abs(c[0] - motion.axes["C"][0]) > BEGUN:
+    if abs(c[0] - motion.axes["C"][0]) > END_TOL_RAD:
         raise ProgramError(
             f"{file} has its first row of the cut at C {np.rad2deg(c[0]):.3f} deg where its program begins at "
-            f"{np.rad2deg(motion.axes['C'][0]):.3f} deg, so its number of entry rows was edited: write both again"
+            f"{np.rad2deg(motion.axes['C'][0]):.3f} deg, as its number of entry rows was edited: write both again"
         )
     time: Floats = np.interp(motion.sense * c, ahead, motion.time)
     x = np.interp(motion.sense * c, ahead, motion.axes["X"]) * convention.x_side
     off = np.abs(x - table[:, 0])
     worst = int(np.argmax(off))
-    if off[worst] > APART or abs(c[-1] - motion.axes["C"][-1]) > BEGUN:
+    if off[worst] > RADIUS_TOL_MM or abs(c[-1] - motion.axes["C"][-1]) > END_TOL_RAD:
         ends = np.rad2deg([c[-1], motion.axes["C"][-1]])
         raise ProgramError(
             f"{file} has the radius {table[worst, 0]:g} mm where its program has X {x[worst]:g} mm, and ends at C "
@@ -413,7 +414,7 @@ def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> Floa
 
 
 def _read(file: Path) -> tuple[dict[str, str], list[str], Floats]:
-    """Return what the first lines of a table say, the names of its columns, and its rows."""
+    """Return the header fields of a table, the names of its columns, and its rows."""
     try:
         require_regular(file)
         data = file.read_bytes()
@@ -425,16 +426,16 @@ def _read(file: Path) -> tuple[dict[str, str], list[str], Floats]:
     first = re.search(r"^(?!#).*\n", text, re.MULTILINE)
     names = first[0].strip().split(",") if first else []
     before = COLUMNS.get(fields.get("BY", "").lower())
-    known = before is not None and names in ([*before, "height_mm"], [*before, *OWN.values()])
-    if not text.startswith(SIGNATURE) or first is None or not known or not all(name in fields for name in needed):
-        raise ProgramError(f"{file} is no table of a fast tool, which begins with {SIGNATURE!r}: give the right file")
+    is_valid = before is not None and names in ([*before, "height_mm"], [*before, *AXIS_COLUMNS.values()])
+    if not text.startswith(SIGNATURE) or first is None or not is_valid or not all(name in fields for name in needed):
+        raise ProgramError(f"{file} is not a fast-tool table, which begins with {SIGNATURE!r}: give the right file")
     body = data[first.end() :]
     if hashlib.sha256(body).hexdigest() != fields["SHA256"]:
-        raise ProgramError(f"{file} has other rows than it was written with, it was damaged or edited: write it again")
+        raise ProgramError(f"{file} has rows that do not match its hash, it was damaged or edited: write it again")
     try:
         table = rows_of_numbers(body.decode("latin-1").splitlines(), ",")
     except ValueError as error:
-        raise ProgramError(f"{file} holds something else than rows of numbers ({error}): write it again") from error
+        raise ProgramError(f"{file} does not hold rows of numbers ({error}): write it again") from error
     if str(table.shape[0]) != fields["ROWS"]:
-        raise ProgramError(f"{file} has {table.shape[0]} rows, its head says {fields['ROWS']}: write it again")
+        raise ProgramError(f"{file} has {table.shape[0]} rows, its header states {fields['ROWS']}: write it again")
     return fields, names, table

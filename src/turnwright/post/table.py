@@ -1,4 +1,4 @@
-"""Read a plain table of C X Z points, such as other people's path planners leave."""
+"""Read a table of C X Z points, such as other path planners write."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ def read_table(
 ) -> Motion:
     """Read a comma-separated table with the columns C_deg, X_mm, Z_mm (and Y_mm), in the machine's convention.
 
-    C may run either way and may start again after each turn. A point that repeats the one before is dropped. Rows in
-    which C stands still while the tool moves are a plunge or a retract: at the two ends they are left out, with a
-    warning, between cutting rows they are refused.
+    C may run either way and may roll over after each turn. A repeated point is dropped. Rows in which C stands still
+    while the tool moves are a plunge or a retract: at the two ends they are dropped with a warning, between cutting
+    rows they are refused.
 
     Parameters
     ----------
     path
         The table; its first line names the columns.
     machine
-        Names the convention in which the table is written.
+        Machine with the convention of the table.
     spindle_rpm
-        Constant speed of the spindle. [rev/min]
+        Constant spindle speed. [rev/min]
     block_rate_hz
-        Or: constant rate at which the rows are taken. [1/s]
+        Alternatively, constant rate of the rows. [1/s]
 
     Raises
     ------
@@ -57,11 +57,11 @@ def read_table(
     Warns
     -----
     ProgramWarning
-        If plunge or retract rows were left out.
+        If plunge or retract rows were dropped.
     """
     path = Path(path)
-    given = [value for value in (spindle_rpm, block_rate_hz) if value is not None]
-    if len(given) != 1 or not 0 < given[0] < np.inf:
+    speeds = [value for value in (spindle_rpm, block_rate_hz) if value is not None]
+    if len(speeds) != 1 or not 0 < speeds[0] < np.inf:
         raise ProgramError(
             f"{path} needs one speed above 0, spindle_rpm is {spindle_rpm} and block_rate_hz {block_rate_hz}: give one"
         )
@@ -78,10 +78,10 @@ def read_table(
         raise ProgramError(f"{path} never moves C, at least 1 row must: give a table of a C-axis motion")
     first, last = int(cutting[0]), int(cutting[-1]) + 1
     _refuse_standstill(path, turning[first:last], rows[first + 1 :])
-    left_out = len(rows) - (last + 1 - first)
-    if left_out:
+    dropped = len(rows) - (last + 1 - first)
+    if dropped:
         warnings.warn(
-            f"{path}: {left_out} rows of plunge and retract, in which C stands still, were left out",
+            f"{path}: {dropped} rows of plunge and retract, in which C stands still, were dropped",
             ProgramWarning,
             stacklevel=2,
         )
@@ -90,7 +90,8 @@ def read_table(
     if (np.abs(steps) == 180).any() or not ((steps > 0).all() or (steps < 0).all()):
         bad = int(np.flatnonzero((np.abs(steps) == 180) | (steps * steps[0] <= 0))[0])
         raise ProgramError(
-            f"{path} line {rows[first + bad + 1]} turns C back or by half a turn, the sense must stay: split the table"
+            f"{path} line {rows[first + bad + 1]} turns C back or by half a turn, the sense of rotation must not "
+            "change: split the table"
         )
     convention = machine.convention
     angle = np.concatenate([[0.0], np.cumsum(steps)]) + axes["C"][0]
@@ -100,7 +101,7 @@ def read_table(
     time = (
         np.arange(len(angle)) / block_rate_hz
         if block_rate_hz is not None
-        else np.abs(angle - angle[0]) / (6 * given[0])  # 1 rev/min is 6 deg/s
+        else np.abs(angle - angle[0]) / (6 * speeds[0])  # 1 rev/min is 6 deg/s
     )
     try:
         return Motion(time=time, axes=axes, machine=machine)
@@ -109,7 +110,7 @@ def read_table(
 
 
 def _steps(degrees: Floats) -> Floats:
-    """Return each step of C as the one below half a turn. (n - 1,) [deg]."""
+    """Return the steps of C, reduced to at most half a turn. (n - 1,) [deg]."""
     step = np.diff(degrees)
     return np.asarray(step - 360 * np.rint(step / 360))
 
@@ -118,7 +119,7 @@ def _refuse_standstill(path: Path, turning: Bools, rows: np.ndarray) -> None:
     """Raise if C stands still between cutting rows."""
     if not turning.all():
         bad = rows[int(np.flatnonzero(~turning)[0])]
-        raise ProgramError(f"{path} line {bad} moves the tool while C stands still in mid-cut: split the table there")
+        raise ProgramError(f"{path} line {bad} moves the tool within a cut while C stands still: split the table there")
 
 
 def _columns(path: Path) -> dict[str, Floats]:
@@ -142,7 +143,7 @@ def _columns(path: Path) -> dict[str, Floats]:
     try:
         table = rows_of_numbers(io.StringIO(body), ",", comments="#")
     except ValueError as error:
-        raise ProgramError(f"{path} holds something that is not a number ({error}): correct it") from error
+        raise ProgramError(f"{path} holds a value that is not a number ({error}): correct it") from error
     if table.shape[1] != len(letters) or not np.isfinite(table).all():
         bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
         where = f"line {bad[0] + 2} is not finite" if bad.size else f"rows have {table.shape[1]} numbers"

@@ -1,4 +1,4 @@
-"""Write a program: quantised, hashed, formatted on all cores, and put in place only when it is whole."""
+"""Write NC programs: quantised, hashed, formatted on all cores, and moved into place only when complete."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from turnwright.errors import ProgramError
 from turnwright.machine import FAST
 from turnwright.path import Motion
 from turnwright.post.approach import (
-    DOWN,
+    DOWN_FEED,
     MOST_CLEARANCE,
     PLUNGE_FEED,
-    TRAVERSE,
+    TRAVERSE_FEED,
     Approach,
     approach_to,
     link_seconds,
@@ -55,24 +55,24 @@ if TYPE_CHECKING:
 
 __all__ = ["ProgramFiles", "write_nc"]
 
-CHUNK = 1 << 16
-"""Points formatted at a time: their text and numbers together stay near 10 MB."""
+CHUNK_POINTS = 1 << 16
+"""Points formatted at a time; their text and numbers take about 10 MB."""
 FASTEST_PLUNGE = 1.0
-"""A plunge beyond this is a slip of the unit. [mm/s]"""
-LARGEST = 1e9
-"""Beyond any machine, and safe in 64-bit integers at six decimals. [mm or deg]"""
+"""Largest plunge feed. [mm/s]"""
+MAX_POSITION = 1e9
+"""Largest position, safe in 64-bit integers at six decimals. [mm or deg]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProgramFiles:
-    """What `write_nc` left on disk.
+    """The files that `write_nc` wrote.
 
     Parameters
     ----------
     files
-        The main program, then the sub-programs in the order of their calls; none where they are gone again.
+        The main program, then the sub-programs in the order of their calls; empty where they were deleted again.
     lines, bytes
-        In all files together.
+        Totals over all files.
     minutes
         Time of the cuts. [min]
     links_minutes
@@ -80,7 +80,7 @@ class ProgramFiles:
     passes
         Each pass with its points, minutes and hash.
     approaches
-        How the tool comes to each pass, by its name.
+        Approach to each pass, by name.
     """
 
     files: tuple[Path, ...]
@@ -93,22 +93,22 @@ class ProgramFiles:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the whole program: of the passes' hashes, one a line."""
-        return hashlib.sha256("\n".join(one.hash for one in self.passes).encode()).hexdigest()
+        """SHA-256 of the program, over the hashes of its passes, one per line."""
+        return hashlib.sha256("\n".join(cut.hash for cut in self.passes).encode()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Pass:
-    """A motion with all that its numbers need to become words."""
+    """A motion with the settings for writing its words."""
 
     name: str
     motion: Motion
     letters: tuple[str, ...]
     factors: Mapping[str, float]  # Turnwright's unit to the controller's, without decimals
     shifts: Mapping[str, float]
-    clocking: float  # of C, which is shifted by as many turns more as it counts on [deg]
+    clocking: float  # of C, whose shift also has the full turns of the passes before [deg]
     dialect: Dialect
-    velocity: Mapping[str, Floats] | None  # at the points, from rest to rest; only where the dialect says it
+    velocity: Mapping[str, Floats] | None  # at the points, from rest to rest; only for dialects with velocities
     approach: Approach
 
     def units(self, letter: str, value: float) -> int:
@@ -118,7 +118,7 @@ class _Pass:
 
     @property
     def first_c(self) -> float:
-        """Controller's C at the first point as the motion counts it, whatever turns C has counted on. [deg]."""
+        """The controller's C at the first point, without the full turns of the passes before. [deg]."""
         places = self.dialect.decimals["C"]
         turns = round((self.shifts["C"] - self.clocking) / 360)
         units = self.units("C", float(self.motion.axes["C"][0])) - turns * 360 * 10**places
@@ -152,53 +152,53 @@ def write_nc(
 ) -> ProgramFiles:
     """Write a motion, or the named passes of a job in their order, as a program for a machine's controller.
 
-    The numbers are fixed-point, rounded to the dialect's last decimal, and so is a block's time. Every pass begins with
-    an approach from ``clearance`` above its highest point and ends with a retract to there. From 0.1 mm above the
-    material the tool comes down only while C turns: at the radius where the pass begins it follows the heights of one
-    revolution there, raised by less and less, by no more in a revolution than the pass advances (or 1 um) and in no
-    block faster than ``plunge_feed``. `run` has these heights exactly, from part and tool; a motion alone does not
-    hold them, and without ``entry_heights`` they are extrapolated from its first three revolutions: then C turns so
-    much slower than in the pass, up to a minute a revolution, that what this may add keeps the feed too. Where C is
-    cumulative it begins within a turn of 0 and counts on from pass to pass, so that the spindle is never unwound.
+    Positions and block times are fixed-point numbers, rounded to the last decimal of the dialect. Every pass begins
+    with an approach from ``clearance`` above its highest point and ends with a retract to that height. From 0.1 mm
+    above the material the tool plunges while C turns: at the radius where the pass begins, it follows the heights of
+    one revolution plus a falling offset. The offset falls per revolution by at most the feed of the pass (or 1 um), and
+    in no block faster than ``plunge_feed``. `run` computes these heights exactly, from part and tool. Without
+    ``entry_heights`` they are extrapolated from the first three revolutions of the motion; C then turns slower than in
+    the pass, down to one revolution per minute, so that the extrapolation error keeps the plunge feed too. A cumulative
+    C begins within one turn of 0 and continues from pass to pass, so that the spindle never unwinds.
 
-    All files are written beside their final place and put there, the main program last, when the whole program is
-    complete; if anything fails before that, the folder is as it was. Sub-programs that an earlier program of this name
-    left and that this one does not call are removed.
+    All files are written to a temporary folder and moved into place, the main program last, when the program is
+    complete; if writing fails, the target folder is unchanged. Sub-programs of an earlier program of the same name that
+    this one does not call are removed.
 
     Parameters
     ----------
     motion
         One motion, which becomes the pass "finish", or motions by pass name.
     machine
-        Names the dialect and the convention.
+        Machine with the dialect and the convention.
     path
-        The main program. Sub-programs stand beside it: part.nc, part.finish.001.nc, ...
+        The main program. Sub-programs are in the same folder: part.nc, part.finish.001.nc, ...
     header
         Design, tool, date and notes for the header.
     clearance
-        Height of approach and retract above the highest point of the pass, more than the stock stands proud. [mm]
+        Height of approach and retract above the highest point of the pass; more than the stock. [mm]
     depth
         Height of the material above the path where the pass begins, for all passes or by name; ``None`` for a pass that
-        begins clear of all material, which is approached without a plunge. [mm]
+        begins clear of the material and needs no plunge. [mm]
     plunge_feed
-        Fastest plunge into material. [mm/s]
+        Largest plunge feed into material. [mm/s]
     entry_heights
         Z for one revolution at the radius where the pass begins, for a motion or by name, at the angles of
         `turnwright.post.entry_path`. (n,) [mm]
     max_lines
-        Most lines in one file, if not the dialect's own limit.
+        Largest number of lines in one file; by default the limit of the dialect.
     progress
-        Called with (points done, points in all).
+        Called with (points done, total points).
 
     Raises
     ------
     ProgramError
-        If the dialect is unknown, a number does not fit, C stands still or jumps by half a turn within a block, a
-        block is too short or too long, or the files cannot be written.
+        If the dialect is unknown, a number is too large, C stands still or turns by half a turn or more within a block,
+        a block is too short or too long, or the files cannot be written.
 
     Sources
     -------
-    The dialects' own sources stand in their files. Oracle of the formatting: Python's decimal module.
+    The sources of the dialects are in their modules. Oracle of the formatting: Python's decimal module.
 
     Examples
     --------
@@ -222,11 +222,11 @@ def write_nc(
     dialect = dialect_of(machine)
     if not 0 < clearance <= MOST_CLEARANCE:
         raise ProgramError(
-            f"clearance is {clearance:g} mm, the limits are above 0 and up to {MOST_CLEARANCE:g} mm: give its height"
+            f"clearance is {clearance:g} mm, it must be above 0 and at most {MOST_CLEARANCE:g} mm: correct it"
         )
     if not 0 < plunge_feed <= FASTEST_PLUNGE:
         raise ProgramError(
-            f"plunge_feed is {plunge_feed * 60:g} mm/min, the limits are above 0 and up to {FASTEST_PLUNGE * 60:g} "
+            f"plunge_feed is {plunge_feed * 60:g} mm/min, it must be above 0 and at most {FASTEST_PLUNGE * 60:g} "
             "mm/min: give it in mm/s"
         )
     motions = {"finish": motion} if isinstance(motion, Motion) else motion
@@ -234,7 +234,7 @@ def write_nc(
     passes = _passes(motions, machine, dialect, approaches)
     limit = dialect.max_lines if max_lines is None else max_lines
     if limit < 100:
-        raise ProgramError(f"max_lines is {limit}, approach and retract need at least 100: allow longer files")
+        raise ProgramError(f"max_lines is {limit}, it must be at least 100: increase it")
     try:
         folder = Path(tempfile.mkdtemp(prefix=f".{path.stem}-", dir=path.parent))
     except OSError as error:
@@ -261,21 +261,19 @@ def write_nc(
 
 
 def _disk_error(path: Path, error: OSError) -> ProgramError:
-    """Return the sentence for a disk that refuses."""
+    """Return the error for a failure of the file system."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return ProgramError(
             f"the disk is full while writing {path}, nothing was changed there: free some space, or write elsewhere"
         )
     if error.errno == errno.EFBIG:
         return ProgramError(
-            f"{path} cannot be written, a file grew beyond the largest that the system allows here ({error.strerror}), "
-            "nothing was changed: raise that limit (ulimit -f), or write elsewhere"
+            f"{path} cannot be written, a file exceeds the largest size allowed here ({error.strerror}), nothing was "
+            "changed: raise that limit (ulimit -f), or write elsewhere"
         )
     if error.errno in (errno.ENOENT, errno.ENOTDIR):
-        return ProgramError(
-            f"{path} cannot be written, {path.parent} is not a folder: make it first, or write elsewhere"
-        )
-    return ProgramError(f"{path} cannot be written ({error.strerror}), nothing was changed: check the folder's rights")
+        return ProgramError(f"{path} cannot be written, {path.parent} is not a folder: create it, or write elsewhere")
+    return ProgramError(f"{path} cannot be written ({error.strerror}), nothing was changed: check its permissions")
 
 
 def _approaches(
@@ -285,14 +283,14 @@ def _approaches(
     plunge_feed: float,
     entry_heights: Floats | Mapping[str, Floats | None] | None,
 ) -> dict[str, Approach]:
-    """Return the approach to every pass by its name."""
+    """Return the approaches to all passes by name."""
     approaches = {}
     depths = dict.fromkeys(motions, depth) if depth is None or isinstance(depth, int | float) else depth
     around = entry_heights if isinstance(entry_heights, Mapping) else dict.fromkeys(motions, entry_heights)
     for name, motion in motions.items():
         height, heights = depths[name], around.get(name)
         if height is not None and not np.isfinite(height):
-            raise ProgramError(f"depth of pass {name} is {height:g} mm, it must be finite: give the material's height")
+            raise ProgramError(f"depth of pass {name} is {height:g} mm, it must be finite: correct it")
         approaches[name] = approach_to(
             motion, clearance=clearance, depth=height, plunge_feed=plunge_feed, name=name,
             heights=None if heights is None else np.asarray(heights, dtype=np.float64),
@@ -303,9 +301,9 @@ def _approaches(
 def _passes(
     motions: Mapping[str, Motion], machine: Machine, dialect: Dialect, approaches: Mapping[str, Approach]
 ) -> list[_Pass]:
-    """Return the passes ready to be written, or raise for what cannot be."""
+    """Return the passes with their settings, or raise where they cannot be written."""
     if not motions:
-        raise ProgramError("a program without passes was asked for, it needs at least 1: give a motion")
+        raise ProgramError("a program has 0 passes, it needs at least 1: give a motion")
     convention = machine.convention
     factors = {
         "C": float(np.rad2deg(convention.c_sense)),
@@ -319,19 +317,19 @@ def _passes(
     for name, motion in motions.items():
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 _-]{0,39}", name):
             raise ProgramError(
-                f"a pass is called {name!r}, a controller allows up to 40 letters, digits, blanks and - _: rename it"
+                f"a pass has the name {name!r}, up to 40 letters, digits, blanks and - _ are allowed: rename it"
             )
         fast = sorted(FAST.keys() & motion.axes.keys())
         if fast:
             raise ProgramError(
-                f"pass {name} moves axis {' and '.join(fast)}, the fast tool's, which is in no program of a lathe: use "
+                f"pass {name} moves axis {' and '.join(fast)} of a fast tool, which a lathe program cannot have: use "
                 "write_fast_tool, or write motion.lathe() for the lathe alone"
             )
         unknown = set(motion.axes) - set(dialect.decimals)
         if unknown:
             raise ProgramError(
-                f"pass {name} moves axis {', '.join(sorted(unknown))}, the dialect {dialect.name} knows "
-                f"{', '.join(dialect.decimals)}: leave it out"
+                f"pass {name} moves axis {', '.join(sorted(unknown))}, the dialect {dialect.name} has "
+                f"{', '.join(dialect.decimals)}: remove it"
             )
         velocity = _velocity(motion) if dialect.velocities else None
         if not dialect.wrapped:
@@ -347,20 +345,20 @@ def _passes(
                 clocking=clocking, dialect=dialect, velocity=velocity, approach=approaches[name],
             )
         )  # fmt: skip
-    if len({one.letters for one in passes}) > 1:
+    if len({cut.letters for cut in passes}) > 1:
         raise ProgramError(
-            "some passes move Y and others do not, one program needs the same axes in all: give every pass a Y"
+            "some passes move Y and others do not, all passes of a program need the same axes: give every pass a Y"
         )
-    names = {_file_part(one.name) for one in passes}
+    names = {_file_part(cut.name) for cut in passes}
     if len(names) < len(passes):
-        raise ProgramError("two passes would share a file name: give them names that differ in more than blanks")
+        raise ProgramError("two passes have the same file name: give them names that differ in more than blanks")
     return passes
 
 
 def _turns_on(before: _Pass | None, start: float, sense: int) -> int:
-    """Return how many turns C counts on, so that it turns less than once to the start of an approach, given in deg.
+    """Return the turns to add to C, so that it turns by less than one turn to the start of an approach [deg].
 
-    It comes from the end of the pass before, or from 0 where there is none.
+    C comes from the end of the pass before, or from 0 for the first pass.
     """
     end = 0.0 if before is None else float(before.motion.axes["C"][-1]) * before.factors["C"] + before.shifts["C"]
     return sense * math.ceil(sense * (end - start) / 360.0)
@@ -370,17 +368,19 @@ def _require_sizes(
     name: str, numbers: Mapping[str, Floats], factors: Mapping[str, float], shifts: Mapping[str, float], what: str,
     remedy: str,
 ) -> None:  # fmt: skip
-    """Raise if a number of an axis, times its factor and shifted, does not fit into a word."""
+    """Raise if a scaled and shifted number of an axis is too large for a word."""
     for letter, values in numbers.items():
         largest = max(abs(values.min()), abs(values.max())) * abs(factors[letter]) + abs(shifts.get(letter, 0.0))
-        if largest > LARGEST:
-            raise ProgramError(f"axis {letter} of pass {name} {what} {largest:.3g}, the limit is {LARGEST:g} {remedy}")
+        if largest > MAX_POSITION:
+            raise ProgramError(
+                f"axis {letter} of pass {name} {what} {largest:.3g}, the limit is {MAX_POSITION:g} {remedy}"
+            )
 
 
 def _velocity(motion: Motion) -> dict[str, Floats]:
-    """Return the velocities that a motion states, or else those of the parabolas that `track` takes; from rest to rest.
+    """Return the velocities of a motion, or those of the parabolas that `track` uses; from rest to rest.
 
-    A controller begins with the velocity of the block before, and the last one must leave none.
+    The velocity at the first and last point is 0, as a controller begins with that of the block before.
     """
     velocity = {}
     for letter, position in motion.axes.items():
@@ -395,12 +395,12 @@ def _velocity(motion: Motion) -> dict[str, Floats]:
 
 
 def _file_part(name: str) -> str:
-    """Return a pass name as part of a file name."""
+    """Return a pass name in the form for file names."""
     return name.replace(" ", "-")
 
 
 class _Job:
-    """One program being written into a folder that nobody sees yet."""
+    """One program being written into a temporary folder."""
 
     def __init__(
         self,
@@ -417,14 +417,14 @@ class _Job:
         self.header, self.limit, self.progress = header, limit, progress
         self.lines = self.bytes = self.done = self.total = 0
         self.links_s = 0.0
-        self.told: list[ProgramPass] = []
+        self.entries: list[ProgramPass] = []
         self.approaches: dict[str, Approach] = {}
         self.begins: list[str] = []
 
     def write(self, passes: list[_Pass]) -> list[str]:
         """Write all files into the folder; return the names of the sub-programs in the order of their calls."""
         self.total = sum(one.motion.time.size for one in passes)
-        self.told = [self._tell(one, NO_HASH) for one in passes]
+        self.entries = [self._entry(one, NO_HASH) for one in passes]
         self.approaches = {one.name: one.approach for one in passes}
         self.begins = [one.word("C", one.approach.start["C"]) for one in passes]
         self.links_s = link_seconds([(one.approach, one.motion) for one in passes], self.machine)
@@ -434,19 +434,19 @@ class _Job:
         if not (inline or self.dialect.call):
             raise ProgramError(
                 f"the program has {blocks} blocks, the limit is {self.limit} lines, and the dialect "
-                f"{self.dialect.name} calls no sub-programs: allow more lines"
+                f"{self.dialect.name} has no sub-programs: allow more lines"
             )
         subs: list[str] = []
         with (self.folder / self.path.name).open("wb") as file:
             if inline:
-                # The header tells the hashes, which are known at the end: it is written twice, at one length.
+                # The hashes in the header are known at the end: it is written twice, with the same length.
                 self._text(file, self._head() + main)
                 for index, one in enumerate(passes):
                     self._text(file, [f"( PASS: {one.name} )", *self._approach(one)])
                     if one.approach.plunge is not None:
                         self._text(file, [*self._plunge_begins(one), *self._plunge(one), f"( PASS: {one.name} )"])
                     self._text(file, self.dialect.begin())
-                    self.told[index] = self._tell(one, self._cut(one, [(file, 1, one.motion.time.size)]))
+                    self.entries[index] = self._entry(one, self._cut(one, [(file, 1, one.motion.time.size)]))
                     self._text(file, self._retract(one))
                 self._text(file, ["M30"])
                 file.seek(0)
@@ -454,7 +454,7 @@ class _Job:
             else:
                 for index, one in enumerate(passes):
                     names, digest = self._sub_programs(one)
-                    self.told[index] = self._tell(one, digest)
+                    self.entries[index] = self._entry(one, digest)
                     subs += names
                     main += [f"( PASS {index + 1} OF {len(passes)} )"]
                     main += [self.dialect.call.format(file=name) for name in names]
@@ -463,21 +463,21 @@ class _Job:
 
     def _head(self) -> list[str]:
         approaches = list(self.approaches.values())
-        return lines(self.header, self.machine, self.dialect, self.told, approaches, self.begins, self.links_s)
+        return lines(self.header, self.machine, self.dialect, self.entries, approaches, self.begins, self.links_s)
 
     def summary(self, written: list[str]) -> ProgramFiles:
-        """Return what was written, under the final names."""
+        """Return a summary of the program, with the final paths."""
         return ProgramFiles(
             files=tuple(self.path.parent / name for name in [self.path.name, *written]),
             lines=self.lines,
             bytes=self.bytes,
-            minutes=sum(one.minutes for one in self.told),
+            minutes=sum(entry.minutes for entry in self.entries),
             links_minutes=self.links_s / 60,
-            passes=tuple(self.told),
+            passes=tuple(self.entries),
             approaches=self.approaches,
         )
 
-    def _tell(self, one: _Pass, digest: str) -> ProgramPass:
+    def _entry(self, one: _Pass, digest: str) -> ProgramPass:
         time = one.motion.time
         return ProgramPass(
             name=one.name,
@@ -497,19 +497,19 @@ class _Job:
         self.bytes += len(data)
 
     def _approach(self, one: _Pass) -> list[str]:
-        """Return the lines to where the tool has come straight down, C at rest."""
-        start, say = one.approach.start, self.dialect
+        """Return the lines of the approach, down to the start of the plunge, with C at rest."""
+        start, dialect = one.approach.start, self.dialect
         others = " ".join(one.word(letter, start[letter]) for letter in ("X", "Y") if letter in one.letters)
         return [
-            *say.end(),
-            *say.straight(one.word("Z", one.approach.clear), TRAVERSE * 60, "CLEAR OF THE PART"),
-            *say.straight(others, TRAVERSE * 60),
-            *say.rapid(one.word("C", start["C"])),
-            *say.straight(one.word("Z", start["Z"]), DOWN * 60, "ABOVE THE MATERIAL"),
+            *dialect.end(),
+            *dialect.straight(one.word("Z", one.approach.clear), TRAVERSE_FEED * 60, "CLEAR OF THE PART"),
+            *dialect.straight(others, TRAVERSE_FEED * 60),
+            *dialect.rapid(one.word("C", start["C"])),
+            *dialect.straight(one.word("Z", start["Z"]), DOWN_FEED * 60, "ABOVE THE MATERIAL"),
         ]
 
     def _plunge_begins(self, one: _Pass) -> list[str]:
-        """Return the lines before a plunge, or the rest of one; they keep its blocks apart from those of the cut."""
+        """Return the lines before a plunge, or a continued one; they separate its blocks from those of the cut."""
         return [f"( PASS: {one.name}{ENTRY} )", *self.dialect.plunge()]
 
     def _plunge(self, one: _Pass) -> list[str]:
@@ -522,12 +522,12 @@ class _Job:
         before = self.lines, self.bytes, self.done, self.progress
         self.progress = None
         self._cut(replace(one, motion=motion, velocity=velocity), [(text, 1, motion.time.size)])
-        self.lines, self.bytes, self.done, self.progress = before  # what is written of it counts when it is
+        self.lines, self.bytes, self.done, self.progress = before  # counted when the text is written
         return text.getvalue().decode("ascii").splitlines()
 
     def _retract(self, one: _Pass) -> list[str]:
         clear = one.word("Z", one.approach.clear)
-        return [*self.dialect.end(), *self.dialect.straight(clear, DOWN * 60, "CLEAR OF THE PART")]
+        return [*self.dialect.end(), *self.dialect.straight(clear, DOWN_FEED * 60, "CLEAR OF THE PART")]
 
     def _sub_programs(self, one: _Pass) -> tuple[list[str], str]:
         """Write one pass into numbered files; return their names and the hash."""
@@ -547,7 +547,7 @@ class _Job:
                     if entry:
                         self._text(file, [*self._plunge_begins(one), *entry])
                     if last > 1:
-                        # A plunge that ends here, or ended with the file before, gives way to the cut.
+                        # The plunge ends in this file, or ended with the file before, and the cut begins.
                         begins = first <= 1
                         self._text(file, [f"( PASS: {one.name} )"] if begins and plunge else [])
                         self._text(file, self.dialect.begin() if begins else ["G93 G1"])
@@ -557,11 +557,11 @@ class _Job:
         return names, self._cut(one, files())
 
     def _cut(self, one: _Pass, spans: Iterator[tuple[BinaryIO, int, int]] | list[tuple[BinaryIO, int, int]]) -> str:
-        """Write the blocks of one pass, formatted on all cores and written in order; return the hash."""
+        """Format the blocks of one pass on all cores and write them in order; return the hash."""
         scale = {letter: 10.0 ** self.dialect.decimals[letter] for letter in one.letters}
         turn = 360 * int(scale["C"])
         wraps = {"C": turn if self.dialect.wrapped else 0}
-        words = one.letters if one.velocity is None else [half for letter in one.letters for half in (letter, ":")]
+        words = one.letters if one.velocity is None else [sign for letter in one.letters for sign in (letter, ":")]
         letters = np.array([ord(letter) for letter in words], dtype=np.int64)
         decimals = np.array([self.dialect.decimals[letter] for letter in one.letters], dtype=np.int64)
         decimals = np.repeat(decimals, len(words) // len(one.letters))
@@ -600,7 +600,7 @@ class _Job:
         with ThreadPoolExecutor(threads) as pool, ThreadPoolExecutor(1) as hasher:
             hashed = hasher.submit(digest.update, b"")
             for file, start, stop in spans:
-                state[1] = 0  # a file begins with its own feed
+                state[1] = 0  # every file begins with a feed word
                 for points, rows, data in _in_order(pool, work, self._chunks(one, start, stop, state), 2 * threads):
                     hashed.result()
                     hashed = hasher.submit(digest.update, rows)
@@ -617,11 +617,11 @@ class _Job:
             self.progress(self.done, self.total)
 
     def _chunks(self, one: _Pass, start: int, stop: int, state: Ints) -> Iterator[_Chunk]:
-        """Yield the chunks of a file with their feeds, which only one thread can choose, in order."""
+        """Yield the chunks of a file with their feeds, which must be chosen in order in one thread."""
         unit, every, most = self.dialect.feed_unit, self.dialect.feed_every_block, self.dialect.feed_decimals
         state[0] = min(state[0], start)
-        for begin in range(start, stop, CHUNK):
-            end = min(begin + CHUNK, stop)
+        for begin in range(start, stop, CHUNK_POINTS):
+            end = min(begin + CHUNK_POINTS, stop)
             mantissa, places = np.empty((2, end - begin), dtype=np.int64)
             duration = np.empty(end - begin)
             bad = text_kernel.feeds(one.motion.time, begin, end, unit, every, most, state, mantissa, places, duration)
@@ -634,23 +634,23 @@ class _Job:
                     f"block {bad} of pass {one.name} lasts {span:.6g} s, the limits are 1e-6 s to {longest:g} s: check "
                     "the spindle speed and the points per turn"
                 )
-            if self.dialect.velocities:  # whose times have lines of their own
+            if self.dialect.velocities:  # block times are separate lines
                 self.lines += int(np.count_nonzero(mantissa))
             yield begin, end, mantissa, places, duration
 
 
 def _step_error(one: _Pass, index: int) -> ProgramError:
-    """Return the sentence for a block that turns C too little or too far."""
+    """Return the error for a block that turns C too little or too far."""
     places = one.dialect.decimals["C"]
     angle = one.motion.axes["C"]
     step = abs(one.units("C", float(angle[index])) - one.units("C", float(angle[index - 1]))) / 10.0**places
     if step >= 180:
         return ProgramError(
-            f"block {index} of pass {one.name} turns C by {step:g} deg, the limit is below 180 deg, beyond "
-            "which nobody can tell the sense: use more points per turn"
+            f"block {index} of pass {one.name} turns C by {step:g} deg, it must be below 180 deg, so that the sense of "
+            "rotation is unambiguous: use more points per turn"
         )
     return ProgramError(
-        f"block {index} of pass {one.name} turns C by {step:g} deg, the least is one unit of the program, "
+        f"block {index} of pass {one.name} turns C by {step:g} deg, it must be at least one unit of the program, "
         f"{10.0**-places:.{places}f} deg: use fewer points per turn"
     )
 
@@ -661,7 +661,7 @@ def _in_order(
     chunks: Iterator[_Chunk],
     ahead: int,
 ) -> Iterator[tuple[int, memoryview, memoryview]]:
-    """Yield ``work(chunk)`` in the order of the chunks, with a few of them in flight."""
+    """Yield ``work(chunk)`` in the order of the chunks, with a few in progress at once."""
     waiting: deque[Future[tuple[int, memoryview, memoryview]]] = deque()
     try:
         for chunk in chunks:
@@ -676,7 +676,7 @@ def _in_order(
 
 
 def _stale(path: Path, written: list[str]) -> list[str]:
-    """Return sub-programs of an earlier, longer program of this name, so that nobody cuts with them by mistake."""
+    """Return sub-programs of an earlier program of this name, so that they are not run by mistake."""
     pattern = re.compile(re.escape(path.stem) + r"\.[A-Za-z0-9_-]+\.\d{3,}" + re.escape(path.suffix))
     stale = []
     for entry in path.parent.iterdir():
@@ -688,20 +688,20 @@ def _stale(path: Path, written: list[str]) -> list[str]:
 
 
 def _put_in_place(source: Path, target: Path, names: list[str], stale: list[str]) -> None:
-    """Move the files of a whole program to where they belong, the main one last; undo everything if one fails."""
-    kept = source / "earlier"
-    kept.mkdir()
+    """Move the files of a program into place, the main program last; undo everything if one fails."""
+    backup = source / "earlier"
+    backup.mkdir()
     order = [*stale, *names[1:], names[0]]
     try:
         for name in order:
             if (target / name).exists():
-                (target / name).replace(kept / name)
+                (target / name).replace(backup / name)
             if name in names:
                 (source / name).replace(target / name)
     except BaseException:
         for name in order:
-            if (kept / name).exists():
-                (kept / name).replace(target / name)
+            if (backup / name).exists():
+                (backup / name).replace(target / name)
             elif name in names and not (source / name).exists():
                 (target / name).unlink(missing_ok=True)
         raise

@@ -1,4 +1,4 @@
-"""Prescriptions: one family per file, each a `Surface`."""
+"""Surface prescriptions: one family per module, each a `Surface`."""
 
 from turnwright.surface.base import FAMILIES, Family, Series, Surface
 from turnwright.surface.compound import Placed, Sum

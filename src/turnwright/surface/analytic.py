@@ -1,4 +1,4 @@
-"""What the closed-form families share: their terms, their conic base, and the call of their kernels."""
+"""Common code of the closed-form families: terms, conic base, and calls of the kernels."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ K = TypeVar("K")
 
 
 class Coefficients:
-    """The annotation of coefficients, which `Surface.series` says how to read."""
+    """Annotation of coefficients, whose keys and units are in `Surface.series`."""
 
     @classmethod
     def __get_pydantic_core_schema__(cls, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -51,14 +51,14 @@ class Coefficients:
 
 
 Terms: TypeAlias = Annotated[Mapping[K, float] | Iterable[tuple[K, float]], Coefficients]
-"""Coefficients by what they multiply; stored as sorted pairs, so that a prescription can be compared and pickled."""
+"""Coefficients by key; stored as sorted pairs, so that a prescription can be compared and pickled."""
 
 MAX_DEGREE = 100
-"""Largest degree of a polynomial: far beyond any prescription, and a slip such as 10000 does not fill the memory."""
+"""Largest degree of a polynomial, far beyond any prescription."""
 
 
 class _Radius(unit):
-    """A vertex radius: a length, or the word "flat" for one without end."""
+    """A vertex radius: a length, or the word "flat" for an infinite one."""
 
     __slots__ = ()
 
@@ -67,29 +67,29 @@ class _Radius(unit):
         return float("inf") if text == "flat" else super().read(text)
 
     def within(self, value: float, given: object) -> float:
-        """Return a radius that a file could state."""
+        """Return a radius within the limits, or an infinite one."""
         return value if value == float("inf") else super().within(value, given)
 
     def show(self, value: float | None) -> str | None:
-        """Return text that `read` takes back to the same number."""
+        """Return text that `read` reads back to the same number."""
         return "flat" if value == float("inf") else super().show(value)
 
 
 Radius: TypeAlias = Annotated[float, _Radius("mm")]
 
 _DIGITS = "[0-9]{1,9}"
-"""An index of more digits is none that any series has."""
+"""Pattern of an index."""
 
 
 def index_of(key: str) -> int:
-    """Return the whole number that the key of a job file is."""
+    """Return the index in a key of a job file."""
     if re.fullmatch(_DIGITS, key) is None:
         raise JobError(f"the key {key!r} is not a whole number: name each coefficient by its number")
     return int(key)
 
 
 def indices_of(key: str) -> tuple[int, int]:
-    """Return the two whole numbers that the key of a job file is, such as "2,0"."""
+    """Return the two indices in a key of a job file, such as "2,0"."""
     match = re.fullmatch(rf"\s*({_DIGITS})\s*,\s*(-?{_DIGITS})\s*", key)
     if match is None:
         raise JobError(f"the key {key!r} is not two whole numbers: name each coefficient like '2,0'")
@@ -97,12 +97,12 @@ def indices_of(key: str) -> tuple[int, int]:
 
 
 def whole(key: object, what: str) -> int:
-    """Return ``key`` if it is a whole number of 0 or more."""
+    """Return ``key`` if it is an integer of 0 or more."""
     return whole_number(key, what, 0)
 
 
 def whole_pair(key: object, what: str) -> tuple[int, int]:
-    """Return ``key`` if it is two whole numbers, of which the second may be negative."""
+    """Return ``key`` if it is two integers, of which the second may be negative."""
     if not isinstance(key, tuple | list) or len(key) != 2 or not isinstance(key[1], Integral):
         raise InputError(f"{what} is {key!r}, it must be a pair of whole numbers: give two of them")
     sign = -1 if key[1] < 0 else 1
@@ -115,24 +115,24 @@ def read_terms(terms: Terms[Any], what: str, key: Callable[[object], K]) -> tupl
     Raises
     ------
     InputError
-        If a coefficient is not finite or a key comes twice.
+        If a coefficient is not finite or a key is repeated.
     """
-    found: dict[K, float] = {}
+    coefficients: dict[K, float] = {}
     for item in terms.items() if isinstance(terms, Mapping) else terms:
         if not isinstance(item, tuple | list) or len(item) != 2:
             raise InputError(f"{what} has the term {item!r}, each must be a pair of key and coefficient: give both")
         place = key(item[0])
-        if place in found:
-            raise InputError(f"{what} has the term {item[0]!r} twice, once is the limit: add the two coefficients")
-        found[place] = finite(item[1], f"the coefficient of term {item[0]!r} of {what}")
-    return tuple(sorted(found.items()))
+        if place in coefficients:
+            raise InputError(f"{what} has the term {item[0]!r} twice, only one is allowed: add the two coefficients")
+        coefficients[place] = finite(item[1], f"the coefficient of term {item[0]!r} of {what}")
+    return tuple(sorted(coefficients.items()))
 
 
 def curvature(radius: float, what: str) -> float:
     """Return 1/radius; an infinite radius is flat. [1/mm]."""
     if not isinstance(radius, Real) or np.isnan(radius) or radius == 0:
         raise InputError(
-            f"{what} is {radius!r} mm, it must not be 0: give it positive for a bowl, negative for a dome, "
+            f"{what} is {radius!r} mm, it must not be 0: give it positive for concave, negative for convex, "
             "infinite for a flat"
         )
     if not LEAST <= abs(radius) <= MOST and not np.isinf(radius):
@@ -144,9 +144,9 @@ def curvature(radius: float, what: str) -> float:
 
 
 def summed(x: Floats, y: Floats, order: int, *steps: tuple[Any, ...]) -> tuple[Floats, ...]:
-    """Return what the kernels add up to; each step is a kernel and its parameters.
+    """Return the sum of kernels; each step is a kernel and its parameters.
 
-    A read-only array is copied first: to numba it is another type, and it would compile every kernel again.
+    A read-only array is copied first, as it has another type for numba, which would compile every kernel again.
     """
     px, py = (part.ravel() if part.flags.writeable else part.flatten() for part in (x, y))
     out = np.zeros(((1, 3, 6)[order], x.size))
@@ -156,7 +156,7 @@ def summed(x: Floats, y: Floats, order: int, *steps: tuple[Any, ...]) -> tuple[F
 
 
 def changing_length(sizes: Mapping[int, float]) -> float:
-    """Estimate over which length the curvature of a polynomial changes by its own size.
+    """Estimate the length over which the curvature of a polynomial changes by its own size.
 
     Parameters
     ----------
@@ -166,14 +166,14 @@ def changing_length(sizes: Mapping[int, float]) -> float:
     Returns
     -------
     float
-        The least ratio of second to third derivative over all distances at which more than the lowest degree counts,
-        or ``inf`` if only one degree bends. [mm]
+        The smallest ratio of second to third derivative over all distances at which degrees above the lowest matter,
+        or ``inf`` if only one degree has curvature. [mm]
     """
     bending = np.array(sorted((d, d * (d - 1) * abs(size)) for d, size in sizes.items() if d >= 2 and size != 0))
     if len(bending) < 2:
         return float("inf")
     d, q = bending.T
-    # In logarithms, so that no power of a distance overflows; second derivative / third is r sum(w) / sum((d - 2) w).
+    # In logarithms, as powers of a distance may overflow; second derivative / third is r sum(w) / sum((d - 2) w).
     log_q = np.log(q)
     first = np.min((log_q[0] - log_q[1:]) / (d[1:] - d[0]))
     last = np.max((log_q[:-1] - log_q[-1]) / (d[-1] - d[:-1]))
@@ -185,7 +185,7 @@ def changing_length(sizes: Mapping[int, float]) -> float:
 
 
 class OnConic(Surface):
-    """A surface on a conic of revolution, defined where the conic is."""
+    """A surface based on a conic of revolution, defined where the conic is."""
 
     __slots__ = ()
 
@@ -196,20 +196,20 @@ class OnConic(Surface):
 
     @property
     def reach(self) -> float:
-        """Distance from the axis at which the conic turns vertical. [mm]."""
+        """Distance from the axis at which the conic is vertical. [mm]."""
         c, k = self.base
         squared = (1 + k) * c * c
         return float(1 / np.sqrt(squared)) if squared > 0 else float("inf")
 
     def inside(self, x: Floats, y: Floats) -> Bools | None:
-        """Return where the conic is not yet vertical."""
+        """Return where the conic is defined."""
         c, k = self.base
         squared = (1 + k) * c * c
         return None if squared <= 0 else 1 - squared * (x * x + y * y) > 0
 
     @property
     def domain(self) -> str:
-        """Say in words where the surface is defined."""
+        """The domain of the surface in words."""
         return "the whole plane" if np.isinf(self.reach) else f"the disc of radius {self.reach:.6g} mm about its axis"
 
     @property

@@ -1,4 +1,4 @@
-"""What every prescription can do."""
+"""Base class of surfaces, and their families in a job file."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ if TYPE_CHECKING:
 __all__ = ["COSTLIEST", "FAMILIES", "Family", "Series", "Surface"]
 
 FAMILIES: dict[str, type[Any]] = {}
-"""What a job file can name as a ``family``: each class that states one, as soon as its module is imported."""
+"""Classes by the ``family`` that a job file names; a class is registered when its module is imported."""
 
 COSTLIEST = 4500
-"""Additions that a surface may cost at a point; a microsecond takes about 400 of them, with their derivatives."""
+"""Largest cost of a surface per point, in additions; 400 of them with derivatives take about a microsecond."""
 
 PLAIN_COST = 20
-"""Additions that a surface in closed form costs at a point."""
+"""Cost per point of a surface in closed form, in additions."""
 
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """How a job file names the coefficients of a formula, and in which unit each is.
+    """Keys and units of the coefficients of a formula in a job file.
 
     Parameters
     ----------
     power
-        The power of length that a coefficient has, by its key.
+        Function from the key of a coefficient to the power of length in its unit.
     key
-        Reads the text of a key; ``None`` for a list, whose keys count from 0.
+        Parser of a key; ``None`` for a list, whose keys count from 0.
     """
 
     power: Callable[[Any], int]
@@ -60,11 +60,10 @@ class Series:
 
 
 class Family(Stated):
-    """What a job file can name as the ``family`` of a surface: a surface, or the file of its heights.
+    """A family of surfaces in a job file: a class of surfaces, or of files of heights.
 
-    ``series`` says which fields are coefficients of a formula, ``formula_units`` in which unit a formula is that a job
-    file must confirm, ``needed`` which keys it must state though their fields have defaults, ``example`` how it may do
-    so.
+    ``series`` names the fields that are coefficients of a formula, ``formula_units`` the unit of a formula that a job
+    file must confirm, ``needed`` the required keys whose fields have defaults; ``example`` is an example table.
     """
 
     __slots__ = ()
@@ -76,7 +75,7 @@ class Family(Stated):
 
     @classmethod
     def table_keys(cls) -> Mapping[str, Any]:
-        """Return the keys that a file can state, with their types."""
+        """Return the keys that a file may have, with their types."""
         units = {"units": str} if cls.series or cls.formula_units else {}
         return {"family": str, "placed": Pose, **units, **super().table_keys()}
 
@@ -103,20 +102,20 @@ class Family(Stated):
     def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         from turnwright.surface.stated import json_schema_of  # noqa: PLC0415 - only job files need pydantic
 
-        found = handler(core)
+        schema = handler(core)
         if cls.family:
-            place = handler.resolve_ref_schema(found)
-            place.update(json_schema_of(cls, place, handler))
-        return found
+            definition = handler.resolve_ref_schema(schema)
+            definition.update(json_schema_of(cls, definition, handler))
+        return schema
 
 
 class Surface(Family, Value, ABC):
-    """A finished surface z = f(x, y), material below it.
+    """A finished surface z = f(x, y) with the material below it.
 
-    A new family implements `evaluate`, and where they are not the default: `inside` and `domain` (where it is
-    defined), `poles` (where samples may miss that it is not), `piece` (where it has kinks or steps) and `feature_size`
-    (how fine its structure is). A job file can state a family that has a name in ``family``: its fields carry their
-    units, see `Family`.
+    A new family implements `evaluate` and, where the defaults do not hold: `inside` and `domain` (where it is defined),
+    `poles` (singular points that sampling may miss), `piece` (where it has slope discontinuities or steps) and
+    `feature_size` (the size of its finest structure). A job file can name a family that sets ``family``; its fields
+    carry their units, see `Family`.
     """
 
     __slots__ = ()
@@ -131,12 +130,12 @@ class Surface(Family, Value, ABC):
 
     @property
     def stated(self) -> Any:
-        """What a job file states in place of it: a file for heights that were read from one."""
+        """The value that a job file describes in place of this one, such as the file of measured heights."""
         return self
 
     @abstractmethod
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
-        """Return the height and its exact derivatives, without looking at the domain.
+        """Return the height and its exact derivatives, without checking the domain.
 
         Parameters
         ----------
@@ -148,44 +147,44 @@ class Surface(Family, Value, ABC):
         Returns
         -------
         tuple
-            Fresh arrays of the shape of ``x``. [mm, 1, 1/mm] Outside the domain anything, or nan, without a warning.
+            New arrays of the shape of ``x``. [mm, 1, 1/mm] Outside the domain any value, or nan, without a warning.
         """
 
     def inside(self, x: Floats, y: Floats) -> Bools | None:  # noqa: ARG002
-        """Return where the surface is defined, or ``None`` if it is everywhere."""
+        """Return the mask of points where the surface is defined; ``None`` if it is defined everywhere."""
         return None
 
     @property
     def domain(self) -> str:
-        """Say in words where the surface is defined."""
+        """The domain of the surface in words."""
         return "the whole plane"
 
     def piece(self, x: Floats, y: Floats) -> Ints | None:  # noqa: ARG002
-        """Return the number of the smooth piece that each point belongs to, or ``None`` if all is one piece.
+        """Return the number of the smooth piece that each point belongs to, or ``None`` if there is only one.
 
-        The height is twice differentiable inside a piece; between pieces it may have a kink or a step. A piece cuts
-        a straight line in one interval (its cells are convex).
+        The height is twice differentiable inside a piece; between pieces it may have a slope discontinuity or a step.
+        Pieces are convex: each intersects a straight line in one interval.
         """
         return None
 
     @property
     def in_pieces(self) -> bool:
-        """Whether it has kinks or steps, as a lens array has."""
+        """Whether the surface has several smooth pieces, like a lens array."""
         return self.piece(np.zeros(1), np.zeros(1)) is not None
 
     @property
     def feature_size(self) -> float:
-        """Length over which the curvature changes noticeably; the step of a search must be well below it. [mm]."""
+        """Length over which the curvature changes noticeably; sampling must be well below it. [mm]."""
         return float("inf")
 
     @property
     def cost(self) -> int:
-        """Height and derivatives at a point in additions, to about a factor of 2; `COSTLIEST` is the limit."""
+        """Cost of height and derivatives per point, in additions, to about a factor of 2; limited to `COSTLIEST`."""
         return PLAIN_COST
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What was worked out for the surface, or is known of its accuracy, and nobody stated; a sentence each."""
+        """Derived quantities and accuracy of the surface that are not in its prescription; one sentence each."""
         return ()
 
     def sag(self, x: ArrayLike, y: ArrayLike) -> Floats:
@@ -226,14 +225,14 @@ class Surface(Family, Value, ABC):
         return self.evaluate(x, y, order)
 
     def require_disc(self, radius: float, what: str) -> None:
-        """Raise unless the surface is defined all over the disc of ``radius``; the axis alone may be missing.
+        """Raise unless the surface is defined everywhere in the disc of ``radius`` except possibly on the axis.
 
-        A formula in the azimuth, such as cos(3 phi), has no height on the axis and is cut everywhere around it.
+        A formula in the azimuth, such as cos(3 phi), has no height on the axis, but can be cut around it.
 
         Raises
         ------
         DomainError
-            With the part of the disc that is missing.
+            With the place where the surface is not defined.
         """
         angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
         rings = radius * np.linspace(0, 1, 65)[1:]
@@ -246,23 +245,23 @@ class Surface(Family, Value, ABC):
                 f"somewhere around the axis, its domain is {self.domain}: reduce the radius or extend the surface"
             )
         x, y = self.poles(x, y, radius / 16)
-        shown = np.flatnonzero(np.hypot(x, y) <= radius)
-        if shown.size:
-            at_x, at_y = (round(float(at[shown[0]]), 6) + 0.0 for at in (x, y))
+        poles = np.flatnonzero(np.hypot(x, y) <= radius)
+        if poles.size:
+            at_x, at_y = (round(float(at[poles[0]]), 6) + 0.0 for at in (x, y))
             raise DomainError(
                 f"{what} is {radius:g} mm but {type(self).__name__} divides by 0 at x = {at_x:g} mm, y = {at_y:g} mm, "
                 "where it has no height: reduce the radius or change the surface"
             )
 
     def poles(self, x: Floats, y: Floats, reach: float) -> tuple[Floats, Floats]:  # noqa: ARG002
-        """Return places without a height, such as poles, that the points may miss.
+        """Return points without a height, such as poles, that sampling may miss.
 
         Parameters
         ----------
         x, y
-            Points, row by row; each row looks from the one that seems nearest to a pole. (m, n) [mm]
+            Samples; in each row the search starts from the sample that seems closest to a pole. (m, n) [mm]
         reach
-            How far from the points poles matter; there may be others among those returned. [mm]
+            Distance from the samples within which poles are found; farther ones may be returned too. [mm]
 
         Returns
         -------
@@ -277,7 +276,7 @@ class Surface(Family, Value, ABC):
         return Sum(terms=(self, other))
 
     def __radd__(self, other: object) -> Surface:
-        """Return this surface itself where `sum` begins with 0."""
+        """Return this surface where `sum` begins with 0."""
         return self if isinstance(other, int) and other == 0 else NotImplemented
 
     def placed(
@@ -292,21 +291,21 @@ class Surface(Family, Value, ABC):
         Parameters
         ----------
         shift
-            Where its vertex goes (x, y, z). [mm]
+            New position of its vertex (x, y, z). [mm]
         rotation
             About z, counter-clockwise seen from the tool. [rad]
         tilt
-            About its own x axis, then about its own y axis, before the rotation, each within an eighth of a turn:
-            only an off-axis part leans further, see `OffAxis` and `Placed`. [rad]
+            About its own x axis, then about its own y axis, before the rotation, each within an eighth of a turn; for
+            larger tilts see `OffAxis` and `Placed`. [rad]
 
         Raises
         ------
         InputError
-            If a number is not finite or out of its range, as an angle in degrees is.
+            If a number is not finite or out of range (an angle in degrees often is).
         """
         from turnwright.surface.compound import Placed  # noqa: PLC0415
 
-        for lean in np.atleast_1d(tilt):
+        for angle in np.atleast_1d(tilt):
             remedy = f"{IN_RAD}; for a piece far from the axis of its parent use OffAxis"
-            check_angle(lean, "tilt", -np.pi / 4, np.pi / 4, remedy)
+            check_angle(angle, "tilt", -np.pi / 4, np.pi / 4, remedy)
         return Placed(surface=self, shift=shift, rotation=rotation, tilt=tilt)

@@ -1,4 +1,4 @@
-"""Surfaces made of surfaces: sums, and a surface moved in the part frame."""
+"""Compound surfaces: sums of surfaces, and a surface moved in the part frame."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ if TYPE_CHECKING:
 
 __all__ = ["Placed", "Sum"]
 
-NEWTON_STEPS = 60
-"""Steps a tilted surface's height may take; a smooth one needs about five, a kink or a domain's edge some more."""
+MAX_NEWTON_STEPS = 60
+"""Newton steps for the height of a tilted surface; a smooth one needs about five, a discontinuity some more."""
 
-OPEN = 1e-11
-"""A gap at which a tilted surface counts as met, far below any step that matters. [mm]."""
+GAP_TOL_MM = 1e-11
+"""Gap between line and surface at which their intersection is accepted."""
 
-STEPS_COST = 10
-"""Times that the surface is evaluated for a point of a tilted one."""
+EVALUATIONS_PER_POINT = 10
+"""Evaluations of the surface for one point of the tilted one, for its cost."""
 
-WALK = (np.arange(16) + 0.5) / 16
-"""Where a tilted surface is looked at between the middle of the part and a point, as a fraction of the way."""
+OVERHANG_SAMPLES = (np.arange(16) + 0.5) / 16
+"""Samples between the middle of the part and a point at which overhang is checked, as fractions of the distance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sum(Surface):
-    """Heights added: a base with a departure on it.
+    """Sum of surfaces, such as a base and a departure from it.
 
     Parameters
     ----------
     terms
-        The surfaces to add. Sums among them are taken apart, so that ``a + b + c`` has three terms.
+        The surfaces to add. Sums among them are flattened, so that ``a + b + c`` has three terms.
 
     Raises
     ------
@@ -55,20 +55,20 @@ class Sum(Surface):
         flat: list[Surface] = []
         for term in self.terms:
             if not isinstance(term, Surface):
-                raise InputError(f"a sum holds {term!r}, which is not a surface: wrap it in one, a height for instance")
+                raise InputError(f"a sum holds {term!r}, which is not a surface: give a Surface")
             flat.extend(term.terms if isinstance(term, Sum) else (term,))
         if not flat:
             raise InputError("a sum has 0 terms, it needs at least 1: give the surfaces to add")
         cost = sum(term.cost for term in flat)
         if cost > COSTLIEST:
             raise InputError(
-                f"a sum of {len(flat)} surfaces costs {cost} additions at each point, the limit is {COSTLIEST}: give "
+                f"a sum of {len(flat)} surfaces costs {cost} additions per point, the limit is {COSTLIEST}: give "
                 "fewer terms, or their heights as a table"
             )
         object.__setattr__(self, "terms", tuple(flat))
 
     def require_disc(self, radius: float, what: str) -> None:
-        """Raise unless every term is defined all over the disc. See `Surface.require_disc`."""
+        """Raise unless every term is defined in the disc. See `Surface.require_disc`."""
         for term in self.terms:
             term.require_disc(radius, what)
 
@@ -76,7 +76,7 @@ class Sum(Surface):
         """Return the sums of the terms' heights and derivatives. See `Surface.evaluate`."""
         total = self.terms[0].evaluate(x, y, order)
         for term in self.terms[1:]:
-            total = tuple(so_far + more for so_far, more in zip(total, term.evaluate(x, y, order), strict=True))
+            total = tuple(part + more for part, more in zip(total, term.evaluate(x, y, order), strict=True))
         return total
 
     def inside(self, x: Floats, y: Floats) -> Bools | None:
@@ -91,35 +91,35 @@ class Sum(Surface):
 
     @property
     def domain(self) -> str:
-        """Say in words where every term is defined."""
+        """The domain common to all terms, in words."""
         limits = dict.fromkeys(term.domain for term in self.terms if term.domain != "the whole plane")
         return ", and ".join(limits) or "the whole plane"
 
     def piece(self, x: Floats, y: Floats) -> Ints | None:
-        """Return a number for each combination of the terms' pieces; cells that are convex meet in convex cells."""
+        """Return a number for each combination of the terms' pieces; convex pieces intersect in convex pieces."""
         parts = [part for term in self.terms if (part := term.piece(x, y)) is not None]
         if not parts:
             return None
-        # Each term's number gets its own share of the 63 bits: two terms may have 2**31 pieces each.
-        share = 63 // len(parts)
+        # Each term's number gets an equal part of the 63 bits: two terms may have 2**31 pieces each.
+        bits = 63 // len(parts)
         number = parts[0]
         for part in parts[1:]:
-            number = (number << share) + part
+            number = (number << bits) + part
         return number
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Those of the terms. See `Surface.remarks`."""
+        """Remarks of all terms. See `Surface.remarks`."""
         return tuple(sentence for term in self.terms for sentence in term.remarks)
 
     @property
     def feature_size(self) -> float:
-        """The finest of the terms. [mm]."""
+        """The smallest of the terms. [mm]."""
         return min(term.feature_size for term in self.terms)
 
     @property
     def cost(self) -> int:
-        """Of all terms. See `Surface.cost`."""
+        """Cost of all terms. See `Surface.cost`."""
         return sum(term.cost for term in self.terms)
 
 
@@ -128,20 +128,20 @@ class Placed(Surface):
     """A surface moved in the part frame: tilted, then rotated about z, then shifted. See `Surface.placed`.
 
     A point p of the surface goes to ``shift + Rz(rotation) Rx(tilt[0]) Ry(tilt[1]) p``: the second tilt is about the
-    y axis as the first tilt has left it, the order of lens-design programs.
+    y axis tilted by the first, the order of lens-design programs.
 
-    A tilted surface is a height again only where none of it overhangs. Its height over (x, y) is where the vertical
-    line meets the surface, found by Newton's method to rounding; its derivatives follow from the implicit function
-    theorem. A vertical line may meet a tilted bowl twice; the point whose normal looks up is the one meant. The domain
-    is what can be reached from the middle of the part (from the surface's own vertex, if it has no middle) without
-    passing an overhang; it is sampled on the way, at 16 places for each point asked.
+    A tilted surface has a height z = f(x, y) only where it does not overhang. The height at (x, y) is where the
+    vertical line intersects the surface, found by Newton's method to rounding; the derivatives follow from the implicit
+    function theorem. Where a vertical line intersects a tilted concave surface twice, the point whose normal points up
+    is taken. The domain is the region around the middle of the part (or the surface's vertex, if the surface is not
+    defined there) that is not behind an overhang; this is checked at 16 samples for each point.
 
     Parameters
     ----------
     surface
-        What is moved.
+        The surface to move.
     shift
-        Where its vertex goes (x, y, z). [mm]
+        New position of its vertex (x, y, z). [mm]
     rotation
         About z, counter-clockwise seen from the tool. [rad]
     tilt
@@ -154,8 +154,8 @@ class Placed(Surface):
 
     Notes
     -----
-    The pieces of a tilted surface with kinks meet along curves that are only nearly straight. Of a surface with steps,
-    the walls that a tilt shows are outside the domain; a step's rim that hides its foot is not noticed.
+    The pieces of a tilted surface meet along curves that are not exactly straight. If the surface has steps, walls that
+    the tilt exposes are outside the domain; a rim that hides the foot of its step is not detected.
 
     Examples
     --------
@@ -173,15 +173,15 @@ class Placed(Surface):
     def __post_init__(self) -> None:
         check_numbers(self)
         if not isinstance(self.surface, Surface):
-            raise InputError(f"what is placed is {self.surface!r}, which is not a surface: give a Surface")
+            raise InputError(f"the surface to place is {self.surface!r}, it must be a surface: give a Surface")
         pose = self.pose
         for name in ("shift", "rotation", "tilt"):
             object.__setattr__(self, name, getattr(pose, name))
-        lean = np.rad2deg(np.arccos(np.clip(np.cos(self.tilt[0]) * np.cos(self.tilt[1]), -1, 1)))
-        if lean > 89.9:
+        total_tilt = np.rad2deg(np.arccos(np.clip(np.cos(self.tilt[0]) * np.cos(self.tilt[1]), -1, 1)))
+        if total_tilt > 89.9:
             raise InputError(
-                f"tilt turns the axis of {type(self.surface).__name__} by {lean:.4g} deg, the limit is 89.9 deg: "
-                "a surface seen from the side or from behind has no height, reduce the tilt"
+                f"tilt turns the axis of {type(self.surface).__name__} by {total_tilt:.4g} deg, the limit is 89.9 deg: "
+                "reduce the tilt"
             )
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
@@ -193,21 +193,21 @@ class Placed(Surface):
         """Return where the moved surface is defined and does not overhang."""
         u, v, height = self._local(x, y)
         if self.tilt == (0.0, 0.0):
-            found = self.surface.inside(u, v)
-            return None if found is None else found.reshape(x.shape)
-        found = np.isfinite(height)
-        # On a convex region of the surface where the normal keeps looking up no vertical line meets it twice.
+            inside = self.surface.inside(u, v)
+            return None if inside is None else inside.reshape(x.shape)
+        inside = np.isfinite(height)
+        # In a convex region where the normal points up everywhere, a vertical line meets the surface only once.
         u0, v0, middle = (part.item() for part in self._local(np.zeros(1), np.zeros(1)))
         if not np.isfinite(middle):
             u0 = v0 = 0.0
-        for part in WALK:
+        for part in OVERHANG_SAMPLES:
             with np.errstate(all="ignore"):
                 _, up = self._gap(u0 + part * (u - u0), v0 + part * (v - v0), 0.0)
-            found &= ~(up <= 0)  # nan, outside the surface's own domain, is no overhang
-        return found.reshape(x.shape)
+            inside &= ~(up <= 0)  # nan, outside the surface's own domain, is no overhang
+        return inside.reshape(x.shape)
 
     def poles(self, x: Floats, y: Floats, reach: float) -> tuple[Floats, Floats]:
-        """Return the moved poles; with a tilt they lean over and are outside the domain. See `Surface.poles`."""
+        """Return the moved poles; with a tilt they overhang and are outside the domain. See `Surface.poles`."""
         if self.tilt != (0.0, 0.0):
             return Surface.poles(self, x, y, reach)
         u, v, _ = self._local(x, y)
@@ -217,36 +217,36 @@ class Placed(Surface):
 
     @property
     def domain(self) -> str:
-        """Say in words where the moved surface is defined."""
+        """The domain of the moved surface in words."""
         overhang = "" if self.tilt == (0.0, 0.0) else ", no farther from the middle than where it starts to overhang"
         if self.surface.domain == "the whole plane":
             return self.surface.domain + overhang
         return f"the moved {type(self.surface).__name__}'s ({self.surface.domain}){overhang}"
 
     def piece(self, x: Floats, y: Floats) -> Ints | None:
-        """Return the pieces of the surface that is moved."""
+        """Return the pieces of the moved surface."""
         u, v, _ = self._local(x, y)
         number = self.surface.piece(u, v)
         return None if number is None else number.reshape(x.shape)
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Those of the surface that is moved. See `Surface.remarks`."""
+        """Remarks of the moved surface. See `Surface.remarks`."""
         return self.surface.remarks
 
     @property
     def cost(self) -> int:
-        """The point of a tilted surface is sought in a few steps. See `Surface.cost`."""
-        return (STEPS_COST if any(self.tilt) else 1) * self.surface.cost
+        """Cost of the surface, times the evaluations for a tilted one. See `Surface.cost`."""
+        return (EVALUATIONS_PER_POINT if any(self.tilt) else 1) * self.surface.cost
 
     @property
     def feature_size(self) -> float:
-        """The surface's own, foreshortened by the tilt. [mm]."""
+        """Feature size of the surface, foreshortened by the tilt. [mm]."""
         return float(self.surface.feature_size * self._turn()[2, 2])
 
     @property
     def pose(self) -> Pose:
-        """Where the surface's own frame sits in the part's."""
+        """Pose of the surface's frame in the part frame."""
         return Pose(shift=self.shift, rotation=self.rotation, tilt=self.tilt)
 
     def _turn(self) -> Floats:
@@ -254,14 +254,14 @@ class Placed(Surface):
         return self.pose.matrix
 
     def _level(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
-        """Evaluate without tilt: the heights are the surface's own."""
+        """Evaluate without tilt."""
         u, v, _ = self._local(x, y)
-        z, *rest = self.surface.evaluate(u, v, order)
+        z, *derivatives = self.surface.evaluate(u, v, order)
         z = z + self.shift[2]
         if order == 0 or self.rotation == 0:
-            return z, *rest
+            return z, *derivatives
         c, s = np.cos(self.rotation), np.sin(self.rotation)
-        fu, fv, *second = rest
+        fu, fv, *second = derivatives
         first = (c * fu - s * fv, s * fu + c * fv)
         if order == 1:
             return z, *first
@@ -272,21 +272,21 @@ class Placed(Surface):
         return z, *first, zxx, zxy, zyy
 
     def _tilted(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
-        """Evaluate with tilt, where the height is what a line through the surface finds."""
+        """Evaluate with tilt, by intersecting vertical lines with the surface."""
         turn = self._turn()
         u, v, height = self._local(x, y)
         with np.errstate(all="ignore"):
             z = height + self.shift[2]
             if order == 0:
                 return (z,)
-            # Bad starts leave nan in u and v; they come back as nan without disturbing the others.
+            # Where no intersection was found, u and v are nan, and so is the result.
             _, fu, fv, *second = self.surface.evaluate(u, v, order)
             up = turn[2, 2] - turn[2, 0] * fu - turn[2, 1] * fv
             zx = -(turn[0, 2] - turn[0, 0] * fu - turn[0, 1] * fv) / up
             zy = -(turn[1, 2] - turn[1, 0] * fu - turn[1, 1] * fv) / up
             if order == 1:
                 return z, zx, zy
-            # Along x the surface point moves by (1, 0, zx); (au, av) is that in the surface's own frame.
+            # Along x the surface point moves by (1, 0, zx); (au, av) is this vector in the surface's frame.
             au, av = turn[0, 0] + turn[2, 0] * zx, turn[0, 1] + turn[2, 1] * zx
             bu, bv = turn[1, 0] + turn[2, 0] * zy, turn[1, 1] + turn[2, 1] * zy
             fuu, fuv, fvv = second
@@ -296,66 +296,64 @@ class Placed(Surface):
         return z, zx, zy, zxx, zxy, zyy
 
     def _local(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the point of the surface under (x, y): (u, v) in its own frame, and its height less the shift.
+        """Return the point of the surface at (x, y): (u, v) in its own frame, and its height minus the shift.
 
-        Without a tilt the height is left at zero; with one it is nan where no height was found. Each (n,).
+        Without tilt the returned height is 0; with tilt it is nan where no intersection was found. Each (n,).
         """
         dx, dy = x.ravel() - self.shift[0], y.ravel() - self.shift[1]
         turn = self._turn()
         u, v = turn[0, 0] * dx + turn[1, 0] * dy, turn[0, 1] * dx + turn[1, 1] * dy
         if self.tilt == (0.0, 0.0):
             return u, v, np.zeros_like(u)
-        # The vertical line over (x, y), in the surface's frame: (u, v, w) + t (lu, lv, lw); t is the height sought.
+        # The vertical line through (x, y), in the surface's frame: (u, v, w) + t (lu, lv, lw); t is the height.
         w = turn[0, 2] * dx + turn[1, 2] * dy
         lu, lv, lw = turn[2]
         height = np.full_like(u, np.nan)
-        # Good places to start: the part's own plane z = 0, the plane of the surface's vertex, that vertex's height,
-        # and where the line passes closest to the surface's axis, which is inside any disc that it crosses.
+        # Starting points: the plane z = 0 of the part, the tangent plane at the surface's vertex, the height of the
+        # vertex, and the point of the line closest to the surface's axis, which is inside any disc that it crosses.
         closest = -(u * lu + v * lv) / max(lu * lu + lv * lv, 1e-300)
         starts = (np.full_like(u, -self.shift[2]), -w / lw, np.zeros_like(u), closest)
         for start in starts:
             missing = np.flatnonzero(np.isnan(height))
             if missing.size == 0:
                 break
-            here, there, above, begin = (part[missing] for part in (u, v, w, start))
-            height[missing] = self._meet(here, there, above, begin)
+            height[missing] = self._intersect(*(part[missing] for part in (u, v, w, start)))
         return u + height * lu, v + height * lv, height
 
-    def _meet(self, u: Floats, v: Floats, w: Floats, start: Floats) -> Floats:
-        """Return where the lines meet the surface, nan where not: Newton from ``start``, steps halved until they help.
+    def _intersect(self, u: Floats, v: Floats, w: Floats, start: Floats) -> Floats:
+        """Return the heights at which lines intersect the surface, nan where not found; Newton with step halving.
 
-        A step is taken only if it ends in the domain, where the normal looks up, and closer to the surface.
+        A step is accepted only if it ends in the domain, where the normal points up, and closer to the surface.
         """
         lu, lv, lw = self._turn()[2]
         t = start.copy()
-        met = np.full_like(t, np.nan)
+        height = np.full_like(t, np.nan)
         with np.errstate(all="ignore"):
             gap, up = self._gap(u + t * lu, v + t * lv, w + t * lw)
-            # Differences of heights are no better than their own rounding.
-            grain = 4 * np.finfo(np.float64).eps
+            rounding = 4 * np.finfo(np.float64).eps
             active = np.flatnonzero(np.isfinite(gap) & (up > 0))
             step = np.zeros_like(t)
             step[active] = -gap[active] / up[active]
-            for _ in range(NEWTON_STEPS):
+            for _ in range(MAX_NEWTON_STEPS):
                 trial = t[active] + step[active]
                 new, steep = self._gap(u[active] + trial * lu, v[active] + trial * lv, w[active] + trial * lw)
                 better = np.isfinite(new) & (steep > 0) & (np.abs(new) < np.abs(gap[active]))
-                won = active[better]
-                t[won], gap[won] = trial[better], new[better]
-                step[won] = -new[better] / steep[better]
+                accepted = active[better]
+                t[accepted], gap[accepted] = trial[better], new[better]
+                step[accepted] = -new[better] / steep[better]
                 step[active[~better]] /= 2
                 scale = np.abs(t[active]) + np.abs(w[active]) + np.abs(u[active]) + np.abs(v[active])
-                close = np.abs(step[active]) <= grain * scale
-                # A step that shrank by halving alone, with the gap still open, has run into a wall or an edge.
-                shut = np.abs(gap[active]) <= 64 * grain * scale + OPEN
-                met[active[close & shut]] = t[active[close & shut]]
-                active = active[~close]
+                converged = np.abs(step[active]) <= rounding * scale
+                # A step that vanished by halving while the gap is open has reached a wall or the edge of the domain.
+                closed = np.abs(gap[active]) <= 64 * rounding * scale + GAP_TOL_MM
+                height[active[converged & closed]] = t[active[converged & closed]]
+                active = active[~converged]
                 if active.size == 0:
                     break
-        return met
+        return height
 
     def _gap(self, u: Floats, v: Floats, w: Floats | float) -> tuple[Floats, Floats]:
-        """Return the height of a point over the surface along its own axis, and how much it grows along part z."""
+        """Return the height of a point above the surface along its own axis, and its derivative along part z."""
         z, fu, fv = self.surface.evaluate(u, v, 1)
         lu, lv, lw = self._turn()[2]
         gap, up = w - z, lw - lu * fu - lv * fv

@@ -1,4 +1,4 @@
-"""Planes, spheres, conics and even aspheres: surfaces of revolution about z (a plane may lean)."""
+"""Planes, spheres, conics and even aspheres: surfaces of revolution about z (a plane may be tilted)."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Plane(Surface):
     Parameters
     ----------
     slope
-        Rise along x and along y. [1]
+        Slopes along x and along y. [1]
 
     Raises
     ------
@@ -161,7 +161,7 @@ class EvenAsphere(OnConic):
     Raises
     ------
     InputError
-        If the radius is 0 or nan, or a power is odd, or anything is not finite.
+        If the radius is 0 or nan, a power is odd, or a coefficient is not finite.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Sums of polynomials on a disc, by azimuthal order: what Zernike and Forbes have in common."""
+"""Sums of polynomials on a disc by azimuthal order, for Zernike and Forbes surfaces."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def disc_sum(series: Mapping[int, Floats]) -> DiscSum:
 
     Sources
     -------
-    [DLMF]_ 18.9.2, with the coefficients of Table 18.9.1. A power series would cancel: 1e-3 is lost at degree 40.
+    [DLMF]_ 18.9.2, with the coefficients of Table 18.9.1. A power series would cancel: its error at degree 40 is 1e-3.
     """
     orders = 1 + max((abs(m) for m in series), default=0)
     count = max((len(c) for c in series.values()), default=0)
@@ -46,12 +46,12 @@ def disc_sum(series: Mapping[int, Floats]) -> DiscSum:
         coefficients[int(order < 0), abs(order), : len(row)] = row
     m, k = np.arange(orders, dtype=np.float64)[:, None], np.arange(count + 1, dtype=np.float64)
     n = 2 * k + m
-    share = (k + 1) * (k + m + 1)
-    b = (n + 1) * (n + 2) / share
-    # The general formula reads 0/0 at k = m = 0; k = 0 has a simple form of its own.
+    divisor = (k + 1) * (k + m + 1)
+    b = (n + 1) * (n + 2) / divisor
+    # The general formula is 0/0 at k = m = 0; k = 0 has a simple form.
     safe = np.where(k > 0, n, 1.0)
-    a = np.where(k > 0, -b / 2 - (n + 1) * m * m / (2 * share * safe), -(m + 1))
-    c = np.where(k > 0, k * (k + m) * (n + 2) / (share * safe), 0.0)
+    a = np.where(k > 0, -b / 2 - (n + 1) * m * m / (2 * divisor * safe), -(m + 1))
+    c = np.where(k > 0, k * (k + m) * (n + 2) / (divisor * safe), 0.0)
     sizes.flags.writeable = False
     return DiscSum(
         recurrence=frozen(np.stack([a, b, c]), "recurrence", ndim=3),

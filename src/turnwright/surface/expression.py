@@ -1,6 +1,6 @@
-"""A surface given by a formula, read safely and differentiated exactly."""
+"""A surface defined by a formula, parsed safely and differentiated exactly."""
 
-# ruff: noqa: ARG001, ARG005 - the rules of differentiation have one shape, whether they use all of it or not
+# ruff: noqa: ARG001, ARG005 - all differentiation rules have the same signature
 
 from __future__ import annotations
 
@@ -25,51 +25,50 @@ if TYPE_CHECKING:
 
 __all__ = ["Expression"]
 
-LONGEST = 10_000
-"""Characters a formula may have."""
+MAX_CHARACTERS = 10_000
 
-MOST = 2000
-"""Signs + and -, or * and /, that a formula may have; the parser of the language follows a few more."""
+MAX_SIGNS = 2000
+"""Signs + and -, or * and /, in a formula; Python's parser accepts a few more."""
 
-DEEPEST = 50
-"""Brackets a formula may have inside one another."""
+MAX_NESTING = 50
+"""Brackets inside one another."""
 
-NESTED = 20_000
-"""Steps of the parts of a formula of which crests and poles are searched, one by one: so many take some seconds."""
+MAX_SEARCH_STEPS = 20_000
+"""Steps of the parts of a formula whose crests and poles are searched; as many take some seconds."""
 
-AXIS = 1e-12
-"""Points closer to the axis than this lie on it: no optic is finer, and polar terms cancel badly there. [mm]."""
+AXIS_RADIUS_MM = 1e-12
+"""Points closer to the axis than this are treated as on it, as polar terms cancel there."""
 
-HUGE = 1e3
-"""No optic is as high; where a divisor vanishes, a pole is. [mm]."""
+MIN_POLE_HEIGHT_MM = 1e3
+"""Height beyond which a zero of a divisor is a pole."""
 
-FAR = 25.0
-"""How far from the axis the feature size is estimated. [mm]."""
+MAX_ESTIMATE_RADIUS_MM = 25.0
+"""Distance from the axis within which the feature size is estimated."""
 
-CREST_TOL = 1e-12
-"""How closely the crest of an exp is found. [mm]."""
+CREST_TOL_MM = 1e-12
+"""Accuracy of the position of the crest of an exp."""
 
-CLIMBS = 1000
-"""Steps toward a crest at most: some arguments of exp climb along a spiral without end."""
+MAX_CREST_STEPS = 1000
+"""Steps toward a crest; some arguments of exp rise along a spiral without end."""
 
-STRAY_TOL = 1e-7
-"""Closer than this to a crest its height no longer tells where it is, by rounding. [mm]."""
+STRAY_TOL_MM = 1e-7
+"""Distance from a crest below which rounding hides where it is."""
 
-BLOCK = 8192
-"""Points worked on at once, so that all terms of a formula stay in the cache."""
+BLOCK_POINTS = 8192
+"""Points evaluated at once, so that all terms of a formula stay in the cache."""
 
 Value: TypeAlias = Floats | float
 Jet: TypeAlias = tuple[Value, ...]
-"""A value with its derivatives, (z), (z, zx, zy) or (z, zx, zy, zxx, zxy, zyy); a plain 0.0 is known to vanish."""
+"""A value with its derivatives, (z), (z, zx, zy) or (z, zx, zy, zxx, zxy, zyy); a Python float 0.0 is exactly zero."""
 
 Watched: TypeAlias = tuple[int, str, Jet, Jet]
-"""At which step what was called, with its argument and its result."""
+"""Number and name of a step, its argument and its result."""
 
 Step: TypeAlias = tuple[str, float | str]
 """One step of a formula in postfix order: ("number", 2.0), ("name", "x"), ("operator", "+") or ("call", "sin")."""
 
 SECOND = ((3, 1, 1), (4, 1, 2), (5, 2, 2))
-"""Where a jet keeps its second derivatives, and by which first ones they are."""
+"""Indices of the second derivatives in a jet, with those of the two first derivatives that they belong to."""
 
 # Value, first and second derivative of each function: f(v), d(v, f), dd(v, f, d).
 Rule: TypeAlias = tuple[
@@ -91,7 +90,7 @@ CALLS: dict[str, Rule] = {
 }
 PAIRS = ("atan2", "hypot")
 POLAR: dict[tuple[str, ...], str] = {("hypot", "x", "y"): "rho", ("hypot", "y", "x"): "rho", ("atan2", "y", "x"): "phi"}
-"""Calls that spell a variable with an exact treatment on the axis of its own."""
+"""Calls that mean rho or phi, which are treated exactly on the axis."""
 OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
 VARIABLES = ("x", "y", "rho", "phi")
 NUMBERS = {"pi": np.pi, "e": np.e}
@@ -99,22 +98,22 @@ ROUGH = ("abs", "fabs", "max", "min", "floor", "ceil", "round", "sign", "trunc",
 COSTS = {"*": 4, "/": 5, "**": 4, "hypot": 16, "atan2": 16, "sin": 8, "cos": 8} | dict.fromkeys(
     set(CALLS) - {"sin", "cos"}, 3
 )
-"""Of a step at a point, with both derivatives, in additions: measured, to about a factor of 2."""
-VARYING_POWER = 20
-"""Of a power whose exponent changes."""
-SHARP = ("sin", "cos", "tan", "atan", "sinh", "cosh", "tanh", "exp")
-"""Functions with a length of their own; the others only stretch that of their argument."""
+"""Cost of a step per point with both derivatives, in additions: measured, to about a factor of 2."""
+VARYING_POWER_COST = 20
+"""Cost of a power with a varying exponent."""
+SCALE_FUNCTIONS = ("sin", "cos", "tan", "atan", "sinh", "cosh", "tanh", "exp")
+"""Functions that introduce a length scale; the others only stretch that of their argument."""
 
 
 class _Axis(NamedTuple):
-    """What a formula in rho and phi does on the axis."""
+    """Behaviour of a formula in rho and phi on the axis."""
 
-    jet: tuple[float, ...]  # its six limits, or the mean over all directions where they differ
-    order: int  # how many of them are limits: -1 none, 0 the height, 1 the slopes, 2 all
+    jet: tuple[float, ...]  # the six limits, or the mean over all directions where they differ
+    order: int  # highest derivative with a limit: -1 none, 0 the height, 1 the slopes, 2 the curvatures
 
 
 class _Estimate(float):
-    """A feature size that the formula itself gives, and another formula another."""
+    """A feature size estimated from the formula, which is estimated again for another formula."""
 
     __slots__ = ()
 
@@ -125,28 +124,28 @@ class Expression(Surface):
 
     The formula may hold numbers, brackets, ``+ - * / **``, the constants ``pi`` and ``e``, and the functions sin, cos,
     tan, asin, acos, atan, atan2, sinh, cosh, tanh, exp, log, sqrt and hypot. ``rho`` is the distance from the axis
-    and ``phi`` the azimuth from -pi to pi. Lengths are in mm, angles in rad. It is read by a parser of its own, never
-    executed. Slopes and curvatures are exact, by automatic differentiation.
+    and ``phi`` the azimuth from -pi to pi. Lengths are in mm, angles in rad. The formula is parsed, never executed as
+    code. Slopes and curvatures are exact, by automatic differentiation.
 
     On the axis a formula in ``rho`` and ``phi`` has the limit of its values; where the limits from different
-    directions differ, it is not defined there. Only smooth functions are allowed, so ``abs``, ``max`` and the like
-    are not, nor is a step where ``phi`` jumps from pi to -pi. A formula is defined where its value is finite.
+    directions differ, it is not defined there. Only smooth functions are allowed: no ``abs``, ``max`` and the like, and
+    no step where ``phi`` jumps from pi to -pi. A formula is defined where its value is finite.
 
     Parameters
     ----------
     formula
-        For instance ``"0.2358*cos(3*phi)"``. Spaces and line ends do not matter.
+        For instance ``"0.2358*cos(3*phi)"``. Spaces and line breaks are ignored.
     constants
-        Numbers that the formula names, for instance ``{"R": 61.5}``.
+        Values of further names in the formula, for instance ``{"R": 61.5}``.
     feature_size
-        Length over which the curvature changes noticeably. By default an eighth of the shortest wave or bend that the
-        formula's functions and divisions make along rays out to 25 mm from the axis, or of the wave that fits the
-        highest crest of each exp wherever it stands; state it where a formula has finer structure elsewhere. [mm]
+        Length over which the curvature changes noticeably. By default an eighth of the shortest period of the formula's
+        functions and divisions along rays out to 25 mm from the axis, or of the equivalent period at the highest crest
+        of each exp; give it where a formula has finer structure elsewhere. [mm]
 
     Raises
     ------
     InputError
-        If the formula cannot be read, is not smooth, or names something unknown.
+        If the formula cannot be parsed, is not smooth, or has an unknown name.
 
     Sources
     -------
@@ -163,7 +162,7 @@ class Expression(Surface):
     formula: Text
     _: KW_ONLY
     constants: Mapping[str, Number] = field(default_factory=dict)
-    feature_size: Size = None  # type: ignore[assignment] # None asks for the estimate; a float ever after
+    feature_size: Size = None  # type: ignore[assignment] # None until it is estimated
     _steps: tuple[Step, ...] = field(init=False, repr=False, compare=False)
     _axis: _Axis | None = field(init=False, repr=False, compare=False)
 
@@ -191,8 +190,8 @@ class Expression(Surface):
         """Return the height and its derivatives, nan outside the domain. See `Surface.evaluate`."""
         out = np.empty(((1, 3, 6)[order], x.size))
         flat_x, flat_y = x.ravel(), y.ravel()
-        for start in range(0, x.size, BLOCK):
-            block = slice(start, start + BLOCK)
+        for start in range(0, x.size, BLOCK_POINTS):
+            block = slice(start, start + BLOCK_POINTS)
             self._block(flat_x[block], flat_y[block], order, out[:, block])
         return tuple(part.reshape(x.shape) for part in out)
 
@@ -205,51 +204,51 @@ class Expression(Surface):
 
     @property
     def cost(self) -> int:
-        """That of its steps. See `Surface.cost`."""
+        """Cost of all steps of the formula. See `Surface.cost`."""
         return _cost(self._steps, _operands(self._steps))
 
     def poles(self, x: Floats, y: Floats, reach: float) -> tuple[Floats, Floats]:
-        """Return poles near the points: zeros of whatever divides, found by Newton's method. See `Surface.poles`."""
-        found_x, found_y = [np.empty(0)], [np.empty(0)]
+        """Return poles near the points: zeros of divisors, found by Newton's method. See `Surface.poles`."""
+        poles_x, poles_y = [np.empty(0)], [np.empty(0)]
         with np.errstate(all="ignore"):
             for divisor in _divisors(self._steps):
                 value, by_x, by_y = _slopes(divisor, x, y)
-                away = np.nan_to_num(np.abs(value) / np.hypot(by_x, by_y), nan=np.inf)
-                close = np.flatnonzero(away.min(axis=1) < reach)
+                distance = np.nan_to_num(np.abs(value) / np.hypot(by_x, by_y), nan=np.inf)
+                close = np.flatnonzero(distance.min(axis=1) < reach)
                 if close.size:
-                    near = np.argmin(away[close], axis=1)
+                    near = np.argmin(distance[close], axis=1)
                     zero_x, zero_y = _zeros(divisor, x[close, near], y[close, near])
-                    found_x.append(zero_x)
-                    found_y.append(zero_y)
-        x, y = np.concatenate(found_x), np.concatenate(found_y)
-        pole = ~(np.abs(self.evaluate(x, y, 0)[0]) < HUGE)
+                    poles_x.append(zero_x)
+                    poles_y.append(zero_y)
+        x, y = np.concatenate(poles_x), np.concatenate(poles_y)
+        pole = ~(np.abs(self.evaluate(x, y, 0)[0]) < MIN_POLE_HEIGHT_MM)
         return x[pole], y[pole]
 
     @property
     def domain(self) -> str:
-        """Say in words where the formula is defined."""
+        """The domain of the formula in words."""
         if self._axis is not None and self._axis.order < 0:
-            return "where its formula is finite, which leaves out the axis: there it has no limit"
+            return "where its formula is finite, except on the axis, where it has no limit"
         return "where its formula is finite"
 
     def piece(self, x: Floats, y: Floats) -> Ints | None:
-        """Return on which side of the axis a point is, if the formula is not smooth on the axis, as a cone is not."""
+        """Return the side of the axis on which a point is, if the formula is not smooth there, like a cone."""
         if self._axis is None or self._axis.order == 2:
             return None
         side = ((x > 0) | ((x == 0) & (y > 0))).astype(np.int64)
-        # An axis without a height belongs to neither side.
+        # On an axis without a height, the axis is a piece of its own.
         return side if self._axis.order >= 0 else np.where((x == 0) & (y == 0), 2, side)
 
     def _checked(self, x: ArrayLike, y: ArrayLike, order: int) -> tuple[Floats, ...]:
         values = Surface._checked(self, x, y, order)  # noqa: SLF001 - super() fails in a class with slots
         smooth = np.isfinite(values).all(axis=0)
         x, y = np.broadcast_arrays(x, y)
-        axis = np.hypot(x, y).reshape(smooth.shape) < AXIS
+        axis = np.hypot(x, y).reshape(smooth.shape) < AXIS_RADIUS_MM
         if self._axis is not None and self._axis.order < order:
             smooth &= ~axis
         if not smooth.all():
             first = np.flatnonzero(~smooth)[0]
-            place = "on the axis" if axis.ravel()[first] else "where a term of it ends"
+            place = "on the axis" if axis.ravel()[first] else "at the limit of one of its terms"
             raise DomainError(
                 f"Expression {_short(self.formula)!r} has no {('height', 'slope', 'curvature')[order]} at "
                 f"x = {x.ravel()[first]:.6g} mm, y = {y.ravel()[first]:.6g} mm ({np.count_nonzero(~smooth)} of "
@@ -261,7 +260,7 @@ class Expression(Surface):
         """Fill ``out`` (1, 3 or 6, n)."""
         on_axis = None
         if self._axis is not None and self._axis.order >= 0:
-            on_axis = np.flatnonzero((np.abs(x) < AXIS) & (np.hypot(x, y) < AXIS))
+            on_axis = np.flatnonzero((np.abs(x) < AXIS_RADIUS_MM) & (np.hypot(x, y) < AXIS_RADIUS_MM))
             if on_axis.size:
                 x = x.copy()
                 x[on_axis] = 1.0
@@ -287,10 +286,10 @@ class Expression(Surface):
             return _run(self._steps, seeds, order, watch)
 
     def _on_axis(self) -> _Axis:
-        """Find the limits on the axis from the exact Taylor series along rays in many directions.
+        """Return the limits on the axis from the exact Taylor series along rays in many directions.
 
         Height, slope and curvature along a ray must be a constant, a cos + b sin and p cos² + 2 q cos sin + r sin² of
-        its azimuth, else there is no limit. The diameters are in no ratio to each other, so that no wave hides.
+        its azimuth, otherwise there is no limit. The azimuths are incommensurable, to avoid aliasing.
         """
         half = np.mod(np.arange(32) * np.pi * (np.sqrt(5) - 1), np.pi)
         angle = np.concatenate([half, half - np.pi])
@@ -310,31 +309,31 @@ class Expression(Surface):
         return _Axis(jet=tuple(jet), order=order)
 
     def _require_no_cut(self) -> None:
-        """Raise if height or slope step where phi jumps from pi to -pi."""
+        """Raise if height or slope are discontinuous where phi jumps from pi to -pi."""
         radius = np.geomspace(1e-2, 25, 12)
         below, above = (
             np.array([np.broadcast_to(part, radius.shape) for part in self._rays(radius, side, 2)])
             for side in (np.full(12, -np.pi), np.full(12, np.pi))
         )
-        # The azimuth's own derivative is not along the ray, so a full jet beside the cut is compared as well.
+        # Derivatives along the ray do not include that by azimuth, so full jets on both sides are compared too.
         full = [np.stack(self.evaluate(-radius, np.full(12, side), 1)) for side in (-0.0, 0.0)]
         for low, high in ((below, above), full):
-            with np.errstate(all="ignore"):  # where the formula is not finite nothing can be compared
+            with np.errstate(all="ignore"):  # the formula may not be finite
                 step, size = np.abs(low - high), np.maximum(np.abs(low), np.abs(high))
                 bad = np.flatnonzero(step.max(axis=0) > 1e-9 * (1e-3 + size.max(axis=0)))
             if bad.size:
                 raise InputError(
-                    f"formula {_short(self.formula)!r} steps by {step[:, bad[0]].max():.3g} where phi jumps from 180 "
-                    "to -180 deg, the limit is 0: multiply phi by whole numbers, inside sin and cos"
+                    f"formula {_short(self.formula)!r} has a step of {step[:, bad[0]].max():.3g} where phi jumps from "
+                    "180 to -180 deg, it must be continuous: multiply phi by whole numbers, inside sin and cos"
                 )
 
     def _estimate(self) -> float:
-        """Estimate the feature size from how fast the arguments of the formula's functions change along rays.
+        """Estimate the feature size from the rate at which the arguments of the formula's functions change along rays.
 
-        The argument of exp(a) changes ever faster down the flanks of a bump, while the bump vanishes, and a ray may
-        miss a narrow one: it is measured at its crest, and elsewhere as far as it is felt.
+        For a bump exp(a) this rate grows along the flanks while the bump vanishes, and rays may miss a narrow bump.
+        Therefore it is taken at the crest, and elsewhere weighted by the height of the bump.
         """
-        radius, angle = _look_around()
+        radius, angle = _sample_rays()
         watch: list[Watched] = []
         self._rays(radius, angle, 1, watch)
         operands = _operands(self._steps)
@@ -346,46 +345,47 @@ class Expression(Surface):
             if what == "exp" and np.isfinite(value).any():
                 bumps[self._steps[operands[at][0]]] = value, rate
                 continue
-            if what == "/":  # a divisor works through its relative change
+            if what == "/":  # for a divisor, the relative change counts
                 with np.errstate(all="ignore"):
                     rate, effect = rate / value, rate / value * result[0]
             rate, effect = np.abs(rate), np.abs(effect)
-            known = np.isfinite(rate) & np.isfinite(effect)
-            felt = known & (effect > 1e-3 * np.max(effect, where=known, initial=0.0))
-            fastest = max(fastest, float(np.max(rate, where=felt, initial=0.0)))
+            is_finite = np.isfinite(rate) & np.isfinite(effect)
+            matters = is_finite & (effect > 1e-3 * np.max(effect, where=is_finite, initial=0.0))
+            fastest = max(fastest, float(np.max(rate, where=matters, initial=0.0)))
         for argument_steps, (value, rate) in bumps.items():
             top, wave = _crest(argument_steps, value)
             with np.errstate(all="ignore"):
-                felt_rate = np.abs(rate) * np.exp(np.minimum(value - top, 0.0) / 2)
-            fastest = max(fastest, wave, float(np.max(felt_rate, where=np.isfinite(felt_rate), initial=0.0)))
-        # A wave sin(k r) has k per mm; this makes it an eighth of its period.
+                weighted = np.abs(rate) * np.exp(np.minimum(value - top, 0.0) / 2)
+            fastest = max(fastest, wave, float(np.max(weighted, where=np.isfinite(weighted), initial=0.0)))
+        # A wave sin(k r) changes by k per mm; the result is an eighth of its period.
         return np.pi / 4 / fastest if fastest else float("inf")
 
 
 def _crest(argument: tuple[Step, ...], sampled: Floats) -> tuple[float, float]:
-    """Return how high the argument a of an exp climbs from its samples, and the wave number there.
+    """Return the maximum of the argument a of an exp, searched from its samples, and the wave number there.
 
-    At its crest exp(a) bends like a wave of a'^2 + 3 |a''| per mm²: its fourth derivative over its second.
+    At its crest exp(a) is like a wave with the squared wave number a'^2 + 3 |a''|: its fourth derivative over its
+    second.
     """
-    radius, angle = _look_around()
+    radius, angle = _sample_rays()
     best = int(np.argmax(np.where(np.isfinite(sampled), sampled, -np.inf)))
     r, azimuth = radius.flat[best], angle.flat[best]
-    # From ray to ray it is this far, and the crest may be in between.
-    wide = r * (np.pi / 16) + FAR / 200
+    # The distance between samples: the crest may be in between.
+    wide = r * (np.pi / 16) + MAX_ESTIMATE_RADIUS_MM / 200
     x, y = r * np.cos(azimuth), r * np.sin(azimuth)
     across, along = (part.ravel() for part in np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 5)))
     with np.errstate(all="ignore"):
-        for _ in range(CLIMBS):
-            if wide <= CREST_TOL:
+        for _ in range(MAX_CREST_STEPS):
+            if wide <= CREST_TOL_MM:
                 break
             near_x, near_y = x + wide * across, y + wide * along
             heights = np.broadcast_to(_run(argument, _seeds(near_x, near_y, 0), 0)[0], near_x.shape)
-            allowed = np.isfinite(heights) & (np.hypot(near_x, near_y) <= FAR)
+            allowed = np.isfinite(heights) & (np.hypot(near_x, near_y) <= MAX_ESTIMATE_RADIUS_MM)
             heights = np.where(allowed, heights, -np.inf)
             best = int(np.argmax(heights))
-            if heights[best] == heights[across.size // 2]:  # places as high as this one are not gone through
+            if heights[best] == heights[across.size // 2]:  # no neighbour is higher
                 wide /= 2
-            elif wide < STRAY_TOL:  # rounding alone moves it on
+            elif wide < STRAY_TOL_MM:  # the difference is rounding
                 break
             x, y = near_x[best], near_y[best]
         jet = _run(argument, _seeds(np.full(1, x), np.full(1, y), 2), 2)
@@ -395,9 +395,9 @@ def _crest(argument: tuple[Step, ...], sampled: Floats) -> tuple[float, float]:
     return top, float(np.nan_to_num(wave, posinf=0.0))
 
 
-def _look_around() -> tuple[Floats, Floats]:
-    """Return the places, radius and azimuth, from which the feature size is estimated. Each (16, 200)."""
-    radius, angle = np.meshgrid(np.linspace(0, FAR, 201)[1:], np.arange(16) * np.pi / 8)
+def _sample_rays() -> tuple[Floats, Floats]:
+    """Return radius and azimuth of the samples from which the feature size is estimated. Each (16, 200)."""
+    radius, angle = np.meshgrid(np.linspace(0, MAX_ESTIMATE_RADIUS_MM, 201)[1:], np.arange(16) * np.pi / 8)
     return radius, angle
 
 
@@ -412,16 +412,16 @@ def _slopes(steps: tuple[Step, ...], x: Floats, y: Floats) -> tuple[Floats, ...]
 
 
 def _zeros(divisor: tuple[Step, ...], x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Return where a divisor is zero, or Newton's method ends, starting from some points."""
+    """Return the zeros of a divisor, or the ends of Newton's method, starting from some points."""
     start = np.arctan2(y, x)
-    for _ in range(60):  # a double zero is approached by half the way each time
+    for _ in range(60):  # at a double zero the distance is halved in each step
         value, by_x, by_y = _slopes(divisor, x, y)
-        share = value / (by_x**2 + by_y**2)
-        step_x, step_y = (np.where(np.isfinite(share * by), share * by, 0) for by in (by_x, by_y))
+        scale = value / (by_x**2 + by_y**2)
+        step_x, step_y = (np.where(np.isfinite(scale * by), scale * by, 0) for by in (by_x, by_y))
         x, y = x - step_x, y - step_y
         if not (step_x.any() or step_y.any()):
             break
-    # The axis alone may be missing: the formula is looked at beside it.
+    # A formula may be undefined exactly on the axis: return a point next to it instead.
     axis = np.hypot(x, y) < 1e-9
     return np.where(axis, 1e-9 * np.cos(start), x), np.where(axis, 1e-9 * np.sin(start), y)
 
@@ -429,83 +429,82 @@ def _zeros(divisor: tuple[Step, ...], x: Floats, y: Floats) -> tuple[Floats, Flo
 def _constant(name: str, value: float) -> float:
     """Return a named constant's value."""
     if not str(name).isidentifier() or name in (*VARIABLES, *NUMBERS, *CALLS, *PAIRS):
-        raise InputError(f"constant {name!r} cannot be named so, it is no plain word or has a meaning: rename it")
+        raise InputError(f"constant {name!r} is not an identifier, or is a name of the formula language: rename it")
     if not np.isfinite(value):
         raise InputError(f"constant {name} is {value}, it must be finite: give a number")
     return float(value)
 
 
 def _read(formula: str, numbers: Mapping[str, float]) -> tuple[Step, ...]:
-    """Return a formula in postfix order."""
+    """Return the steps of a formula in postfix order."""
     text = " ".join(formula.split())
-    if not 0 < len(text) <= LONGEST:
-        raise InputError(f"a formula has {len(text)} characters, the limits are 1 to {LONGEST}: shorten or give it")
+    if not 0 < len(text) <= MAX_CHARACTERS:
+        raise InputError(f"a formula has {len(text)} characters, the limits are 1 to {MAX_CHARACTERS}: correct it")
     signs = max(len(re.findall(rf"(?<!\d[eE])(?<=[\w.)]) ?[{pair}]", text)) for pair in ("+-", "*/"))
-    if signs > MOST:
+    if signs > MAX_SIGNS:
         raise InputError(
-            f"a formula has {signs} signs between its terms or factors, the limit is {MOST}: give it as a sum of "
+            f"a formula has {signs} signs + and -, or * and /, the limit is {MAX_SIGNS}: split it into a sum of "
             "several formulas"
         )
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # such as a number that runs into a word
+            warnings.simplefilter("error")  # such as for a number followed by a letter
             tree = ast.parse(text, mode="eval")
     except (SyntaxError, ValueError, Warning) as error:
         raise InputError(
-            f"formula {_short(text)!r} cannot be read: write it as in 0.1*x**2 - sin(3*phi), every product with *"
+            f"formula {_short(text)!r} cannot be parsed: write it as in 0.1*x**2 - sin(3*phi), every product with *"
         ) from error
     except (RecursionError, MemoryError) as error:
         raise InputError(
-            f"a formula has brackets or terms nested too deep, the limit is {DEEPEST}: simplify it"
+            f"a formula has brackets or terms nested too deeply, the limit is {MAX_NESTING}: simplify it"
         ) from error
-    appended: list[Step] = []
-    _append(tree.body, text, numbers, appended, DEEPEST)
-    steps = tuple(appended)
-    _require_affordable(steps)
-    return steps
+    steps: list[Step] = []
+    _append(tree.body, text, numbers, steps, MAX_NESTING)
+    _require_affordable(tuple(steps))
+    return tuple(steps)
 
 
 def _cost(steps: tuple[Step, ...], operands: list[tuple[slice, ...]]) -> int:
-    """Return the additions that a formula costs at a point."""
+    """Return the cost of a formula per point, in additions."""
     return sum(
-        VARYING_POWER if what == "**" and _varies(steps[spans[-1]]) else COSTS.get(str(what), 1) if spans else 0
+        VARYING_POWER_COST if what == "**" and _varies(steps[spans[-1]]) else COSTS.get(str(what), 1) if spans else 0
         for (_, what), spans in zip(steps, operands, strict=True)
     )
 
 
 def _require_affordable(steps: tuple[Step, ...]) -> None:
-    """Raise if a formula costs too much at each point, or too much of it is searched for crests and poles."""
+    """Raise if a formula costs too much per point, or if too much of it must be searched for crests and poles."""
     operands = _operands(steps)
     if (cost := _cost(steps, operands)) > COSTLIEST:
         raise InputError(
-            f"a formula costs {cost} additions at each point, the limit is {COSTLIEST}: simplify it, or give its "
-            "heights as a table"
+            f"a formula costs {cost} additions per point, the limit is {COSTLIEST}: simplify it, or give its heights "
+            "as a table"
         )
     crests = {steps[spans[0]] for (_, what), spans in zip(steps, operands, strict=True) if what == "exp"}
     searched = sum(map(len, crests)) + sum(map(len, _divisors(steps)))
-    if searched > NESTED:
+    if searched > MAX_SEARCH_STEPS:
         raise InputError(
-            f"a formula has exp and divisors of {searched} steps together that are nested in each other, the limit is "
-            f"{NESTED}: simplify it, or give its heights as a table"
+            f"a formula has nested exp and divisors with {searched} steps, the limit is {MAX_SEARCH_STEPS}: simplify "
+            "it, or give its heights as a table"
         )
 
 
 def _operands(steps: tuple[Step, ...]) -> list[tuple[slice, ...]]:
-    """Return where the parts of the formula stand that each step takes: none, one or two."""
+    """Return the spans of the operands of each step: none, one or two."""
     starts: list[int] = []
-    found: list[tuple[slice, ...]] = []
+    operands: list[tuple[slice, ...]] = []
     for at, (kind, _) in enumerate(steps):
         count = {"call": 1, "operator": 2}.get(kind, 0)
         ends = [*starts[len(starts) - count + 1 :], at] if count else []
         begins = starts[len(starts) - count :] if count else []
-        found.append(tuple(map(slice, begins, ends)))
+        operands.append(tuple(map(slice, begins, ends)))
         starts[len(starts) - count :] = [begins[0] if begins else at]
-    return found
+    return operands
 
 
 def _divisors(steps: tuple[Step, ...]) -> list[tuple[Step, ...]]:
-    """Return the parts that a formula divides by, each once; constants are left out."""
-    found: dict[tuple[Step, ...], None] = {}
+    """Return the divisors of a formula, each once, without constants."""
+    divisors: dict[tuple[Step, ...], None] = {}
     for (_, what), spans in zip(steps, _operands(steps), strict=True):
         divisor: tuple[Step, ...] = ()
         if what == "/":
@@ -515,8 +514,8 @@ def _divisors(steps: tuple[Step, ...]) -> list[tuple[Step, ...]]:
         elif what == "**" and not _varies(power := steps[spans[1]]) and _run(power, {}, 0)[0] < 0:
             divisor = steps[spans[0]]
         if _varies(divisor):
-            found[divisor] = None
-    return list(found)
+            divisors[divisor] = None
+    return list(divisors)
 
 
 def _varies(steps: tuple[Step, ...]) -> bool:
@@ -526,8 +525,8 @@ def _varies(steps: tuple[Step, ...]) -> bool:
 def _append(node: ast.expr, text: str, numbers: Mapping[str, float], steps: list[Step], depth: int) -> None:
     """Append the steps of a part of the formula."""
     if depth == 0:
-        raise InputError(f"a formula has brackets nested too deep, the limit is {DEEPEST}: simplify it")
-    # A long sum is a deep chain to the left; it is unrolled, so that only brackets count as depth.
+        raise InputError(f"a formula has brackets nested too deeply, the limit is {MAX_NESTING}: simplify it")
+    # A long sum is a tree nested to the left; it is unrolled, so that only brackets count as nesting.
     chain: list[tuple[str, ast.expr]] = []
     while isinstance(node, ast.BinOp):
         operator = OPERATORS.get(type(node.op))
@@ -555,7 +554,8 @@ def _append_factor(node: ast.expr, text: str, numbers: Mapping[str, float], step
             if isinstance(node.op, ast.USub):
                 steps.append(("call", "negative"))
         case ast.Call(func=ast.Name(id="hypot" | "atan2" as name), args=[first, second], keywords=[]):
-            polar = POLAR.get((name, *(one.id if isinstance(one, ast.Name) else "" for one in (first, second))))
+            names = (argument.id if isinstance(argument, ast.Name) else "" for argument in (first, second))
+            polar = POLAR.get((name, *names))
             if polar is None:
                 _append(first, text, numbers, steps, depth)
                 _append(second, text, numbers, steps, depth)
@@ -568,7 +568,7 @@ def _append_factor(node: ast.expr, text: str, numbers: Mapping[str, float], step
 
 
 def _refuse(node: ast.expr, text: str) -> NoReturn:
-    """Raise because of a part that no smooth formula has."""
+    """Raise because of a part that is not allowed in a formula."""
     part = ast.get_source_segment(text, node) or text
     match node:
         case ast.Name(id=name):
@@ -604,7 +604,7 @@ def _short(text: str) -> str:
 
 
 def _jet(order: int, value: Value, by_x: Value = 0.0, by_y: Value = 0.0) -> Jet:
-    """Return a value that changes linearly."""
+    """Return the jet of a linear function."""
     return (value, by_x, by_y, 0.0, 0.0, 0.0)[: (1, 3, 6)[order]]
 
 
@@ -625,12 +625,12 @@ def _polar(x: Floats, y: Floats, order: int) -> dict[str, Jet]:
 
 
 def _run(steps: tuple[Step, ...], seeds: Mapping[str, Jet], order: int, watch: list[Watched] | None = None) -> Jet:
-    """Work a formula through on a stack of jets; ``watch`` collects calls and divisions."""
+    """Evaluate a formula with a stack of jets; ``watch`` collects calls and divisions."""
     with np.errstate(all="ignore"):
-        return _worked(steps, seeds, order, watch)
+        return _run_steps(steps, seeds, order, watch)
 
 
-def _worked(steps: tuple[Step, ...], seeds: Mapping[str, Jet], order: int, watch: list[Watched] | None) -> Jet:
+def _run_steps(steps: tuple[Step, ...], seeds: Mapping[str, Jet], order: int, watch: list[Watched] | None) -> Jet:
     stack: list[Jet] = []
     for at, (kind, what) in enumerate(steps):
         match kind, what:
@@ -641,7 +641,7 @@ def _worked(steps: tuple[Step, ...], seeds: Mapping[str, Jet], order: int, watch
             case "call", str():
                 argument = stack.pop()
                 stack.append(_call(what, argument, order))
-                if watch is not None and what in SHARP:
+                if watch is not None and what in SCALE_FUNCTIONS:
                     watch.append((at, what, argument, stack[-1]))
             case _, str():
                 second = stack.pop()
@@ -653,18 +653,18 @@ def _worked(steps: tuple[Step, ...], seeds: Mapping[str, Jet], order: int, watch
 
 
 def _times(a: Value, b: Value) -> Value:
-    """Multiply, where a plain 0.0 is truly nothing, even times infinity, and a plain 1.0 changes nothing."""
-    for one, other in ((a, b), (b, a)):
-        if isinstance(one, float):
-            if one == 0.0:
+    """Multiply; a Python float 0.0 is exactly zero, even times infinity, and 1.0 leaves the other factor unchanged."""
+    for factor, other in ((a, b), (b, a)):
+        if isinstance(factor, float):
+            if factor == 0.0:
                 return 0.0
-            if one == 1.0:
+            if factor == 1.0:
                 return other
     return a * b
 
 
 def _plus(*terms: Value) -> Value:
-    """Add, leaving out plain zeros."""
+    """Add, skipping exact zeros."""
     total: Value = 0.0
     for term in terms:
         if isinstance(total, float) and total == 0.0:
@@ -694,7 +694,7 @@ def _product(a: Jet, b: Jet, order: int) -> Jet:
 
 
 def _quotient(a: Jet, b: Jet, order: int) -> Jet:
-    # From q b = a, differentiated: nothing cancels that need not.
+    # From q b = a, differentiated, which avoids cancellation.
     q: list[Value] = [a[0] / b[0]]
     if order > 0:
         q += [_over(_plus(a[i], -_times(q[0], b[i])), b[0]) for i in (1, 2)]
@@ -707,7 +707,7 @@ def _quotient(a: Jet, b: Jet, order: int) -> Jet:
 
 
 def _over(a: Value, b: Value) -> Value:
-    """Divide, where a plain 0.0 stays one."""
+    """Divide; an exact zero stays zero."""
     return 0.0 if isinstance(a, float) and a == 0.0 else a / b
 
 

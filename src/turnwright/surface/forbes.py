@@ -1,4 +1,4 @@
-"""Forbes' polynomials: departures from a conic whose coefficients say how steep they are, or how high."""
+"""Forbes polynomials: departures from a conic with terms orthogonal in slope (Q-bfs, Q-2D) or height (Q-con)."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ def _double(key: object) -> tuple[int, int]:
 def _q_to_jacobi(m: int, a: Floats) -> Floats:
     r"""Jacobi coefficients of :math:`\sum a_n Q_n^m`, for m = 0 before the factor :math:`u^2 (1 - u^2)`.
 
-    The :math:`Q_n^m` are by definition what Gram and Schmidt make of the polynomials in :math:`u^2` so that the slopes
-    of the departures are orthonormal in the mean over the disc with the weight :math:`1 / (u \sqrt{1 - u^2})`. With
-    u = sin t that mean is one over t, which equidistant points give exactly, and Gram and Schmidt is the triangle of a
-    QR decomposition.
+    The :math:`Q_n^m` are defined by Gram-Schmidt orthogonalisation of the polynomials in :math:`u^2`, so that the
+    slopes of the departures are orthonormal over the disc with the weight :math:`1 / (u \sqrt{1 - u^2})`. With
+    u = sin t the weighted mean is a mean over t, which equidistant points give exactly, and Gram-Schmidt is a QR
+    decomposition.
     """
     from scipy.special import eval_jacobi  # noqa: PLC0415 - only these families need it
 
@@ -101,14 +101,14 @@ class Forbes(OnConic):
         z = \frac{c r^2}{1 + \sqrt{1 - (1 + k) c^2 r^2}} + D, \qquad
         \sigma = \frac{\sqrt{1 - (1 + k) c^2 r^2}}{\sqrt{1 - k c^2 r^2}}
 
-    - ``"qbfs"``: :math:`D = u^2 (1 - u^2) \sum a_n Q^{bfs}_n(u^2) / \sigma`, the departure along the normal of the
-      conic (a sphere for k = 0) being what the sum says;
+    - ``"qbfs"``: :math:`D = u^2 (1 - u^2) \sum a_n Q^{bfs}_n(u^2) / \sigma`, where the numerator is the departure along
+      the normal of the conic (a sphere for k = 0);
     - ``"qcon"``: :math:`D = u^4 \sum a_n Q^{con}_n(u^2)`, along z;
     - ``"q2d"``: :math:`D = [u^2 (1 - u^2) \sum a_n^0 Q_n^0(u^2) + \sum_{m > 0} u^m \sum_n (a_n^m \cos m\theta +
       b_n^m \sin m\theta) Q_n^m(u^2)] / \sigma`.
 
-    The surface is defined, and used, beyond the normalisation radius as far as its conic is: the tool meets it outside
-    the aperture.
+    The surface is also used beyond the normalisation radius, as far as its conic is defined, as the tool touches it
+    outside the aperture.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class Forbes(OnConic):
     Raises
     ------
     InputError
-        If an index is not one of its kind, a coefficient is not finite, a radius is 0 or the normalisation radius is
+        If an index does not fit the kind, a coefficient is not finite, a radius is 0, or the normalisation radius is
         not positive or beyond the conic.
 
     Sources
@@ -173,11 +173,11 @@ class Forbes(OnConic):
         if self.norm_radius >= self.reach:
             raise InputError(
                 f"the norm_radius of a Forbes surface is {self.norm_radius:g} mm, its conic ends at {self.reach:.6g} "
-                "mm: take a smaller one or correct the radius"
+                "mm: use a smaller one or correct the radius"
             )
         pairs = read_terms(self.terms, "a Forbes surface", _double if self.kind == "q2d" else _single)
-        kept = pairs if self.kind == "q2d" else tuple((n, value) for (n, _), value in pairs)
-        object.__setattr__(self, "terms", kept)
+        terms = pairs if self.kind == "q2d" else tuple((n, value) for (n, _), value in pairs)
+        object.__setattr__(self, "terms", terms)
         series: dict[int, Floats] = {}
         for m in {m for (_, m), _ in pairs}:
             row = np.zeros(1 + max(n for (n, order), _ in pairs if order == m))
@@ -198,7 +198,7 @@ class Forbes(OnConic):
 
     @property
     def feature_size(self) -> float:
-        """That of the conic, or the normalisation radius over the degree if that is less. [mm]."""
+        """The normalisation radius over the degree, or the length of the conic if that is smaller. [mm]."""
         return min(self.conic_length, self.norm_radius / max(self._degree, 1))
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:

@@ -1,4 +1,4 @@
-"""A surface given by a table of heights."""
+"""A surface defined by a table of heights on a grid."""
 
 from __future__ import annotations
 
@@ -16,31 +16,30 @@ from turnwright.units import say_length
 
 __all__ = ["Gridded"]
 
-CONTINUED = 3
-"""Cells beyond the border of the known heights that are continued smoothly; farther out they hardly count."""
+EXTRAPOLATED_CELLS = 3
+"""Cells beyond the border of the valid heights that are extrapolated smoothly; farther ones hardly matter."""
 
 FORM_DEGREE = 8
-"""Degree of the polynomial that carries the form beyond the border."""
+"""Degree of the polynomial that extrapolates the form."""
 
 FORM_TERMS = (FORM_DEGREE + 1) * (FORM_DEGREE + 2) // 2
 
-MOST_OF_FORM = 20_000
-"""Heights that this polynomial is found from."""
+MAX_FORM_HEIGHTS = 20_000
+"""Heights to which this polynomial is fitted."""
 
 NEIGHBOURS = 32
-"""Known heights that each of them is continued from."""
+"""Valid heights from which the residual at a point is extrapolated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Gridded(Surface):
-    """Heights on a rectangular grid, joined by a bicubic spline through every one of them.
+    """Heights on a rectangular grid, interpolated by a bicubic spline.
 
     The spline is twice continuously differentiable, with the not-a-knot condition at the border, so that it
-    reproduces any bicubic polynomial. It follows noise as faithfully as form: smooth a measured table first.
+    reproduces any bicubic polynomial. It interpolates noise as well as form: smooth a measured table first.
 
-    Where a height is missing (nan), the cells that touch it are outside the domain. For the spline's sake a few heights
-    beyond the border are continued from the nearest ones; what they add to the error at the border fades to a quarter
-    with each cell inwards.
+    Where a height is missing (nan), the cells that touch it are outside the domain. For the spline, a few heights
+    beyond the border are extrapolated; their effect on the error falls to a quarter with each cell inwards.
 
     Parameters
     ----------
@@ -49,21 +48,20 @@ class Gridded(Surface):
     z
         Heights, nan where there is none. (ny, nx) [mm]
     source
-        How a job file names the heights, where they were read from a file.
+        Description of the heights in a job file, where they were read from a file.
 
     Attributes
     ----------
     fit_error
-        What the spline may be wrong by between the grid's points: its largest difference, at the middles of the
-        cells, to the spline of degree five through the same heights. For a smooth surface on a step h the first
-        errs by h^4, the second by h^6, so the difference is the first one's error; for a noisy table it is about the
-        noise. [mm]
+        Estimated interpolation error: the largest difference at the middles of the cells between this spline and the
+        quintic spline through the same heights. On a smooth surface with step h the cubic errs by h^4 and the quintic
+        by h^6, so the difference is the error of the cubic; for a noisy table it is about the noise. [mm]
 
     Raises
     ------
     InputError
-        If an axis has fewer than 6 points or does not ascend, if a place is not finite or a height infinite, if no cell
-        has heights at all its corners, or if the shapes differ.
+        If an axis has fewer than 6 points or does not ascend, an axis is not finite or a height infinite, no cell has
+        heights at all corners, or the shapes differ.
 
     Sources
     -------
@@ -82,7 +80,7 @@ class Gridded(Surface):
     source: Any = field(default=None, compare=False, repr=False)
     fit_error: float = field(init=False)
     _nodes: Floats = field(init=False, repr=False)
-    _whole: Bools | None = field(init=False, repr=False)
+    _complete: Bools | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         check_numbers(self, nan=("z",))
@@ -95,7 +93,7 @@ class Gridded(Surface):
             if not (np.diff(nodes) > 0).all():
                 raise InputError(
                     f"{name} of a gridded surface does not ascend at its point {np.argmin(np.diff(nodes) > 0) + 1}: "
-                    "sort the table and drop repeated points"
+                    "sort the table and remove repeated points"
                 )
             object.__setattr__(self, name, nodes)
         z = frozen(self.z, "z of a gridded surface", ndim=2, finite=False)
@@ -103,73 +101,73 @@ class Gridded(Surface):
             raise InputError(f"z of a gridded surface has {np.count_nonzero(np.isinf(z))} infinite values: write nan")
         if z.shape != (self.y.size, self.x.size):
             raise InputError(
-                f"z of a gridded surface has the shape {z.shape} and its axes {(self.y.size, self.x.size)}: "
+                f"z of a gridded surface has the shape {z.shape}, its axes need {(self.y.size, self.x.size)}: "
                 "rows are y, columns are x"
             )
         object.__setattr__(self, "z", z)
-        known = ~np.isnan(z)
-        whole = known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
-        if not whole.any():
+        valid = ~np.isnan(z)
+        complete = valid[:-1, :-1] & valid[1:, :-1] & valid[:-1, 1:] & valid[1:, 1:]
+        if not complete.any():
             raise InputError(
-                f"z of a gridded surface has {np.count_nonzero(known)} of {z.size} heights and no cell with heights at "
+                f"z of a gridded surface has {np.count_nonzero(valid)} of {z.size} heights and no cell with heights at "
                 "all four corners: complete it"
             )
-        object.__setattr__(self, "_whole", None if known.all() else whole)
-        if self._whole is not None:
-            z = _continued(self.x, self.y, z)
+        object.__setattr__(self, "_complete", None if valid.all() else complete)
+        if self._complete is not None:
+            z = _extrapolated(self.x, self.y, z)
         zx = CubicSpline(self.x, z, axis=1)(self.x, 1)
         zy, zxy = (CubicSpline(self.y, values, axis=0)(self.y, 1) for values in (z, zx))
         object.__setattr__(self, "_nodes", frozen(np.stack([z, zx, zy, zxy], axis=-1), "nodes", ndim=3, finite=False))
         middles = [nodes[:-1] + np.diff(nodes) / 2 for nodes in (self.x, self.y)]
-        finer = make_interp_spline(self.x, z, k=5, axis=1)(middles[0])
-        finer = make_interp_spline(self.y, finer, k=5, axis=0)(middles[1])
+        quintic = make_interp_spline(self.x, z, k=5, axis=1)(middles[0])
+        quintic = make_interp_spline(self.y, quintic, k=5, axis=0)(middles[1])
         x, y = np.meshgrid(*middles)
-        (here,) = self.evaluate(x, y, 0)
-        object.__setattr__(self, "fit_error", float(np.abs(here - finer)[whole].max()))
+        (cubic,) = self.evaluate(x, y, 0)
+        object.__setattr__(self, "fit_error", float(np.abs(cubic - quintic)[complete].max()))
 
     @property
     def stated(self) -> Any:
-        """How a job file names the heights. See `Surface.stated`."""
+        """Description of the heights in a job file. See `Surface.stated`."""
         return self.source
 
     @property
     def file(self) -> str:
-        """The file that the heights were read from; empty if none."""
+        """File from which the heights were read; empty if none."""
         return "" if self.source is None else str(self.source.file)
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
-        """Return the height and its derivatives; beyond the grid the border cells run on. See `Surface.evaluate`."""
+        """Return the height and its derivatives; border cells extend beyond the grid. See `Surface.evaluate`."""
         out = np.empty(((1, 3, 6)[order], x.size))
         bicubic(only_read(x.ravel()), only_read(y.ravel()), self.x, self.y, self._nodes, order, out)
         return tuple(part.reshape(x.shape) for part in out)
 
     def inside(self, x: Floats, y: Floats) -> Bools:
-        """Return where the grid is."""
+        """Return the mask of points on the grid, in cells with heights at all corners."""
         on_grid: Bools = (x >= self.x[0]) & (x <= self.x[-1]) & (y >= self.y[0]) & (y <= self.y[-1])
-        if self._whole is None:
+        if self._complete is None:
             return on_grid
         column, row = (
             np.clip(np.searchsorted(axis, at, side="right") - 1, 0, axis.size - 2)
             for axis, at in ((self.x, x), (self.y, y))
         )
-        return on_grid & self._whole[row, column]
+        return on_grid & self._complete[row, column]
 
     def require_disc(self, radius: float, what: str) -> None:
-        """Raise unless the surface is defined all over the disc, however small its holes are."""
-        if self._whole is not None:
-            beside = radius + np.hypot(np.diff(self.x).max(), np.diff(self.y).max())
-            row, column = np.nonzero(np.isnan(self.z) & (np.hypot(self.x, self.y[:, None]) <= beside))
-            holes = [(x, y) for x, y in zip(self.x[column], self.y[row], strict=True) if self._beside(x, y, radius)]
+        """Raise unless the surface is defined everywhere in the disc, including holes of any size."""
+        if self._complete is not None:
+            reach = radius + np.hypot(np.diff(self.x).max(), np.diff(self.y).max())
+            row, column = np.nonzero(np.isnan(self.z) & (np.hypot(self.x, self.y[:, None]) <= reach))
+            holes = [(x, y) for x, y in zip(self.x[column], self.y[row], strict=True) if self._touches(x, y, radius)]
             if holes:
                 raise DomainError(
-                    f"{what} is {radius:g} mm but {type(self).__name__} has no height at {len(holes)} places on or "
+                    f"{what} is {radius:g} mm but {type(self).__name__} has no height at {len(holes)} points on or "
                     f"next to it, the first at x = {holes[0][0]:.6g} mm, y = {holes[0][1]:.6g} mm: reduce the radius, "
                     "or complete the table"
                 )
         Surface.require_disc(self, radius, what)
 
-    def _beside(self, x: float, y: float, radius: float) -> bool:
-        """Whether a cell that touches a node of the grid reaches into a disc."""
+    def _touches(self, x: float, y: float, radius: float) -> bool:
+        """Whether a cell at a node of the grid reaches into a disc."""
         near = []
         for axis, at in ((self.x, x), (self.y, y)):
             index = int(np.searchsorted(axis, at))
@@ -179,8 +177,8 @@ class Gridded(Surface):
 
     @property
     def domain(self) -> str:
-        """Say where the grid is."""
-        holes = "" if self._whole is None else ", where all four corners of a cell have heights"
+        """Extent of the grid in words."""
+        holes = "" if self._complete is None else ", where all four corners of a cell have heights"
         return (
             f"its grid, x from {self.x[0]:.6g} to {self.x[-1]:.6g} mm and y from {self.y[0]:.6g} to {self.y[-1]:.6g} mm"
             f"{holes}"
@@ -188,53 +186,53 @@ class Gridded(Surface):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Say what the spline may miss. See `Surface.remarks`."""
+        """Interpolation error of the spline. See `Surface.remarks`."""
         steps = f"{np.diff(self.x).max():.4g} and {np.diff(self.y).max():.4g} mm"
         sentence = (
-            f"table of {self.x.size} x {self.y.size} heights in steps of {steps}: between them the bicubic spline may "
-            f"be {say_length(self.fit_error)} off, and finer structure is not in it"
+            f"table of {self.x.size} x {self.y.size} heights in steps of {steps}: the estimated interpolation error of "
+            f"the bicubic spline is {say_length(self.fit_error)}; finer structure is not included"
         )
         return (sentence,)
 
     @property
     def feature_size(self) -> float:
-        """The least step of the grid. [mm]."""
+        """The smallest step of the grid. [mm]."""
         return float(min(np.diff(self.x).min(), np.diff(self.y).min()))
 
 
-def _continued(x: Floats, y: Floats, z: Floats) -> Floats:
-    """Return the heights with those that are missing continued from the known ones."""
+def _extrapolated(x: Floats, y: Floats, z: Floats) -> Floats:
+    """Return the heights with missing ones extrapolated from the valid ones."""
     from scipy.interpolate import RBFInterpolator  # noqa: PLC0415 - scipy is costly to import
     from scipy.ndimage import binary_dilation, distance_transform_edt  # noqa: PLC0415
 
-    known = ~np.isnan(z)
-    near = binary_dilation(known, structure=np.ones((3, 3), dtype=bool), iterations=CONTINUED) & ~known
-    # Only what is known near the border is asked.
-    source = binary_dilation(~known, structure=np.ones((3, 3), dtype=bool), iterations=2 * CONTINUED) & known
+    valid = ~np.isnan(z)
+    near = binary_dilation(valid, structure=np.ones((3, 3), dtype=bool), iterations=EXTRAPOLATED_CELLS) & ~valid
+    # Only valid heights near the border are used.
+    source = binary_dilation(~valid, structure=np.ones((3, 3), dtype=bool), iterations=2 * EXTRAPOLATED_CELLS) & valid
     steps = float(np.median(np.diff(x))), float(np.median(np.diff(y)))
 
     def places(chosen: Bools) -> Floats:
         row, column = np.nonzero(chosen)
         return np.stack([x[column] / steps[0], y[row] / steps[1]], axis=1)
 
-    # What a polynomial has is continued by it, only the rest from neighbour to neighbour.
+    # A polynomial extrapolates the form; radial functions of the neighbours extrapolate the residual.
     u, v = (2 * (at - at[0]) / (at[-1] - at[0]) - 1 for at in (x, y))
     form = np.zeros(z.shape)
-    if np.count_nonzero(known) > 4 * FORM_TERMS:
+    if np.count_nonzero(valid) > 4 * FORM_TERMS:
         powers = [(i, j) for i in range(FORM_DEGREE + 1) for j in range(FORM_DEGREE + 1 - i)]
         along, across = (np.polynomial.chebyshev.chebvander(at, FORM_DEGREE) for at in (u, v))
-        row, column = (at[:: -(-at.size // MOST_OF_FORM)] for at in np.nonzero(known))
+        row, column = (at[:: -(-at.size // MAX_FORM_HEIGHTS)] for at in np.nonzero(valid))
         terms = np.stack([along[column, i] * across[row, j] for i, j in powers], axis=1)
         weights = np.linalg.lstsq(terms, z[row, column])[0]
         for (i, j), weight in zip(powers, weights, strict=True):
             form += weight * along[:, i] * across[:, j, None]
-    filled = z - form
+    residual = z - form
     count = min(NEIGHBOURS, int(np.count_nonzero(source)))
-    filled[near] = RBFInterpolator(places(source), filled[source], neighbors=count, kernel="cubic", degree=1)(
+    residual[near] = RBFInterpolator(places(source), residual[source], neighbors=count, kernel="cubic", degree=1)(
         places(near)
     )
-    rest = np.isnan(filled)
-    if rest.any():
-        row, column = distance_transform_edt(rest, return_distances=False, return_indices=True)
-        filled = filled[row, column]
-    return np.where(known, z, filled + form)
+    missing = np.isnan(residual)
+    if missing.any():
+        row, column = distance_transform_edt(missing, return_distances=False, return_indices=True)
+        residual = residual[row, column]
+    return np.where(valid, z, residual + form)

@@ -1,4 +1,4 @@
-"""Arrays of lenslets: the nearest centre decides the cell."""
+"""Lenslet arrays: each point belongs to the lenslet with the nearest centre."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 
 __all__ = ["LensArray"]
 
-MOST_LENSES = 1_000_000
-"""More than this is a slip of the unit, not an array."""
+MAX_LENSES = 1_000_000
+"""Lenses of an array; more come from a wrong unit."""
 
 
 class _Bins(NamedTuple):
-    """Squares of the plane, each with the centres that can be nearest somewhere in it. See `_kernels.cells`."""
+    """Square bins of the plane, each with the centres that may be nearest to its points. See `_kernels.cells`."""
 
     corner: tuple[float, float]
     step: float
@@ -45,18 +45,18 @@ _LAYOUTS = {
     "hexagonal": ("pitch", "rings", "within", "offset"),
     "listed": ("centres",),
 }
-"""What says where the lenses of each layout stand; the first one must."""
+"""Fields that define the centres of each layout; the first one is required."""
 
 
 class _Centres:
-    """The annotation of centres: pairs of lengths in a job file."""
+    """Annotation of centres: pairs of lengths in a job file."""
 
     @classmethod
     def __get_pydantic_core_schema__(cls, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         from pydantic_core import core_schema  # noqa: PLC0415 - only job files need pydantic
 
         def written(centres: Floats | None) -> Any:
-            return None if centres is None else [[write(float(at), "mm") for at in one] for one in centres]
+            return None if centres is None else [[write(float(at), "mm") for at in centre] for centre in centres]
 
         pairs = handler.generate_schema(tuple[tuple[Length, Length], ...])
         return core_schema.no_info_after_validator_function(
@@ -66,7 +66,7 @@ class _Centres:
 
 
 class _Surround:
-    """The annotation of a surround: any surface in a job file, and a height as a plane there."""
+    """Annotation of a surround: any surface in a job file; a height is written as a plane."""
 
     @classmethod
     def __get_pydantic_core_schema__(cls, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -79,19 +79,18 @@ class _Surround:
                 return None
             return table_of(around if isinstance(around, Surface) else Plane().placed(shift=(0.0, 0.0, around)))
 
-        found = handler.generate_schema(Surface)
         return core_schema.nullable_schema(
-            found, serialization=core_schema.plain_serializer_function_ser_schema(written)
+            handler.generate_schema(Surface), serialization=core_schema.plain_serializer_function_ser_schema(written)
         )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LensArray(Surface):
-    """Equal lenslets, each standing on its own centre.
+    """An array of equal lenslets, one at each centre.
 
-    Every point of the plane belongs to the nearest centre, on a tie to the first of them, so the outermost cells run
-    on without end; where neighbours meet there is a sharp valley or ridge. With an ``aperture`` the lenslets are
-    round instead, and what is outside of all of them is the ``surround``.
+    Every point of the plane belongs to the nearest centre, on a tie to the first, so the outermost cells are
+    unbounded; between neighbours there is a sharp valley or ridge. With an ``aperture`` the lenslets are round instead,
+    and the ``surround`` is the surface outside all of them.
 
     Make regular arrays with `LensArray.square` and `LensArray.hexagonal`. For lenslets on a curved base add the base;
     turn or move an array with ``placed``.
@@ -101,26 +100,25 @@ class LensArray(Surface):
     lenslet
         The surface of one lenslet, about its own origin.
     centres
-        Of listed lenslets, one by one; those of a layout are worked out. (n, 2) [mm]
+        Centres of listed lenslets; derived for other layouts. (n, 2) [mm]
     layout
-        How the lenslets stand.
+        Arrangement of the lenslets: "square", "hexagonal" or "listed".
     pitch
         Distance between neighbours. [mm]
     rows
-        Of a square array.
+        Number of rows of a square array.
     columns
-        Of a square array.
+        Number of columns of a square array.
     rings
-        Around the lenslet in the middle of a hexagonal array.
+        Number of rings around the central lenslet of a hexagonal array.
     within
-        Only lenslets that lie whole within this radius. [mm]
+        Radius that keeps only the lenslets lying completely inside it. [mm]
     offset
-        Where the middle of the array stands; on the axis if left out. [mm]
+        Position of the middle of the array; on the axis by default. [mm]
     aperture
-        Radius of every lenslet, or ``None`` where lenslets fill their cells. [mm]
+        Semi-diameter of every lenslet, or ``None`` where lenslets fill their cells. [mm]
     surround
-        What lies outside the apertures: a surface in the frame of the array, or a height [mm]. Give it
-        with ``aperture`` only.
+        The surface outside the apertures, in the frame of the array, or a height [mm]. Only with ``aperture``.
 
     Raises
     ------
@@ -133,12 +131,12 @@ class LensArray(Surface):
 
     Sources
     -------
-    [Li2018]_ Table 4 (2 x 2). [Kong2019]_ has 7 x 7 lenses at 2 mm on a part of 15 mm; only 37 of them are whole. Its
-    errata and those of the nearest-lens rule in [Zhu2019]_ Eqs 4-5 are why the centre is looked up exactly.
+    [Li2018]_ Table 4 (2 x 2). [Kong2019]_ has 7 x 7 lenses at 2 mm on a part of 15 mm; only 37 of them are complete.
+    The centre is looked up exactly because of its errata and those of the nearest-lens rule in [Zhu2019]_ Eqs 4-5.
 
     >>> from turnwright.surface.expression import Expression
-    >>> bowl = Expression("(x**2 + y**2) / 20")
-    >>> LensArray.square(pitch=2.0, lenslet=bowl, within=7.5).centres.shape   # Kong's part
+    >>> lenslet = Expression("(x**2 + y**2) / 20")
+    >>> LensArray.square(pitch=2.0, lenslet=lenslet, within=7.5).centres.shape   # Kong's part
     (37, 2)
     """
 
@@ -154,7 +152,7 @@ class LensArray(Surface):
     )
     needed = ("layout",)
     lenslet: Surface
-    centres: Annotated[Floats, _Centres] = None  # type: ignore[assignment] # None asks for those of a layout
+    centres: Annotated[Floats, _Centres] = None  # type: ignore[assignment] # None until derived from the layout
     layout: Literal["square", "hexagonal", "listed"] = "listed"
     pitch: Size | None = None
     rows: Count | None = None
@@ -173,10 +171,10 @@ class LensArray(Surface):
         from scipy.spatial import cKDTree  # noqa: PLC0415 - scipy is costly to import
 
         centres = self._laid_out()
-        if centres.shape[1] != 2 or not 1 <= centres.shape[0] <= MOST_LENSES:
+        if centres.shape[1] != 2 or not 1 <= centres.shape[0] <= MAX_LENSES:
             raise InputError(
                 f"centres of a lens array have the shape {centres.shape}, it must be (n, 2) with n from 1 to "
-                f"{MOST_LENSES}: give x and y of each lens in a row"
+                f"{MAX_LENSES}: give x and y of each lens in a row"
             )
         if not isinstance(self.lenslet, Surface):
             raise InputError(f"the lenslet is {self.lenslet!r}, which is not a surface: give a Surface")
@@ -188,23 +186,23 @@ class LensArray(Surface):
             spacing = float(distance[closest, 1])
             if spacing <= 1e-9 * np.abs(centres).max():
                 at = f"{centres[closest, 0]:g}, {centres[closest, 1]:g}"
-                # On one place the tree may name a lens itself second.
+                # For coincident centres the tree may return a lens itself as the second nearest.
                 first, second = sorted({closest, *index[closest].tolist()})[:2]
                 raise InputError(
-                    f"lenses {first + 1} and {second + 1}, counted from 1, both stand at ({at}) mm, the limit is one "
-                    "on a place: remove one"
+                    f"lenses {first + 1} and {second + 1}, counted from 1, are both at ({at}) mm, only one is allowed: "
+                    "remove one"
                 )
         if (self.aperture is None) != (self.surround is None):
             raise InputError(
-                f"aperture is {self.aperture} and surround is {self.surround}, it takes both or neither: "
-                "say what lies outside the round lenslets, or leave out the aperture"
+                f"aperture is {self.aperture} and surround is {self.surround}, they must be given together: "
+                "give the surface around the lenslets, or remove the aperture"
             )
         if self.aperture is not None:
             positive(self.aperture, "aperture of a lenslet", "mm")
             if self.aperture > spacing / 2 * (1 + 1e-12):
                 raise InputError(
-                    f"aperture of a lenslet is {self.aperture:g} mm, the limit is half the least distance of two "
-                    f"centres, {spacing / 2:g} mm: reduce it, or leave it out to let lenslets meet"
+                    f"aperture of a lenslet is {self.aperture:g} mm, the limit is half the smallest distance between "
+                    f"centres, {spacing / 2:g} mm: reduce it, or remove it so that lenslets fill their cells"
                 )
         for name, value in (
             ("centres", centres),
@@ -227,26 +225,27 @@ class LensArray(Surface):
         aperture: float | None = None,
         surround: Surface | float | None = None,
     ) -> Self:
-        """Return an array on a square lattice: so many rows and columns, or all lenses that fit whole in a circle.
+        """Return an array on a square lattice: of rows and columns, or of all lenses that fit into a circle.
 
         Parameters
         ----------
         pitch
             Distance of neighbouring centres along x and y. [mm]
         rows, columns
-            How many; the middle of the array is at ``offset``.
+            Numbers of rows and columns; the middle of the array is at ``offset``.
         within
-            Radius of a circle about the axis; a lens is in if its round part, of the radius ``aperture`` or else half
-            the pitch, is. One lens stands at ``offset``; half a pitch each way puts a corner there. [mm]
+            Radius of a circle about the axis; a lens is included if its circle of radius ``aperture``, by default half
+            the pitch, lies inside. One lens is at ``offset``; an offset of half a pitch each way puts a corner on the
+            axis. [mm]
         offset
-            Where the array stands. [mm]
+            Position of the array. [mm]
         lenslet, aperture, surround
             See `LensArray`.
 
         Raises
         ------
         InputError
-            Unless it is either rows and columns, or within; if no lens fits.
+            Unless either rows and columns or within are given, or if no lens fits.
         """
         return cls(
             layout="square", pitch=pitch, rows=rows, columns=columns, within=within, offset=offset, lenslet=lenslet,
@@ -265,21 +264,21 @@ class LensArray(Surface):
         aperture: float | None = None,
         surround: Surface | float | None = None,
     ) -> Self:
-        """Return an array on a hexagonal lattice with rows along x: so many rings, or all that fit whole in a circle.
+        """Return an array on a hexagonal lattice with rows along x: of rings, or of all lenses that fit into a circle.
 
         Parameters
         ----------
         pitch
             Distance of neighbouring centres. [mm]
         rings
-            How many rings of lenses stand around the one at ``offset``: 3 n (n + 1) + 1 lenses.
+            Number n of rings around the lens at ``offset``: 3 n (n + 1) + 1 lenses.
         within, offset, lenslet, aperture, surround
             See `square`.
 
         Raises
         ------
         InputError
-            Unless it is either rings or within; if no lens fits.
+            Unless either rings or within is given, or if no lens fits.
         """
         return cls(
             layout="hexagonal", pitch=pitch, rings=rings, within=within, offset=offset, lenslet=lenslet,
@@ -287,46 +286,45 @@ class LensArray(Surface):
         )  # fmt: skip
 
     def _laid_out(self) -> Floats:
-        """Return the centres that are listed, or that the layout has. (n, 2)."""
-        used = _LAYOUTS[self.layout]
+        """Return the listed centres, or those of the layout. (n, 2)."""
+        allowed = _LAYOUTS[self.layout]
         for name in ("pitch", "rows", "columns", "rings", "within", "offset"):
-            if getattr(self, name) is not None and name not in used:
+            if getattr(self, name) is not None and name not in allowed:
                 raise InputError(
-                    f"{name} does not go with the layout {self.layout!r}, which takes {', '.join(used)}: remove it"
+                    f"{name} is not allowed in the layout {self.layout!r}, which takes {', '.join(allowed)}: remove it"
                 )
-        if getattr(self, used[0]) is None:
-            raise InputError(f"the layout {self.layout!r} needs {used[0]}, which is missing: add it")
+        if getattr(self, allowed[0]) is None:
+            raise InputError(f"the layout {self.layout!r} needs {allowed[0]}, which is missing: add it")
         if self.layout == "listed":
             return frozen(self.centres, "centres of a lens array", ndim=2)
         pitch = positive(self.pitch or 0.0, "pitch of a lens array", "mm")
         at = finite_tuple(self.offset or (0.0, 0.0), "offset of a lens array", 2)
-        found = (_square if self.layout == "square" else _hexagonal)(self, pitch, at)
-        if self.centres is not None and not np.array_equal(self.centres, found):
+        centres = (_square if self.layout == "square" else _hexagonal)(self, pitch, at)
+        if self.centres is not None and not np.array_equal(self.centres, centres):
             raise InputError(
-                f"centres are not those of the layout {self.layout!r}, only one of them can hold: list them with the "
-                'layout "listed", or leave them out'
+                f'centres differ from those of the layout {self.layout!r}: use the layout "listed", or remove centres'
             )
-        return frozen(found, "centres of a lens array", ndim=2)
+        return frozen(centres, "centres of a lens array", ndim=2)
 
     @classmethod
     def from_table(cls, table: dict[str, Any]) -> dict[str, Any]:
-        """Return the table with its layout, which a job file must state, and a surround that is a height as a plane."""
+        """Return the table with a surround that is a height replaced by a plane."""
         if isinstance(table.get("surround"), str):
             height = {"family": "plane", "placed": {"shift": ["0 mm", "0 mm", table["surround"]]}}
             table = {**table, "surround": height}
         return table
 
     def to_table(self, table: dict[str, Any]) -> dict[str, Any]:
-        """Return the fields with the layout, which a job file must state."""
+        """Return the table with the layout, which a job file must have."""
         return {"layout": self.layout, **table}
 
     @property
     def unstated(self) -> Collection[str]:
-        """The centres, where the layout says them."""
+        """The centres, where the layout defines them."""
         return () if self.layout == "listed" else ("centres",)
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
-        """Return the height and its derivatives, on a border those of one side. See `Surface.evaluate`."""
+        """Return the height and its derivatives; on a border, of one side. See `Surface.evaluate`."""
         index, u, v = self._cell(x, y)
         parts = self.lenslet.evaluate(u, v, order)
         if self.surround is not None:
@@ -336,8 +334,8 @@ class LensArray(Surface):
                 around = self.surround.evaluate(x.ravel()[outside], y.ravel()[outside], order)
             else:
                 around = (float(self.surround), *[0.0] * (len(parts) - 1))
-            for part, there in zip(parts, around, strict=True):
-                part[outside] = there
+            for part, value in zip(parts, around, strict=True):
+                part[outside] = value
         return tuple(part.reshape(x.shape) for part in parts)
 
     def inside(self, x: Floats, y: Floats) -> Bools | None:
@@ -347,21 +345,21 @@ class LensArray(Surface):
         around = self.surround.inside(x.ravel(), y.ravel()) if isinstance(self.surround, Surface) else None
         if lens is None and around is None:
             return None
-        there = np.where(
+        inside = np.where(
             index < self.centres.shape[0], True if lens is None else lens, True if around is None else around
         )
-        return there.reshape(x.shape)
+        return inside.reshape(x.shape)
 
     def poles(self, x: Floats, y: Floats, reach: float) -> tuple[Floats, Floats]:
         """Return the poles of the lenslet in each lens, and of the surround outside them. See `Surface.poles`."""
         index, u, v = self._cell(x, y)
         lens = (index < self.centres.shape[0]).reshape(x.shape)
-        # All lenses are alike: poles are looked for in one, and are there wherever they fall in a lens's own cell.
+        # Lenses are equal: poles are searched in one, and exist in every lens whose cell contains them.
         u, v = (np.where(lens, part.reshape(x.shape), np.nan) for part in (u, v))
         u, v = self.lenslet.poles(u, v, reach)
         at = (self.centres[:, None] + np.stack([u, v], axis=-1)).reshape(-1, 2)
-        own = self._cell(*at.T)[0] == np.repeat(np.arange(self.centres.shape[0]), u.size)
-        pole_x, pole_y = at[own].T
+        in_cell = self._cell(*at.T)[0] == np.repeat(np.arange(self.centres.shape[0]), u.size)
+        pole_x, pole_y = at[in_cell].T
         if isinstance(self.surround, Surface):
             u, v = self.surround.poles(np.where(lens, np.nan, x), np.where(lens, np.nan, y), reach)
             between = self._cell(u, v)[0] == self.centres.shape[0]
@@ -370,7 +368,7 @@ class LensArray(Surface):
 
     @property
     def domain(self) -> str:
-        """Say in words where the array is defined."""
+        """The domain of the array in words."""
         words = "the whole plane"
         if self.lenslet.domain != words:
             words = f"about the nearest lens centre {self.lenslet.domain}"
@@ -384,22 +382,22 @@ class LensArray(Surface):
 
     @property
     def feature_size(self) -> float:
-        """An eighth of the least distance of two centres, or finer where a lenslet or the surround is. [mm]."""
+        """An eighth of the smallest distance between centres, or less if lenslet or surround are finer. [mm]."""
         around = self.surround.feature_size if isinstance(self.surround, Surface) else float("inf")
         return min(self._spacing / 8, self.lenslet.feature_size, around)
 
     def _cell(self, x: Floats, y: Floats) -> tuple[Ints, Floats, Floats]:
-        """Return each point's piece, and where it is from the nearest centre. Each (n,)."""
+        """Return the piece of each point, and its position relative to the nearest centre. Each (n,)."""
         x, y = x.ravel(), y.ravel()
         index, u, v = np.empty(x.size, dtype=np.int64), np.empty(x.size), np.empty(x.size)
         nearest(x, y, self.centres, *self._bins, index, u, v)
         beyond = np.flatnonzero(index < 0)
         if beyond.size:
             points = np.stack([x[beyond], y[beyond]], axis=-1)
-            # A point that is not finite is nearest to nothing; it keeps its nan in u and v.
-            found = self._tree.query(np.nan_to_num(points))[1]
-            index[beyond] = found
-            u[beyond], v[beyond] = (points - self.centres[found]).T
+            # A point that is not finite keeps its nan in u and v.
+            centre = self._tree.query(np.nan_to_num(points))[1]
+            index[beyond] = centre
+            u[beyond], v[beyond] = (points - self.centres[centre]).T
         if self.aperture is not None:
             index[u * u + v * v > self.aperture**2] = self.centres.shape[0]
         return index, u, v
@@ -409,17 +407,16 @@ def _square(array: LensArray, pitch: float, at: tuple[float, ...]) -> Floats:
     """Return the centres of a square lattice. (n, 2)."""
     rows, columns, within = array.rows, array.columns, array.within
     if within is not None and rows is None and columns is None:
-        return _whole((pitch, 0), (0, pitch), at, within, array.aperture)
+        return _inside_circle((pitch, 0), (0, pitch), at, within, array.aperture)
     if within is not None or rows is None or columns is None:
         raise InputError(
             f"a square array has rows {rows}, columns {columns} and within {within}, it takes rows and columns, or "
-            "within alone: leave out the others"
+            "within alone: remove the others"
         )
     rows, columns = whole(rows, "rows of a lens array", 1), whole(columns, "columns of a lens array", 1)
-    if rows * columns > MOST_LENSES:
+    if rows * columns > MAX_LENSES:
         raise InputError(
-            f"a lens array has {rows} rows of {columns}, the limits are 1 of each and {MOST_LENSES} lenses: "
-            "correct the counts"
+            f"a lens array has {rows} rows of {columns} lenses, the limit is {MAX_LENSES} lenses: correct the counts"
         )
     across, along = np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2
     return _lattice(across, along, (pitch, 0), (0, pitch), at)
@@ -430,11 +427,11 @@ def _hexagonal(array: LensArray, pitch: float, at: tuple[float, ...]) -> Floats:
     rings, within = array.rings, array.within
     if (rings is None) == (within is None):
         raise InputError(
-            f"a hexagonal array has rings {rings} and within {within}, it takes one of them: leave out the other"
+            f"a hexagonal array has rings {rings} and within {within}, it takes one of them: remove the other"
         )
     slanted = ((pitch, 0), (pitch / 2, pitch * np.sqrt(0.75)))
     if within is not None:
-        return _whole(*slanted, at, within, array.aperture)
+        return _inside_circle(*slanted, at, within, array.aperture)
     rings = whole(rings, "rings of a lens array", 0, 500)
     i = np.arange(-rings, rings + 1)
     first, second = (part.ravel() for part in np.meshgrid(i, i))
@@ -451,10 +448,10 @@ def _bin(centres: Floats, tree: cKDTree) -> _Bins:
     counts = np.ceil((high + 4 * step - corner) / step).astype(int)
     middles = np.stack(np.meshgrid(*(corner[k] + (np.arange(counts[k]) + 0.5) * step for k in (0, 1))), axis=-1)
     middles = middles.reshape(-1, 2)
-    # A centre nearest to some point of a bin is at most a diagonal farther from its middle than the nearest one is.
+    # A centre that is nearest to a point of a bin is at most a diagonal farther from its middle than the nearest one.
     reach = (tree.query(middles)[0] + np.sqrt(2) * step) * (1 + 1e-9)
     lists = tree.query_ball_point(middles, reach, return_sorted=True)
-    first = np.concatenate([[0], np.cumsum([len(found) for found in lists])])
+    first = np.concatenate([[0], np.cumsum([len(candidates) for candidates in lists])])
     return _Bins(
         corner=(float(corner[0]), float(corner[1])),
         step=float(step),
@@ -470,25 +467,24 @@ def _lattice(i: ArrayLike, j: ArrayLike, a: ArrayLike, b: ArrayLike, offset: tup
     return np.asarray(first * np.asarray(a) + second * np.asarray(b) + np.asarray(offset), dtype=np.float64)
 
 
-def _whole(
+def _inside_circle(
     a: tuple[float, float], b: tuple[float, float], offset: tuple[float, ...], within: float, aperture: float | None
 ) -> Floats:
-    """Return the lattice points offset + i a + j b, a along x, whose lens is wholly in the circle. (n, 2)."""
+    """Return the lattice points offset + i a + j b, a along x, whose lens is inside the circle. (n, 2)."""
     positive(within, "within, the radius that lenses must fit in,", "mm")
     row = b[1]
     # A slanted lattice vector takes up to half as many columns more than rows.
     reach = int(min(1.5 * (within + np.hypot(offset[0], offset[1])) / row, 1e9)) + 1
-    if reach**2 > MOST_LENSES:
+    if reach**2 > MAX_LENSES:
         raise InputError(
-            f"within is {within:g} mm at {row:g} mm from row to row, that is more than {MOST_LENSES} lenses: "
-            "check the units"
+            f"within is {within:g} mm with rows {row:g} mm apart, the limit is {MAX_LENSES} lenses: check the units"
         )
     i = np.arange(-reach, reach + 1)
     centres = _lattice(i, i, a, b, offset)
     lens = a[0] / 2 if aperture is None else aperture
-    kept: Floats = centres[np.hypot(*centres.T) + lens <= within * (1 + 1e-12)]
-    if kept.shape[0] == 0:
+    inside: Floats = centres[np.hypot(*centres.T) + lens <= within * (1 + 1e-12)]
+    if inside.shape[0] == 0:
         raise InputError(
-            f"no lens of radius {lens:g} mm is whole within {within:g} mm: reduce the pitch or enlarge the radius"
+            f"no lens of radius {lens:g} mm fits within {within:g} mm: reduce the pitch or enlarge the radius"
         )
-    return kept
+    return inside

@@ -1,4 +1,4 @@
-"""Off-axis parts: a piece of a larger surface, brought to the spindle axis."""
+"""Off-axis parts: a segment of a parent surface, moved to the spindle axis."""
 
 from __future__ import annotations
 
@@ -24,32 +24,32 @@ __all__ = ["OffAxis"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OffAxis(Surface):
-    r"""A piece of a parent surface away from its axis, with its own vertex on the spindle axis and level there.
+    r"""An off-axis segment of a parent surface, with its vertex on the spindle axis and its normal along it.
 
-    The point of the parent at ``distance`` and ``azimuth`` goes to the origin. The parent is turned by the smallest
-    angle that brings its normal at that point along z, so the directions of the parent stay those of the part: an
-    off-axis paraboloid with azimuth 0 has its parent's axis at negative x.
+    The point of the parent at ``distance`` and ``azimuth`` moves to the origin. The parent is rotated by the smallest
+    angle that brings its normal at that point along z, so its directions x and y are kept: an off-axis paraboloid with
+    azimuth 0 has its parent's axis at negative x.
 
     Parameters
     ----------
     parent
-        The surface that the part is a piece of, about its own axis.
+        The parent surface, about its own axis.
     distance
-        From the parent's axis to the vertex of the part, across the axis. [mm]
+        Distance of the part's vertex from the parent's axis. [mm]
     azimuth
-        Of the part's vertex about the parent's axis, counter-clockwise from x seen from the tool. [rad]
+        Azimuth of the part's vertex about the parent's axis, counter-clockwise from x seen from the tool. [rad]
 
     Raises
     ------
     InputError
-        If the parent is no surface, or a number is not finite or out of its range.
+        If the parent is not a surface, or a number is not finite or out of range.
     DomainError
         If the parent is not defined at the vertex of the part.
 
     Notes
     -----
-    With the gradient :math:`(f_x, f_y)` of the parent at the vertex, the turn is by :math:`\arctan |\nabla f|` about
-    the level axis across the gradient. Heights and derivatives are those of the parent so moved, see `Placed`.
+    With the gradient :math:`(f_x, f_y)` of the parent at the vertex, the rotation is by :math:`\arctan |\nabla f|`
+    about the horizontal axis perpendicular to the gradient. Heights and derivatives are those of `Placed`.
 
     Examples
     --------
@@ -76,14 +76,14 @@ class OffAxis(Surface):
         azimuth = check_angle(self.azimuth, "the azimuth of an off-axis part")
         if distance < 0:
             raise InputError(
-                f"the distance of an off-axis part is {distance:g} mm, it must be 0 mm or more: turn azimuth"
+                f"the distance of an off-axis part is {distance:g} mm, it must be 0 mm or more: change the azimuth"
             )
         try:
             fx, fy = (float(part) for part in self.parent.gradient(*self._at))
             height = float(self.parent.sag(*self._at))
         except DomainError as error:
             raise DomainError(f"the distance of the off-axis part is {distance:g} mm: {error}") from error
-        # The smallest turn that takes the normal n to z: I + [n x z] + [n x z]^2 / (1 + n_z), n_z > 0.
+        # The smallest rotation from the normal n to z: I + [n x z] + [n x z]^2 / (1 + n_z), n_z > 0.
         nx, ny, nz = np.array([-fx, -fy, 1.0]) / np.sqrt(1 + fx * fx + fy * fy)
         turn = np.array(
             [
@@ -100,33 +100,33 @@ class OffAxis(Surface):
 
     @property
     def _at(self) -> tuple[float, float]:
-        """Where the part's vertex stands over the parent's own plane. [mm]."""
+        """Position of the part's vertex in the parent's xy plane. [mm]."""
         return float(self.distance * np.cos(self.azimuth)), float(self.distance * np.sin(self.azimuth))
 
     @property
     def vertex(self) -> tuple[float, float, float]:
-        """Where the part's vertex lies in the frame of the parent (x, y, z). [mm]."""
+        """Position of the part's vertex in the parent's frame (x, y, z). [mm]."""
         return *self._at, float(self.parent.sag(*self._at))
 
     @property
     def lean(self) -> float:
-        """Angle by which the parent's axis leans in the part: that of the parent's slope at the vertex. [rad]."""
+        """Angle between the axes of parent and part, the slope angle of the parent at the vertex. [rad]."""
         return float(np.arctan(np.hypot(*self.parent.gradient(*self._at))))
 
     @property
     def pose(self) -> Pose:
-        """Where the frame of the parent sits in the part's."""
+        """Pose of the parent's frame in the part frame."""
         return self._moved.pose
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Say where vertex, tilt and shift of the part are. See `Surface.remarks`."""
-        at, own = (_shown(values, "mm") for values in (self.vertex, self.pose.shift))
-        tilt = _shown(np.rad2deg(self.pose.tilt), "deg")
+        """Vertex of the part, and pose of the parent. See `Surface.remarks`."""
+        vertex, shift = (_formatted(values, "mm") for values in (self.vertex, self.pose.shift))
+        tilt = _formatted(np.rad2deg(self.pose.tilt), "deg")
         sentence = (
-            f"off-axis part: its vertex lies at {at} of the parent, which leans by {_shown([np.rad2deg(self.lean)])} "
-            f"deg in the part: its tilt is {tilt}, its rotation {_shown([np.rad2deg(self.pose.rotation)])} deg, its "
-            f"own vertex is shifted to {own}"
+            f"off-axis part: its vertex is at {vertex} of the parent; in the part, the parent's axis is inclined by "
+            f"{_formatted([np.rad2deg(self.lean)])} deg (tilt {tilt}, rotation "
+            f"{_formatted([np.rad2deg(self.pose.rotation)])} deg) and its vertex is at {shift}"
         )
         return sentence, *self.parent.remarks
 
@@ -144,7 +144,7 @@ class OffAxis(Surface):
 
     @property
     def domain(self) -> str:
-        """Say in words where the part is defined."""
+        """The domain of the part in words."""
         return self._moved.domain
 
     def piece(self, x: Floats, y: Floats) -> Ints | None:
@@ -153,11 +153,11 @@ class OffAxis(Surface):
 
     @property
     def feature_size(self) -> float:
-        """The parent's, foreshortened. [mm]."""
+        """Feature size of the parent, foreshortened. [mm]."""
         return self._moved.feature_size
 
 
-def _shown(values: Iterable[float], unit: str = "") -> str:
-    """Return numbers to six decimals, those of several axes with their names."""
-    plain = [f"{round(float(value), 6) + 0.0:.6f}".rstrip("0").rstrip(".") for value in values]
-    return ", ".join(f"{axis} = {one} {unit}" for axis, one in zip("xyz", plain, strict=False)) if unit else plain[0]
+def _formatted(values: Iterable[float], unit: str = "") -> str:
+    """Return a number to six decimals; with a unit, the numbers of several axes with their names."""
+    texts = [f"{round(float(value), 6) + 0.0:.6f}".rstrip("0").rstrip(".") for value in values]
+    return ", ".join(f"{axis} = {text} {unit}" for axis, text in zip("xyz", texts, strict=False)) if unit else texts[0]

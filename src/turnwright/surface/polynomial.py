@@ -1,4 +1,4 @@
-"""Polynomials in x and y, free or built from powers of the distance to the axis."""
+"""Polynomials in x and y, and in powers of the distance from the axis."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class XYPolynomial(Surface):
     Raises
     ------
     InputError
-        If a power is not a whole number of 0 or more, or a coefficient is not finite.
+        If a power is not an integer of 0 or more, or a coefficient is not finite.
 
     Examples
     --------
@@ -72,7 +72,7 @@ class XYPolynomial(Surface):
         object.__setattr__(self, "terms", terms)
         sizes = np.zeros(1 + max((i for (i, _), _ in terms), default=0), dtype=np.int64)
         for (i, j), _ in terms:
-            sizes[i] = max(sizes[i], 2 * (j // 2 + 1))  # the kernel takes powers of y by twos
+            sizes[i] = max(sizes[i], 2 * (j // 2 + 1))  # the kernel takes powers of y in pairs
         table = np.zeros((sizes.size, max(2, int(sizes.max()))))
         for (i, j), value in terms:
             table[i, j] = value
@@ -93,14 +93,14 @@ class XYPolynomial(Surface):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RadialPolynomial(Surface):
-    r"""Even powers of the distance r from the axis, plus a surface whose slope along x is made of them.
+    r"""Even powers of the distance r from the axis, plus the integral over x of such a polynomial.
 
     .. math::
 
         z = \sum_{k \ge 1} \frac{a_k}{2} r^{2k} + \int_0^x \Bigl(t + \sum_{k \ge 1} b_k r^{2k}\Bigr) dx,
         \qquad r^2 = x^2 + y^2
 
-    The first sum bends the surface alike all around, the integral alone leans it along x: a freeform that is even in y.
+    The first sum is rotationally symmetric; the integral adds the asymmetry along x: a freeform that is even in y.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class RadialPolynomial(Surface):
 
     Sources
     -------
-    [Troutman2016]_ Appendix A.1 states its infrared lens so. Oracle: SymPy's integral.
+    [Troutman2016]_ Appendix A.1 gives its infrared lens in this form. Oracle: SymPy's integral.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""A surface given by heights at scattered points."""
+"""A surface defined by heights at scattered points."""
 
 from __future__ import annotations
 
@@ -19,52 +19,52 @@ if TYPE_CHECKING:
 
 __all__ = ["MOST_SCATTERED", "Scattered"]
 
-FEWEST_SCATTERED = 30
-"""Points that a polynomial of degree 5 is more than fixed by."""
+MIN_SCATTERED = 30
+"""Points; a polynomial of degree 5 has 21 coefficients."""
 
 MOST_SCATTERED = 2000
-"""Points of one list: the equations for their weights are solved at once."""
+"""Points; the equations for their weights are solved at once."""
 
 DEGREE = 5
 """Degree of the polynomials that are reproduced exactly."""
 
-FINER = 2.0
-"""Steps of the grid to the typical distance of two neighbouring points."""
+STEPS_PER_DISTANCE = 2.0
+"""Steps of the grid per median distance of neighbouring points."""
 
 FOLDS = 5
-"""Parts that the points are dealt into; each of the first two is predicted from all others."""
+"""Folds of the cross-validation; each of the first two is predicted from all others."""
 
-MOST_MIDDLES = 2000
-"""Middles of cells at which the spline is compared with what it stands for."""
+MAX_CHECKED_CELLS = 2000
+"""Cells at whose middles the spline is compared with the radial functions."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scattered(Surface):
-    r"""Heights at scattered points, joined by a smooth surface through every one of them.
+    r"""Heights at scattered points, interpolated by a smooth surface.
 
-    Radial functions :math:`r^5` and a polynomial of degree 5 go through all points exactly. They are evaluated once on
-    a grid with half the distance of neighbouring points, and a bicubic spline joins that grid, see `Gridded`; the
-    surface is defined within the convex hull of the points, so these must reach beyond the clear radius.
+    Radial functions :math:`r^5` and a polynomial of degree 5 interpolate all points exactly. They are evaluated once on
+    a grid with half the distance of neighbouring points, which a bicubic spline interpolates, see `Gridded`. The
+    surface is defined in the convex hull of the points, which must therefore extend beyond the clear aperture.
 
     Parameters
     ----------
     x, y, z
         The points. Each (n,) [mm]
     source
-        How a job file names the heights, where they were read from a file.
+        Description of the heights in a job file, where they were read from a file.
 
     Attributes
     ----------
     fit_error
-        What the surface may be off between the points: the largest of the errors that are made when a fifth of the
-        points is predicted from the others, twice, points near the edge of the hull left out, and of the spline's own.
-        With all points it is usually less. [mm]
+        Estimated interpolation error: the largest error of a cross-validation, in which twice a fifth of the points is
+        predicted from the others (without points near the edge of the hull), or of the spline if that is larger. The
+        surface through all points is usually better. [mm]
 
     Raises
     ------
     InputError
-        If there are fewer than 30 or more than 2000 points, a number is not finite, two points share a place, or all
-        stand on a line.
+        If there are fewer than 30 or more than 2000 points, a number is not finite, two points coincide, or all points
+        are on a line.
 
     Sources
     -------
@@ -88,68 +88,69 @@ class Scattered(Surface):
             object.__setattr__(self, name, frozen(getattr(self, name), f"{name} of scattered points"))
         if not self.x.size == self.y.size == self.z.size:
             raise InputError(
-                f"scattered points have {self.x.size} x, {self.y.size} y and {self.z.size} z: give as many of each"
+                f"scattered points have {self.x.size} x, {self.y.size} y and {self.z.size} z: give equal numbers"
             )
-        if not FEWEST_SCATTERED <= self.x.size <= MOST_SCATTERED:
+        if not MIN_SCATTERED <= self.x.size <= MOST_SCATTERED:
             raise InputError(
-                f"a surface of scattered points has {self.x.size} of them, the limits are {FEWEST_SCATTERED} and "
+                f"a surface of scattered points has {self.x.size} points, the limits are {MIN_SCATTERED} and "
                 f"{MOST_SCATTERED}: give a grid of heights, or thin the list"
             )
         middle = np.array([(at.max() + at.min()) / 2 for at in (self.x, self.y)])
         size = max(float(np.ptp(at)) for at in (self.x, self.y)) / 2
-        # In units of half the part, so that the equations are well scaled.
+        # Normalised to the half size of the part, so that the equations are well scaled.
         places = (np.stack([self.x, self.y], axis=1) - middle) / size if size > 0 else np.zeros((self.x.size, 2))
         try:
             hull = ConvexHull(places)
         except QhullError as error:
-            raise InputError("all scattered points stand on a line: give points over the whole part") from error
-        apart = np.asarray(KDTree(places).query(places, 2)[0])[:, 1]
-        if apart.min() < 1e-9:
-            first = int(apart.argmin())
+            raise InputError("all scattered points are on a line: give points over the whole part") from error
+        distance = np.asarray(KDTree(places).query(places, 2)[0])[:, 1]
+        if distance.min() < 1e-9:
+            first = int(distance.argmin())
             raise InputError(
-                f"two scattered points stand at x = {self.x[first]:.6g} mm, y = {self.y[first]:.6g} mm: remove one"
+                f"two scattered points are at x = {self.x[first]:.6g} mm, y = {self.y[first]:.6g} mm: remove one"
             )
         # Lines a x + b y + c <= 0 that bound the hull. (n, 3)
         lines = np.column_stack(
             [hull.equations[:, :2] / size, hull.equations[:, 2] - hull.equations[:, :2] @ middle / size]
         )
         object.__setattr__(self, "_hull", frozen(lines, "hull", ndim=2))
-        step = float(np.median(apart)) / FINER
+        step = float(np.median(distance)) / STEPS_PER_DISTANCE
         axis = np.linspace(-1 - 4 * step, 1 + 4 * step, int(np.ceil(2 / step)) + 9)
         u, v = np.meshgrid(axis, axis)
         through = _through(places, self.z)
-        # The functions are smooth beyond the hull too, so that the spline is as good at its border as within.
+        # The functions are smooth beyond the hull too, so that the spline is as accurate at the border as inside.
         heights = through(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(u.shape)
         object.__setattr__(self, "_grid", Gridded(x=middle[0] + size * axis, y=middle[1] + size * axis, z=heights))
         middles = axis[:-1] + np.diff(axis) / 2
         between = np.stack([at.ravel() for at in np.meshgrid(middles, middles)], axis=1)
         chosen = np.flatnonzero(self.inside(*(middle + size * between).T))
-        chosen = chosen[:: -(-chosen.size // MOST_MIDDLES)]
+        chosen = chosen[:: -(-chosen.size // MAX_CHECKED_CELLS)]
         at = np.concatenate([between[chosen], places])
         (spline,) = self._grid.evaluate(middle[0] + size * at[:, 0], middle[1] + size * at[:, 1], 0)
-        off = float(np.abs(spline - through(at)).max())
-        object.__setattr__(self, "fit_error", max(off, self._missed(places, hull.equations, FINER * step)))
+        spline_error = float(np.abs(spline - through(at)).max())
+        prediction_error = self._cross_validate(places, hull.equations, STEPS_PER_DISTANCE * step)
+        object.__setattr__(self, "fit_error", max(spline_error, prediction_error))
 
-    def _missed(self, places: Floats, lines: Floats, apart: float) -> float:
+    def _cross_validate(self, places: Floats, lines: Floats, margin: float) -> float:
         """Return the largest error of points that are predicted from others. [mm]."""
         worst = 0.0
-        inner = (lines[:, :2] @ places.T + lines[:, 2:]).max(axis=0) < -apart
-        part = np.random.default_rng(0).permutation(self.x.size) % FOLDS
+        inner = (lines[:, :2] @ places.T + lines[:, 2:]).max(axis=0) < -margin
+        fold = np.random.default_rng(0).permutation(self.x.size) % FOLDS
         for number in range(2):
-            known, asked = part != number, (part == number) & inner
-            if asked.any():
-                predicted = _through(places[known], self.z[known])(places[asked])
-                worst = max(worst, float(np.abs(predicted - self.z[asked]).max()))
+            training, test = fold != number, (fold == number) & inner
+            if test.any():
+                predicted = _through(places[training], self.z[training])(places[test])
+                worst = max(worst, float(np.abs(predicted - self.z[test]).max()))
         return worst
 
     @property
     def stated(self) -> Any:
-        """How a job file names the heights. See `Surface.stated`."""
+        """Description of the heights in a job file. See `Surface.stated`."""
         return self.source
 
     @property
     def file(self) -> str:
-        """The file that the heights were read from; empty if none."""
+        """File from which the heights were read; empty if none."""
         return "" if self.source is None else str(self.source.file)
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
@@ -157,7 +158,7 @@ class Scattered(Surface):
         return self._grid.evaluate(x, y, order)
 
     def inside(self, x: Floats, y: Floats) -> Bools:
-        """Return where the hull of the points is."""
+        """Return the mask of points in the hull."""
         a, b, c = self._hull.T
         within = np.ones(x.shape, dtype=np.bool_)
         for k in range(a.size):
@@ -166,7 +167,7 @@ class Scattered(Surface):
 
     @property
     def domain(self) -> str:
-        """Say where the points are."""
+        """The hull of the points in words."""
         return (
             f"the convex hull of its {self.x.size} points, x from {self.x.min():.6g} to {self.x.max():.6g} mm and y "
             f"from {self.y.min():.6g} to {self.y.max():.6g} mm"
@@ -174,21 +175,21 @@ class Scattered(Surface):
 
     @property
     def feature_size(self) -> float:
-        """The step of the grid that stands for the points. [mm]."""
+        """The step of the grid. [mm]."""
         return self._grid.feature_size
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Say what is missed between the points. See `Surface.remarks`."""
+        """Interpolation error between the points. See `Surface.remarks`."""
         sentence = (
-            f"{self.x.size} scattered points, joined by radial functions through all of them: a fifth of the points "
-            f"left out is predicted from the others to {say_length(self.fit_error)}, finer structure is not in it"
+            f"{self.x.size} scattered points, interpolated by radial functions: the estimated interpolation error is "
+            f"{say_length(self.fit_error)} (cross-validation); finer structure is not included"
         )
         return (sentence,)
 
 
 def _through(places: Floats, z: Floats) -> RBFInterpolator:
-    """Return radial functions through points."""
+    """Return radial functions that interpolate the points."""
     from scipy.interpolate import RBFInterpolator  # noqa: PLC0415
 
     return RBFInterpolator(places, z, kernel="quintic", degree=DEGREE)

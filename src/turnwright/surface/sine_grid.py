@@ -25,11 +25,11 @@ class SineGrid(Surface):
     Parameters
     ----------
     amplitude
-        Of the wave along x and of the wave along y; half of each wave's peak-to-valley. [mm]
+        Amplitudes of the waves along x and y, half of their peak-to-valley. [mm]
     period
-        Of the two waves. [mm]
+        Periods of the two waves. [mm]
     phase
-        Of the two waves at the axis; pi/2 makes cosines. [rad]
+        Phases of the two waves at the axis; pi/2 gives cosines. [rad]
 
     Raises
     ------
@@ -77,6 +77,6 @@ class SineGrid(Surface):
 
     @property
     def feature_size(self) -> float:
-        """An eighth of the shorter period that is there. [mm]."""
+        """An eighth of the shorter period with an amplitude above 0. [mm]."""
         periods = [p for a, p in zip(self.amplitude, self.period, strict=True) if a]
         return min(periods, default=float("inf")) / 8

@@ -1,4 +1,4 @@
-"""Surfaces as a job file states them: a table with its ``family``, or a list of such tables, which are added."""
+"""Surfaces in a job file: a table with its ``family``, or a list of such tables, which are added."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 __all__ = ["AnySurface", "built", "json_schema_of", "table_of"]
 
-HIGHEST = 99
-"""A coefficient of a higher power of 1/mm belongs to no series."""
+MAX_POWER = 99
+"""Power of 1/mm in the unit of a coefficient."""
 
-LARGEST = 1e100
-"""No coefficient is larger, in mm to its power: powers of it leave the range of numbers."""
+MAX_COEFFICIENT = 1e100
+"""Size of a coefficient, in mm to its power; powers of larger ones overflow."""
 
 UNITS = ("mm", "um", "nm", "m", "in")
-"""Units that the formula of a series may be written in."""
+"""Units of length of a series."""
 
 
 class _Where(TypedDict):
@@ -38,9 +38,9 @@ class _Where(TypedDict):
 
 
 def built(cls: type[Any], table: dict[str, Any], build: Callable[[Any], Any], context: Any) -> Any:
-    """Return the surface that a table states; ``build`` makes it of the fields of its class."""
+    """Return the surface that a table describes; ``build`` makes it from the fields of its class."""
     placement = table.get("placed")
-    table = {name: one for name, one in table.items() if name not in ("family", "placed")}
+    table = {name: value for name, value in table.items() if name not in ("family", "placed")}
     if placement is not None:
         placement = adapter(_Where).validate_python({"placed": placement}, context=context)["placed"]
     if cls.formula_units:
@@ -56,25 +56,25 @@ def built(cls: type[Any], table: dict[str, Any], build: Callable[[Any], Any], co
 
 
 def json_schema_of(cls: type[Any], found: dict[str, Any], handler: GetJsonSchemaHandler) -> dict[str, Any]:
-    """Return the JSON schema of a family with the keys that every family has."""
-    own = dict(found["properties"])
+    """Return the JSON schema of a family, including the keys common to all families."""
+    properties = dict(found["properties"])
     for name, series in cls.series.items():
         entry = {"type": ["number", "string"]}
         kind = {"type": "array", "items": entry} if series.key is None else {
             "type": "object", "additionalProperties": entry,
         }  # fmt: skip
-        own[name] = {**own[name], **kind}
+        properties[name] = {**properties[name], **kind}
     if cls.series:
-        own["units"] = {"type": "string", "enum": list(UNITS)}
+        properties["units"] = {"type": "string", "enum": list(UNITS)}
     required = ["family", *found.get("required", ()), *cls.needed]
     if cls.formula_units:
-        own["units"] = {"type": "string", "const": cls.formula_units}
+        properties["units"] = {"type": "string", "const": cls.formula_units}
         required.append("units")
     return {
         **found,
         "properties": {
             "family": {"type": "string", "const": cls.family},
-            **own,
+            **properties,
             "placed": handler(adapter(Pose).core_schema),
         },
         "required": required,
@@ -82,7 +82,7 @@ def json_schema_of(cls: type[Any], found: dict[str, Any], handler: GetJsonSchema
 
 
 class _Family:
-    """The annotation by which a table is read as the family that it names."""
+    """Annotation of a table that is read as the family that it names."""
 
     @classmethod
     def __get_pydantic_core_schema__(cls, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -99,16 +99,16 @@ class _Family:
 
 
 AnySurface = TypeAliasType("AnySurface", Annotated[Any, _Family])
-"""Whichever family a table names."""
+"""A surface of any family."""
 
 
 def table_of(surface: Surface, *, whole: bool = False) -> dict[str, Any]:
-    """Return the table by which a job file states a surface, with what is as by default if the whole is wanted.
+    """Return the table of a surface in a job file; ``whole`` includes default values.
 
     Raises
     ------
     InputError
-        If it is of no family that a job file knows, or its heights are in no file.
+        If a job file has no family for the surface, or its heights are not in a file.
     """
     if isinstance(surface, Placed):
         table = table_of(surface.surface, whole=whole)
@@ -118,8 +118,8 @@ def table_of(surface: Surface, *, whole: bool = False) -> dict[str, Any]:
     stated = surface.stated
     if (family := getattr(stated, "family", "")) not in FAMILIES:
         raise InputError(
-            f"a job file has no family for a {type(surface).__name__}, it knows {', '.join(FAMILIES)}: write its "
-            "heights to a file and name that"
+            f"a job file has no family for a {type(surface).__name__}, it has {', '.join(FAMILIES)}: write its "
+            "heights to a file and name that file"
         )
     table = written(stated, whole=whole)
     for name, series in stated.series.items():
@@ -131,22 +131,22 @@ def table_of(surface: Surface, *, whole: bool = False) -> dict[str, Any]:
 
 
 def _check_units(cls: type[Any], table: dict[str, Any]) -> None:
-    """Take the units of a formula out of a table, which must state them."""
-    given = table.pop("units", None)
-    if given == cls.formula_units:
+    """Remove the units of a formula from a table; raise unless they are there and right."""
+    units = table.pop("units", None)
+    if units == cls.formula_units:
         return
-    wrong = (
+    fault = (
         InitErrorDetails(type="missing", loc=("units",), input=table)
-        if given is None
+        if units is None
         else InitErrorDetails(
-            type="literal_error", loc=("units",), input=given, ctx={"expected": repr(cls.formula_units)}
+            type="literal_error", loc=("units",), input=units, ctx={"expected": repr(cls.formula_units)}
         )
     )
-    raise ValidationError.from_exception_data(cls.__name__, [wrong])
+    raise ValidationError.from_exception_data(cls.__name__, [fault])
 
 
 def _with_coefficients(cls: type[Any], table: dict[str, Any]) -> dict[str, Any]:
-    """Return a table with its coefficients in mm to their power, which may be plain numbers of the stated ``units``."""
+    """Return a table with its coefficients in powers of mm; plain numbers are in powers of ``units``."""
     if not cls.series:
         return table
     units = table.pop("units", None)
@@ -157,15 +157,15 @@ def _with_coefficients(cls: type[Any], table: dict[str, Any]) -> dict[str, Any]:
             raise refuse(cls.__name__, {("units",): error}, units) from error
     problems: dict[tuple[str | int, ...], Exception | str] = {}
     for name, series in cls.series.items():
-        given = table.get(name)
-        if given is None:
+        terms = table.get(name)
+        if terms is None:
             continue
-        if not isinstance(given, Mapping if series.key else list | tuple):
+        if not isinstance(terms, Mapping if series.key else list | tuple):
             raise ValidationError.from_exception_data(
                 cls.__name__,
-                [InitErrorDetails(type="dict_type" if series.key else "list_type", loc=(name,), input=given)],
+                [InitErrorDetails(type="dict_type" if series.key else "list_type", loc=(name,), input=terms)],
             )
-        entries = list(given.items() if isinstance(given, Mapping) else enumerate(given))
+        entries = list(terms.items() if isinstance(terms, Mapping) else enumerate(terms))
         problems |= {(name, key): error for key, error in _repeated(key for key, _ in entries).items()}
         values: dict[Any, float] = {}
         for key, value in entries:
@@ -182,20 +182,20 @@ def _with_coefficients(cls: type[Any], table: dict[str, Any]) -> dict[str, Any]:
 
 def _coefficient(value: object, units: str | None, power: int) -> float:
     """Return a coefficient in mm^power."""
-    if abs(power) > HIGHEST:
-        raise JobError(f"its unit is mm^{power}, the limit is mm^-{HIGHEST}, a degree of {HIGHEST + 1}: leave it out")
+    if abs(power) > MAX_POWER:
+        raise JobError(f"its unit is mm^{power}, the limit is mm^-{MAX_POWER}, a degree of {MAX_POWER + 1}: remove it")
     if units is not None and isinstance(value, int | float) and not isinstance(value, bool):
         value = f"{value!r} {_power_of(units, power)}"
     if not isinstance(value, str):
-        raise UnitError(f"{value!r} has no unit: write it as text with a unit, or state the units of the formula once")
-    found = parse(value, _power_of("mm", power))
-    if abs(found) > LARGEST:
-        raise JobError(f"{shown(value)} is beyond {LARGEST:g} {_power_of('mm', power)}: check its exponent")
-    return found
+        raise UnitError(f"{value!r} has no unit: write it as text with a unit, or give the units of the formula once")
+    coefficient = parse(value, _power_of("mm", power))
+    if abs(coefficient) > MAX_COEFFICIENT:
+        raise JobError(f"{shown(value)} is beyond {MAX_COEFFICIENT:g} {_power_of('mm', power)}: check its exponent")
+    return coefficient
 
 
 def _power_of(units: str, power: int) -> str:
-    """Return a power of a unit as a person writes it."""
+    """Return a power of a unit as text."""
     if power == 0:
         return "1"
     raised = units if abs(power) == 1 else f"{units}^{abs(power)}"
@@ -203,10 +203,10 @@ def _power_of(units: str, power: int) -> str:
 
 
 def _repeated(keys: Iterable[object]) -> dict[Any, JobError]:
-    """Return what is wrong with keys that say the same as one before them."""
-    seen: dict[tuple[int, ...], object] = {}
+    """Return the errors of keys that mean the same as an earlier one."""
+    first_keys: dict[tuple[int, ...], object] = {}
     return {
         key: JobError(f"the key {key!r} means the same as {first!r}: remove one")
         for key in keys
-        if (first := seen.setdefault(tuple(map(int, re.findall("-?[0-9]{1,9}", str(key)))), key)) != key
+        if (first := first_keys.setdefault(tuple(map(int, re.findall("-?[0-9]{1,9}", str(key)))), key)) != key
     }

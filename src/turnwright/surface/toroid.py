@@ -22,12 +22,12 @@ __all__ = ["Biconic", "Toroid"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Toroid(Surface):
-    r"""A true circular torus: an arc in the xz plane, turned about a line parallel to x.
+    r"""A circular torus: an arc in the xz plane, rotated about a line parallel to x.
 
     The arc has the radius :math:`R_x` and passes through the vertex; the line is y = 0, :math:`z = R_y`. An infinite
-    ``radius_y`` leaves a cylinder with its generators along y, an infinite ``radius_x`` one with them along x. For the
-    other torus, the arc in the yz plane turned about a line parallel to y, exchange the radii and place it rotated by a
-    quarter of a turn.
+    ``radius_y`` gives a cylinder with its generators along y, an infinite ``radius_x`` one with them along x. For the
+    other torus, an arc in the yz plane rotated about a line parallel to y, exchange the radii and place it with a
+    rotation of pi/2.
 
     .. math:: z = R_y - \sqrt{(R_y - g)^2 - y^2}, \quad g = R_x - \sqrt{R_x^2 - x^2} \qquad (R_x, R_y > 0)
 
@@ -61,7 +61,7 @@ class Toroid(Surface):
         curvature(self.radius_y, "radius_y of a toroid")
 
     def inside(self, x: Floats, y: Floats) -> Bools | None:
-        """Return where neither the arc nor the turned circle is vertical yet."""
+        """Return the mask of points where neither the arc nor the circle around the line is vertical."""
         cx, cy = 1 / self.radius_x, 1 / self.radius_y
         squared = 1 - cx * cx * x * x
         with np.errstate(invalid="ignore"):
@@ -70,7 +70,7 @@ class Toroid(Surface):
 
     @property
     def domain(self) -> str:
-        """Say in words where the surface is defined."""
+        """The domain of the surface in words."""
         return (
             f"|x| below {abs(self.radius_x):g} mm and |y| below {abs(self.radius_y):g} mm, the latter "
             "less the sag of the arc in x where both bend to one side"
@@ -122,13 +122,13 @@ class Biconic(Surface):
         return (1 + self.conic_x) / self.radius_x**2, (1 + self.conic_y) / self.radius_y**2
 
     def inside(self, x: Floats, y: Floats) -> Bools | None:
-        """Return where the surface is not yet vertical."""
+        """Return the mask of points where the surface is defined."""
         a, b = self._squared
         return None if a <= 0 and b <= 0 else 1 - a * x * x - b * y * y > 0
 
     @property
     def domain(self) -> str:
-        """Say in words where the surface is defined."""
+        """The domain of the surface in words."""
         a, b = self._squared
         return "the whole plane" if a <= 0 and b <= 0 else f"{a:.6g} x² + {b:.6g} y² < 1 (mm)"
 

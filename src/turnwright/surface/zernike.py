@@ -25,16 +25,16 @@ FIRST = {"fringe": 1, "noll": 1, "ansi": 0}
 
 
 def zernike_order(index: int, indexing: Indexing) -> tuple[int, int]:
-    """Degree n and azimuthal order m, negative for a sine, of a Zernike term.
+    """Return degree n and azimuthal order m, negative for a sine, of a Zernike term.
 
-    Fringe terms count up to 36 by n + |m|, then |m| falling, the cosine first; number 37 closes the standard set of 37
-    with (12, 0), and from 38 on the rule goes on, so that (6, 6), its own number 37, cannot be had and number 49 is
-    (12, 0) again.
+    Fringe terms up to 36 are ordered by n + |m|, then by falling |m|, the cosine first. Number 37 is (12, 0), the last
+    of the standard set; from 38 on the rule continues, so that (6, 6), number 37 by the rule, has no number and number
+    49 is (12, 0) again.
 
     Raises
     ------
     InputError
-        If the index is not a whole number, is below the first one of its order, or the degree is beyond 100.
+        If the index is not an integer, is below the first of its indexing, or the degree is above 100.
 
     Sources
     -------
@@ -77,8 +77,8 @@ class Zernike(Surface):
 
     .. math:: z = \sum_j c_j N R_n^{|m|}(\rho) \cos m\theta \ \text{or} \ \sin |m|\theta, \qquad \rho = r / r_0
 
-    The angle runs from +x toward +y. The polynomials are defined, and used, beyond the normalisation radius too: the
-    tool meets the surface outside the aperture.
+    The angle runs from +x toward +y. The polynomials are also used beyond the normalisation radius, as the tool touches
+    the surface outside the aperture.
 
     Parameters
     ----------
@@ -90,13 +90,13 @@ class Zernike(Surface):
         "fringe" (from 1), "noll" (from 1) or "ansi" (from 0), see `zernike_order`.
     normalised
         Whether a coefficient is the root mean square of its term over the disc (N = sqrt(n + 1), times sqrt(2) unless
-        m = 0) or its value at the edge (N = 1). By default what each convention does: fringe False, Noll and ANSI True.
+        m = 0) or its value at the edge (N = 1). The default follows the indexing: fringe False, Noll and ANSI True.
 
     Raises
     ------
     InputError
-        If an index is not one of its order, two name the same polynomial, a coefficient is not finite, or the radius
-        is not positive.
+        If an index is invalid, two indices mean the same polynomial, a coefficient is not finite, or the radius is not
+        positive.
 
     Examples
     --------
@@ -122,26 +122,26 @@ class Zernike(Surface):
         object.__setattr__(self, "terms", terms)
         normalised = self.indexing != "fringe" if self.normalised is None else self.normalised
         series: dict[int, Floats] = {}
-        named: dict[tuple[int, int], int] = {}
+        indices: dict[tuple[int, int], int] = {}
         for index, value in terms:
             n, m = zernike_order(index, self.indexing)
-            if (n, m) in named:
+            if (n, m) in indices:
                 raise InputError(
-                    f"the {self.indexing} terms {named[n, m]} and {index} are both the polynomial ({n}, {m}), once is "
-                    "the limit: add their coefficients"
+                    f"the {self.indexing} terms {indices[n, m]} and {index} are both the polynomial ({n}, {m}), only "
+                    "one is allowed: add their coefficients"
                 )
-            named[n, m] = index
+            indices[n, m] = index
             k = (n - abs(m)) // 2
             row = np.zeros(max(k + 1, len(series.get(m, ()))))
             row[: len(series.get(m, ()))] = series.get(m, ())
             row[k] = value * (sqrt((n + 1) * (2 if m else 1)) if normalised else 1.0)
             series[m] = row
         object.__setattr__(self, "_sum", disc_sum(series))
-        object.__setattr__(self, "_degree", max((n for n, _ in named), default=0))
+        object.__setattr__(self, "_degree", max((n for n, _ in indices), default=0))
 
     @property
     def feature_size(self) -> float:
-        """The radius over the degree; a degree below 3 bends everywhere alike. [mm]."""
+        """The radius over the degree; below degree 3 the curvature is constant. [mm]."""
         return self.radius / self._degree if self._degree > 2 else float("inf")
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
