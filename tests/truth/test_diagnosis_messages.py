@@ -54,7 +54,7 @@ def test_maps_and_parts_go_together():
         tw.diagnose(MAP, [PART, PART], TOOL, MACHINE)
     with pytest.raises(tw.InputError, match="0 maps"):
         tw.diagnose([], PART, TOOL, MACHINE)
-    with pytest.raises(tw.InputError, match="size of its pixels"):
+    with pytest.raises(tw.InputError, match="no pixel size"):
         tw.diagnose(replace(MAP, calibrated=False), PART, TOOL, MACHINE)
 
 

@@ -345,17 +345,17 @@ function Explained() {
     return () => (explain = () => {});
   }, []);
   if (!field) {
-    return html`<section role="complementary" class="explain" aria-label="About the field" tabindex="0" aria-live="off"><p class="quiet">Point at a field or focus it with Tab to see its description.</p></section>`;
+    return html`<aside class="explain" aria-label="About the field" tabindex="0" aria-live="off"><p class="quiet">Point at a field or focus it with Tab to see its description.</p></aside>`;
   }
   const { node, path } = field;
   const unit = shownUnit(node);
   const text = defaultText(node);
-  return html`<section role="complementary" class="explain" id="explained" aria-label="About the field" tabindex="0" aria-live="off">
+  return html`<aside class="explain" id="explained" aria-label="About the field" tabindex="0" aria-live="off">
     <h3>${titleOf(node, path.at(-1))} ${unit && html`<span class="unit">[${unit}]</span>`}</h3>
     ${node.description && html`<p>${node.description}</p>`}
     ${node.holds && html`<p>Upload a file (${node.endings.join(", ")}) with the button next to the field; it is saved with the job.</p>`}
     <p class="quiet"><code>${path.map((key) => (typeof key === "number" ? key + 1 : key)).join(".")}</code>${text && html` · default: ${text}`}</p>
-  </section>`;
+  </aside>`;
 }
 
 // ------------------------------------------------------------------------------------------------------- the fields
@@ -674,7 +674,7 @@ function Fields({ node, path, value, skip }) {
 /** A table within a table. */
 function Sub({ node, path, value }) {
   return html`<div class="sub" role="group" aria-label=${titleOf(node, path.at(-1))}>
-    <h4 ...${telling(node, path)}>${titleOf(node, path.at(-1))}</h4>
+    <h4 ...${explaining(node, path)}>${titleOf(node, path.at(-1))}</h4>
     <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${errorsAt(path)} />
     <${Fields} node=${node} path=${path} value=${value} />
   </div>`;
@@ -702,7 +702,7 @@ function Union({ node, path, value, required, bare = false }) {
     ${chosen && html`<${Fields} key=${value[key]} node=${chosen} path=${path} value=${value} skip=${key} />`}
   </${Fragment}>`;
   if (bare) return body;
-  return html`<div class="sub" role="group" aria-label=${titleOf(node, path.at(-1))}><h4 ...${telling(about, path)}>${plain(path.at(-1))}</h4>${body}</div>`;
+  return html`<div class="sub" role="group" aria-label=${titleOf(node, path.at(-1))}><h4 ...${explaining(about, path)}>${plain(path.at(-1))}</h4>${body}</div>`;
 }
 
 /** Tables in order: passes, patches, terms of a sum. */
@@ -755,7 +755,7 @@ function Group({ name, node: raw, value, required }) {
   const kind = kindOf(node);
   const given = { node, path, value, required };
   return html`<details class="group" open=${open} onToggle=${(event) => setOpen(event.target.open)}>
-    <summary ...${telling(node, path)}>
+    <summary ...${explaining(node, path)}>
       <span class="name">${plain(name)}</span>
       <span class="gist">${open ? "" : summary(node, value)}</span>
       ${wrong > 0 && html`<span class="count" aria-label=${`${wrong} errors`}>${wrong}</span>`}
