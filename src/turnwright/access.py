@@ -156,7 +156,7 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
 
     Nose radius
         The edge at rake :math:`\gamma` lies in a plane that leans back from the vertical, so a height :math:`w` along
-        it stands at :math:`v = kw, z = cw` with :math:`c = \cos\gamma, k = -s\sin\gamma` and :math:`s` the sense. There
+        it is at :math:`v = kw, z = cw` with :math:`c = \cos\gamma, k = -s\sin\gamma` and :math:`s` the sense. There
         the surface has the slope and the curvature
 
         .. math::

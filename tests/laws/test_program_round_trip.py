@@ -195,7 +195,7 @@ def test_anything_is_read_or_refused(tmp_path_factory, pieces, dialect):
     path = tmp_path_factory.getbasetemp() / "fuzz.nc"
     path.write_text("G93F1X1Z1C0\nC0.5\n" + "".join(pieces), encoding="latin-1", newline="")
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "(?s).*it may be cut short", ProgramWarning)
+        warnings.filterwarnings("ignore", "(?s).*it may be truncated", ProgramWarning)
         try:
             assert read_nc(path, machine).time.size >= 2
         except ProgramError as error:

@@ -185,7 +185,7 @@ LOOP = "#1 = 0\nWHILE [#1 LT 1] DO 1\n" + WHOLE + "#1 = 1\n"
     [
         (WHOLE + "C3 X0.8 Z1.2", "without M30 .*line 7 .*line end"),
         (LOOP, "without M30 .*loop 1 "),
-        (WHOLE, "without M30 or M02: it may be cut short"),
+        (WHOLE, "without M30 or M02: it may be truncated"),
         (WHOLE + "  (the end)", "without M30 or M02: it may"),
         (WHOLE + "\n\n \t", "without M30"),
         ("%\n" + WHOLE, "without M30"),
@@ -229,7 +229,7 @@ def test_blocks_behind_the_end_are_counted(tmp_path, end, blocks):
     """The count is that of the blocks written; 200,000 of them fill several of the pieces that are read at a time."""
     rest = "".join(f"C{k % 360} X0.5\r\n" for k in range(blocks))
     for mark in ("", "\ufeff"):
-        with pytest.warns(ProgramWarning, match=f"behind the {end} in line 7: {blocks} blocks there .* left out"):
+        with pytest.warns(ProgramWarning, match=f"after the {end} in line 7: {blocks} blocks .* skipped"):
             read(tmp_path, f"{mark}{WHOLE}{end}\n(more X1)\n\n{rest}M30\n%\nC1")
 
 
@@ -431,7 +431,7 @@ def test_what_stands_beside_the_stretch_that_is_read_is_counted(tmp_path, rest, 
     else:
         rows.insert(8, line.replace("400", "161"))
     text = CALLER + "\n".join(rows) + "\nM30\n"
-    with pytest.warns(ProgramWarning, match=f"in 2 stretches without names, {blocks} of their 9 blocks are left out"):
+    with pytest.warns(ProgramWarning, match=f"2 unnamed cuts, .* {blocks} of 9 blocks are skipped"):
         read(tmp_path, text, "generic")
     if rest == 3:
         assert read(tmp_path, text, "generic", name="cut 1").time.size == 7

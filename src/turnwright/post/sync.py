@@ -114,8 +114,8 @@ def write_fast_tool(
     the convention of the lathe, and U to the distance from the axis; the last decimal is 0.1 nm. The header describes
     this and has the hashes of the rows and of the program.
 
-    The table is written under another name beside its place before the program is, and put in place after it: if
-    anything fails before, nothing changes.
+    The table is written to a temporary file before the program and moved into place after it; if writing fails,
+    nothing changes.
 
     Parameters
     ----------

@@ -55,9 +55,9 @@ def built(cls: type[Any], table: dict[str, Any], build: Callable[[Any], Any], co
     return surface.placed(shift=placement.shift, rotation=placement.rotation, tilt=placement.tilt)
 
 
-def json_schema_of(cls: type[Any], found: dict[str, Any], handler: GetJsonSchemaHandler) -> dict[str, Any]:
+def json_schema_of(cls: type[Any], schema: dict[str, Any], handler: GetJsonSchemaHandler) -> dict[str, Any]:
     """Return the JSON schema of a family, including the keys common to all families."""
-    properties = dict(found["properties"])
+    properties = dict(schema["properties"])
     for name, series in cls.series.items():
         entry = {"type": ["number", "string"]}
         kind = {"type": "array", "items": entry} if series.key is None else {
@@ -66,12 +66,12 @@ def json_schema_of(cls: type[Any], found: dict[str, Any], handler: GetJsonSchema
         properties[name] = {**properties[name], **kind}
     if cls.series:
         properties["units"] = {"type": "string", "enum": list(UNITS)}
-    required = ["family", *found.get("required", ()), *cls.needed]
+    required = ["family", *schema.get("required", ()), *cls.needed]
     if cls.formula_units:
         properties["units"] = {"type": "string", "const": cls.formula_units}
         required.append("units")
     return {
-        **found,
+        **schema,
         "properties": {
             "family": {"type": "string", "const": cls.family},
             **properties,
