@@ -48,7 +48,7 @@ def test_each_job_is_a_line_and_a_folder_and_none_is_done_twice(tmp_path, capsys
     jobs(tmp_path, other=[COARSE])
     assert main(command) == 2
     good, wrong, other, gone, last = capsys.readouterr().out.splitlines()
-    assert good.startswith("good   as before: ")
+    assert good.startswith("good   already done: ")
     assert other.startswith("other  failed: ")
     assert "already exists and is not empty" in other  # it is the folder of another job by now
     assert {file: file.stat().st_mtime_ns for file in out.rglob("*")} == before

@@ -75,7 +75,7 @@ def test_the_archive_holds_the_same_maps(done):
     assert list(maps) == ["patch", "whole part"]
     np.testing.assert_array_equal(maps["patch"].z, np.load(done / "out" / "maps" / "patch.npy"))
     np.testing.assert_array_equal(maps["whole part"].angle, np.load(done / "out" / "maps" / "whole-part.angle.npy"))
-    with pytest.raises(InputError, match=r"run.h5"):
+    with pytest.raises(InputError, match=r"run\.h5"):
         read_maps(done / "out" / "result.json")
 
 

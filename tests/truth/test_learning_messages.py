@@ -114,7 +114,7 @@ WRONG = {
     "resolution beyond": (
         lambda: sensor().resolution([300.0], bandwidth_hz=100, noise_to_signal=0), "frequency_hz must be 0 to 120 Hz"
     ),
-    "cuts of two lengths": (lambda: cuts(width=np.ones(3)), "differ in length"),
+    "cuts of two lengths": (lambda: cuts(width=np.ones(3)), "width 3"),
     "thin cuts": (lambda: cuts(width=-np.ones(10)), "thickness and width of the cuts must be at least 0 mm, got -1 mm"),
     "uncertainty of one": (lambda: cuts(uncertainty=np.ones((10, 1))), "must be 2 positive numbers for each cut"),
     "few cuts": (lambda: learn_material(cuts(3)), "at least 4 rows must be cuts, got 3"),

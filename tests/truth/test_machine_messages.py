@@ -222,7 +222,7 @@ def test_a_file_may_add_to_another_one(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('base = "loop.toml"', "in a ring"),
+        ('base = "loop.toml"', "to a circle"),
         ('base = "none.toml"', "none.toml"),
         ("base = 3", "base is 3"),
         ('base = "generic"\n[axes.W]\nbandwidth = "700"', "axes.W.bandwidth: '700' has no unit"),

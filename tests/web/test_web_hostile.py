@@ -457,23 +457,20 @@ ARCHIVES = {
     "one without a job": (lambda: packed([("a.csv", TABLE)]), "must contain job.toml"),
     "a job that is no text": (lambda: packed([("job.toml", b"\xff\xfe")]), "not UTF-8"),
     "a job that is none": (lambda: packed([("job.toml", "[part")]), "not TOML"),
-    "a job too long": (lambda: packed([("job.toml", b" " * (8 * 2**20 + 1))]), "more than 8 MiB"),
+    "a job too long": (lambda: packed([("job.toml", b" " * (8 * 2**20 + 1))]), "at most 8 MiB"),
     "a job of tables in tables": (lambda: packed([("job.toml", "a." * 900 + "a = 1")]), "nesting depth"),
-    "a way up": (lambda: packed([naming("../a.csv"), ("../a.csv", TABLE)]), "must be relative paths"),
-    "a way up under Windows": (
-        lambda: packed([naming("a.csv"), ("x\\..\\..\\a.csv", TABLE)]),
-        "must be relative paths",
-    ),
-    "a place on the disk": (lambda: packed([naming("/etc/passwd"), ("/etc/passwd", TABLE)]), "must be relative paths"),
-    "a place on a drive": (lambda: packed([naming("C:/a.csv"), ("C:/a.csv", TABLE)]), "must be relative paths"),
+    "a way up": (lambda: packed([naming("../a.csv"), ("../a.csv", TABLE)]), "relative paths"),
+    "a way up under Windows": (lambda: packed([naming("a.csv"), ("x\\..\\..\\a.csv", TABLE)]), "relative paths"),
+    "a place on the disk": (lambda: packed([naming("/etc/passwd"), ("/etc/passwd", TABLE)]), "relative paths"),
+    "a place on a drive": (lambda: packed([naming("C:/a.csv"), ("C:/a.csv", TABLE)]), "relative paths"),
     "a file that is none of its kind": (lambda: packed([naming("a.csv"), ("a.csv", b"<html>")]), "a.csv: "),
     "a file of another ending": (lambda: packed([naming("a.exe"), ("a.exe", TABLE)]), "must end in .csv"),
-    "a bomb": (lambda: packed([naming("a.csv"), ("a.csv", bytes(FILE_BYTES + 1))]), "more than 64 MiB"),
+    "a bomb": (lambda: packed([naming("a.csv"), ("a.csv", bytes(FILE_BYTES + 1))]), "at most 64 MiB"),
     "a bomb that lies": (lying, "cannot be read"),
     "files before its beginning": (misplaced, "cannot be read"),
     "a password": (sealed, "cannot be read"),
     "another packing": (lambda: packed([naming("a.csv")], zipfile.ZIP_LZMA), "must be stored or deflated"),
-    "a crowd": (lambda: packed([naming("a.csv"), *((f"{n}.csv", "") for n in range(300))]), "the limit is 200"),
+    "a crowd": (lambda: packed([naming("a.csv"), *((f"{n}.csv", "") for n in range(300))]), "at most 200"),
 }  # fmt: skip
 
 
@@ -506,7 +503,7 @@ def test_an_archive_leaves_room_on_the_disk(tmp_path, monkeypatch):
     file.write_bytes(packed([naming("a.csv"), ("a.csv", TABLE)]))
     monkeypatch.setattr(_bundles.shutil, "disk_usage", lambda _folder: SimpleNamespace(free=MIN_FREE_BYTES))
     before = tree(tmp_path)
-    with pytest.raises(InputError, match="free some space"):
+    with pytest.raises(InputError, match="GB free"):
         _bundles.opened(str(file), str(tmp_path))
     assert tree(tmp_path) == before
 

@@ -119,7 +119,7 @@ def test_the_chip_on_a_flat_is_the_round_chip() -> None:
     header, arrays = unpack(_seen.surface(PLANE, "", "chip thickness", 16))
     chip = RoundChip(nose_radius=0.5, feed=0.02, depth=0.02)
     np.testing.assert_allclose(arrays["values"], chip.thickest, rtol=1e-6)
-    assert "expected" in header["note"]
+    assert "estimate" in header["note"]
     bare, arrays = unpack(_seen.surface(PLANE | {"part": {**PLANE["part"], "stock": "0 um"}}, "", "chip thickness", 16))
     assert "part.stock" in bare["refused"]
     assert np.isnan(arrays["values"]).all()
@@ -318,7 +318,7 @@ def test_the_spectrum_finds_a_sine(made: tuple[Path, tw.job.Result], monkeypatch
     limit = opened.job.machine.axes["Z"].amplitude(arrays["frequency"].astype(float))
     np.testing.assert_allclose(arrays["allowed"], limit, rtol=1e-5)
     assert header["axis"] == "Z"
-    with pytest.raises(tw.InputError, match="it has C, X, Z"):
+    with pytest.raises(tw.InputError, match="C, X, Z"):
         _made.spectrum(str(out), "B")
 
 
