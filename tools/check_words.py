@@ -21,7 +21,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 
 WORDS = re.compile(
-    r"\b(told|said|anew|whoever|foretold|foretells?|nobody|somebody|so-manieth|(?<![</])aside|beside|quicker)\b|of it a half",
+    r"\b(told|said|anew|whoever|foretold|foretells?|nobody|somebody|so-manieth|(?<![</])aside|beside|quicker)\b"
+    r"|of it a half",
     re.IGNORECASE,
 )
 TARGETS = frozenset(

@@ -107,7 +107,7 @@ def test_the_routes_answer_and_say_what_is_missing(made: tuple[Path, tw.job.Resu
     with pytest.raises(tw.InputError, match="stock and the material"):
         _made.chips(str(out), 33)
     (out / "run.h5").write_bytes(b"")
-    with pytest.raises(tw.InputError, match="run.*again"):
+    with pytest.raises(tw.InputError, match=r"run.*again"):
         _made.chips(str(out), 33)
     (out / "result.json").write_text('{"program": {"files": []}, "passes": []}', encoding="utf-8")
     with pytest.raises(tw.InputError, match="no program"):
