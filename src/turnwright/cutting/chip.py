@@ -481,7 +481,7 @@ def _fill_rows(
     rows: Floats,
     progress: Progress | None,
 ) -> None:
-    """Fill ``rows`` with the chip at some points, widening the windows of those whose chip goes on beyond."""
+    """Fill ``rows`` with the chip at the given points; windows grow until they hold the chip."""
     edge = tool.cutting_edge()
     nothing = np.empty(0)
     past = (only_read(nothing), only_read(nothing), only_read(nothing), 1, np.empty(0, dtype=np.int64))
