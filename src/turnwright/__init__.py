@@ -1,7 +1,7 @@
 """Turnwright: from an optical prescription to a proven program for a diamond-turning lathe, and back.
 
 The names that carry the idea, and the modules that hold the rest (``turnwright.metrology``). They stand in the stub
-beside this file, and each is imported at its first use, so that ``import turnwright`` costs nothing.
+next to this file, and each is imported at its first use, so that ``import turnwright`` costs nothing.
 """
 
 import pkgutil

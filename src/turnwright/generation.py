@@ -109,7 +109,7 @@ def _ascending(values: ArrayLike, name: str) -> Floats:
 
 
 def _finish(z: Floats) -> Floats:
-    """Mark points that no pass covers, which happens beside the axis with the tool off centre."""
+    """Mark points that no pass covers, which happens next to the axis with the tool off centre."""
     z[z >= 1e299] = np.nan
     return z
 
@@ -277,7 +277,7 @@ def generate(
     Returns
     -------
     HeightMap
-        Heights in the part frame; nan where no pass covers the point, which happens beside the axis when the tip
+        Heights in the part frame; nan where no pass covers the point, which happens next to the axis when the tip
         stands above or below centre, and where a motion ends within its first turn. The flanks of the edge have no
         end, so what lies inside or outside of all turns is as high as the flank of the nearest. (ny, nx) [mm]
 

@@ -41,7 +41,7 @@ PLAUSIBLE = MappingProxyType(dict.fromkeys(("offset x", "offset y", "offset z", 
 """Deviations whose plausible size a tool may state, and their units."""
 
 PLAUSIBLE_TEXTS = MappingProxyType({
-    "offset x": "By how much the tip stands beside its place along X.",
+    "offset x": "By how much the tip is off centre along X.",
     "offset y": "By how much it stands above or below the centre.",
     "offset z": "By how much it was touched off wrongly.",
     "radius error": "Of the nose.",

@@ -162,7 +162,7 @@ def test_unknown_chips_do_not_stop_a_check(tmp_path, capsys, stock, code):
     file = job(tmp_path, stock=stock)
     assert main(["check", str(file)]) == code
     told = capsys.readouterr()
-    assert "finish: what its chips will be is not foretold, a run finds them: " in told.out
+    assert "finish: what its chips will be is not predicted, a run finds them: " in told.out
     assert ("pass finish has a depth of cut of 600 um" in told.err) == (code == 2)
     if stock == "10 nm":
         chips = tw.run(Job.load(file)).passes[0].chips

@@ -7,7 +7,7 @@ import pytest
 
 import turnwright as tw
 from turnwright.cutting.chip import RoundChip, chip_map
-from turnwright.cutting.gate import ductile_gate, foretell
+from turnwright.cutting.gate import ductile_gate, predict_chips
 from turnwright.job import Job
 from turnwright.material import CriticalThickness, Material
 from turnwright.units import say_length
@@ -210,7 +210,7 @@ def test_foretell_cracks_match_the_chips_of_a_pass():
         (0.4, 0.0, "cracks end above"),
     ):
         glass = Material(name="glass", critical=CriticalThickness(value=critical), fracture_ratio=longer)
-        prediction = foretell(tool, glass, feed=0.01, depth=0.004, bend=0.0, rakes=(0.0, 0.0), allowance=allowance)
+        prediction = predict_chips(tool, glass, feed=0.01, depth=0.004, bend=0.0, rakes=(0.0, 0.0), allowance=allowance)
         assert words in prediction
         assert ("not enough" in prediction) == (words == "not enough")
 
@@ -227,7 +227,7 @@ def test_foretell_verdict_matches_the_gate(times, words):
     critical = times * FLAT.thickest
     glass = Material(name="glass", critical=CriticalThickness(value=critical, uncertainty=0.1 * critical))
     tool = tw.Tool(nose_radius=0.5, included=np.deg2rad(100))
-    prediction = foretell(tool, glass, feed=0.01, depth=0.004, bend=0.0, rakes=(0.0, 0.0), allowance=0.0)
+    prediction = predict_chips(tool, glass, feed=0.01, depth=0.004, bend=0.0, rakes=(0.0, 0.0), allowance=0.0)
     assert words in prediction
     assert " +- " in prediction
     feed = float(prediction.split("feed of " if times > 1.25 else "feed at most ")[1].split(" um/rev")[0]) * 1e-3

@@ -105,7 +105,7 @@ def test_sums_of_marks_tell_the_chance_of_a_linear_problem():
     scaled = rng.normal(size=(400, 2))
     maps = np.array([0.2, 0.0]) + scaled @ marks.T
     model = MapModel.fitted(scaled, maps, np.ones(2))
-    assert model.foretold() == pytest.approx((1.0, 1.0), abs=1e-12)
+    assert model.explained_variance() == pytest.approx((1.0, 1.0), abs=1e-12)
     assert MapModel.fitted(scaled[: MapModel.fewest(2) - 1], maps[: MapModel.fewest(2) - 1], np.ones(2)) is None
     groups = grouped(list(inputs), lambda name: name)
     pv = np.ptp(maps, axis=1)

@@ -4,7 +4,7 @@ from turnwright.cutting.chip import ChipMap, OrthogonalChip, RoundChip, chip_map
 from turnwright.cutting.finish import MinimumChip, Vibration, cusp_height, left_standing, vibrated
 from turnwright.cutting.forces import CuttingForces, FlyCut, ForceHistory, SlotMill, chip_forces
 from turnwright.cutting.fracture import IntactShare, ri80
-from turnwright.cutting.gate import DuctileGate, ductile_gate, foretell
+from turnwright.cutting.gate import DuctileGate, ductile_gate, predict_chips
 from turnwright.cutting.learning import (
     Cuts,
     Dynamometer,
@@ -60,7 +60,6 @@ __all__ = [
     "ductile_gate",
     "engagements",
     "expected_thickest",
-    "foretell",
     "in_air",
     "interrupted_cuts",
     "learn_from_file",
@@ -68,6 +67,7 @@ __all__ = [
     "left_standing",
     "low_pass",
     "measured_cuts",
+    "predict_chips",
     "read_forces",
     "remove_drift",
     "ri80",

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from turnwright.material import CriticalThickness, Material
     from turnwright.tool import Tool
 
-__all__ = ["DuctileGate", "ductile_gate", "foretell"]
+__all__ = ["DuctileGate", "ductile_gate", "predict_chips"]
 
 MIN_RAKE_RAD = np.deg2rad(-45)
 """Most negative rake that is proposed as a remedy."""
@@ -230,7 +230,7 @@ def _helpful_rake(chips: ChipMap, critical: CriticalThickness, tool: Tool) -> fl
     return None
 
 
-def foretell(
+def predict_chips(
     tool: Tool,
     material: Material,
     *,

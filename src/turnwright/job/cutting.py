@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from turnwright.cutting import chip_map, ductile_gate, foretell
+from turnwright.cutting import chip_map, ductile_gate, predict_chips
 from turnwright.errors import InputError
 from turnwright.units import say_length
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from turnwright.path import Motion
     from turnwright.progress import Progress
 
-__all__ = ["PassChips", "chips_of", "foretold"]
+__all__ = ["PassChips", "chips_of", "predicted_chips"]
 
 MOST = 20_000
 """Points of a pass whose chips are found, as many on every part of the area. Eight times as many change the thickest
@@ -153,7 +153,7 @@ def _spread(motion: Motion) -> Ints:
     return np.unique(np.minimum(np.searchsorted(c, np.concatenate((entry, wanted))), size - 1))
 
 
-def foretold(job: Job, access: Access, cut: PassTable, feed: float, stock: float) -> str:
+def predicted_chips(job: Job, access: Access, cut: PassTable, feed: float, stock: float) -> str:
     """Return what the chips of a pass will be like before any path is placed; empty if nothing can be said."""
     material, part = job.part.substance, job.part
     if material is None or material.critical is None or not stock > 0:
@@ -166,9 +166,9 @@ def foretold(job: Job, access: Access, cut: PassTable, feed: float, stock: float
     bend = bend / (1 + (zx * cosine + zy * sine) ** 2) ** 1.5
     depth = (stock - cut.allowance) / cut.repeats(stock)
     try:
-        return foretell(
+        return predict_chips(
             job.tool, material, feed=feed, depth=depth, bend=float(bend.min()), rakes=access.rake_range,
             allowance=cut.allowance,
         )  # fmt: skip
     except InputError as error:
-        return f"what its chips will be is not foretold, a run finds them: {error}"
+        return f"what its chips will be is not predicted, a run finds them: {error}"

@@ -14,7 +14,7 @@ import numpy as np
 from turnwright.access import largest_depth, odd_sizes
 from turnwright.errors import GougeError, LimitError
 from turnwright.job.contributions import has_servos
-from turnwright.job.cutting import PassChips, foretold
+from turnwright.job.cutting import PassChips, predicted_chips
 from turnwright.job.gouge import find_gouge
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.pipeline import GOUGE, Cut, Pipeline
@@ -206,7 +206,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
         # The points of a fast tool stand in its own table.
         blocks = 0 if job.program.fast_tool else size - 1
         shortest[cut.name] = times * max(spiral.turns * 60 / speed, blocks / machine.block_rate_hz)
-        expected = foretold(job, access, cut, spiral.feed, stock)
+        expected = predicted_chips(job, access, cut, spiral.feed, stock)
         if expected:
             chips[cut.name] = expected
         stock = cut.allowance

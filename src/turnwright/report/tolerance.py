@@ -111,10 +111,10 @@ def _notes(study: ToleranceStudy) -> list[str]:
             f"tolerances, {_percent(t.before)} before"
         )
     for kind, outcome in study.outcomes.items():
-        if outcome.foretold is not None and outcome.foretold[0] < MIN_MODEL_R2:
+        if outcome.explained_variance is not None and outcome.explained_variance[0] < MIN_MODEL_R2:
             notes.append(
-                f"{kind}: the linear model explains only {max(outcome.foretold[0], 0):.0%} of the variance of form "
-                "error PV, so the sensitivities are a rough guide: too few cases, or form is not linear in the errors"
+                f"{kind}: the linear model explains only {max(outcome.explained_variance[0], 0):.0%} of the variance of "
+                "form error PV, so the sensitivities are a rough guide: too few cases, or form is not linear in the errors"
             )
     for reason, count in Counter(study.reasons).most_common(3):
         notes.append(f"{count} cases failed and count as parts out of tolerance: {reason}")
@@ -183,12 +183,12 @@ def _sensitivities(study: ToleranceStudy) -> list[_Section]:
 
 
 def _model(outcome: Outcome) -> str:
-    if outcome.foretold is None:
+    if outcome.explained_variance is None:
         return (
             "There are too few cases for the linear model: sensitivities are first-order indices by nearest neighbours "
             "among the cases, which scatter by about one over the square root of their number."
         )
-    pv, rms = (max(one, 0.0) for one in outcome.foretold)
+    pv, rms = (max(one, 0.0) for one in outcome.explained_variance)
     shares = f"{pv:.1%} of the variance of PV and {rms:.1%} of that of RMS"
     return f"{SENSITIVITY_TEXT} In leave-one-out cross-validation the model explains {shares}."
 

@@ -257,7 +257,7 @@ class MapModel:
     def _rms(self, maps: Floats) -> Floats:
         return np.asarray(np.sqrt(maps**2 @ self.weight / self.weight.sum()))
 
-    def foretold(self) -> tuple[float, float]:
+    def explained_variance(self) -> tuple[float, float]:
         """Return which share of the variance of peak to valley and of root mean square of a case the others foretell.
 
         By leaving each out in turn, in closed form.

@@ -131,8 +131,8 @@ class Outcome:
         Of keeping one of them, by measure.
     sensitivities
         The group that matters most first.
-    foretold
-        Share of the variance of form error PV and RMS of a case that the sums of marks foretell from the other cases;
+    explained_variance
+        Share of the variance of form error PV and RMS of a case that the sums of marks explain from the other cases;
         ``None`` where they are too few.
     advice
         What to tighten first, in a sentence.
@@ -141,7 +141,7 @@ class Outcome:
     probability: Interval
     each: Mapping[str, Interval]
     sensitivities: tuple[Sensitivity, ...]
-    foretold: tuple[float, float] | None
+    explained_variance: tuple[float, float] | None
     advice: str
 
 
@@ -309,7 +309,7 @@ def tolerance(
         told("sensitivity", 1, 1)
         tightening = None
         kind = CORRECTED if correction else AS_PLANNED
-        if confirm and outcomes[kind].foretold is not None:
+        if confirm and outcomes[kind].explained_variance is not None:
             tightening = _confirmed(study, inputs, draws, outcomes[kind], limits, kind)
     return ToleranceStudy(
         job=job, budget=budget, seed=seed, draws=MappingProxyType(kept), columns=MappingProxyType(columns),
@@ -444,7 +444,7 @@ def _outcome(
         probability=probability,
         each=MappingProxyType({name: chance(int(one.sum()), one.size + failed) for name, one in keeps.items()}),
         sensitivities=tuple(sensitivities),
-        foretold=None if model is None else model.foretold(),
+        explained_variance=None if model is None else model.explained_variance(),
         advice=_with_doubt(
             _advice(
                 sensitivities,
@@ -488,9 +488,9 @@ def _advice(
 
 def _with_doubt(advice: str, model: MapModel | None) -> str:
     """Return what is advised, and that it is a rough guess where it rests on a poor model."""
-    if model is None or (share := model.foretold()[0]) >= POOR:
+    if model is None or (share := model.explained_variance()[0]) >= POOR:
         return advice
-    return f"{advice}; a rough guess, for sums of marks foretell only {max(share, 0.0):.0%} of the spread of a case"
+    return f"{advice}; a rough guess, for sums of marks explain only {max(share, 0.0):.0%} of the spread of a case"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -571,7 +571,7 @@ class _Sums:
             return 1.0 if limit is None else float(np.mean(pv <= limit)), float(np.quantile(pv, 0.95))
 
         now, percentile_nm = form([])
-        # What the marks do not foretell of the spread is there with any of the groups halved.
+        # What the marks do not explain of the spread is there with any of the groups halved.
         real = float(np.quantile(self.pv, 0.95)) / percentile_nm
         found = []
         for group in self.groups.values():
