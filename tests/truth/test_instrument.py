@@ -153,7 +153,7 @@ def test_wrong_instruments_are_refused_by_name(tmp_path):
         ({"pixel": 0.0}, "pixel is 0"),
         ({"wavelength": 5e-4}, "numerical_aperture and wavelength"),
         ({"numerical_aperture": 2.0, "wavelength": 5e-4}, "limits are 0 and 1.5"),
-        ({"numerical_aperture": 0.3, "wavelength": 5e-4, "resolution": 1e-3}, "all three"),
+        ({"numerical_aperture": 0.3, "wavelength": 5e-4, "resolution": 1e-3}, "resolution is given next to"),
         ({"filling": 1.2}, "filling is 1.2"),
     ):
         with pytest.raises(InputError, match=named):

@@ -190,7 +190,7 @@ def test_a_program_unlike_its_header_is_refused(tmp_path, dialect):
             read_nc(path, machine(dialect))
         sentence(error)
     cuts.write_text("".join(rows(whole)[:-5]))
-    with pytest.raises(ProgramError, match=r"is the last one, a whole file ends with M30 or M99: ") as error:
+    with pytest.raises(ProgramError, match=r"is the last line, a complete file ends with M30 or M99: ") as error:
         read_nc(path, machine(dialect))
     sentence(error)
     cuts.write_text(whole)

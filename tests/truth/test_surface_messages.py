@@ -61,7 +61,7 @@ BAD = {
     "table without a cell": (lambda: Gridded(x=AXIS, y=AXIS, z=np.full(HOLE.shape, np.nan)), "no cell with heights"),
     "table too small": (lambda: Gridded(x=AXIS[:5], y=AXIS, z=HOLE[:, :5]), "has 5 points, it needs 6"),
     "table unsorted": (lambda: Gridded(x=AXIS, y=AXIS[::-1], z=HOLE), "y of a gridded surface does not ascend"),
-    "table turned": (lambda: Gridded(x=AXIS, y=AXIS, z=np.zeros((7, 8))), r"\(7, 8\) .* axes need \(7, 7\)"),
+    "table turned": (lambda: Gridded(x=AXIS, y=AXIS, z=np.zeros((7, 8))), r"\(7, 8\).* axes need \(7, 7\)"),
     "aperture beyond the table": (
         lambda: Part(surface=Gridded(x=AXIS, y=AXIS, z=np.zeros((7, 7))), radius=1.5),
         "clear radius is 1.5 mm",
@@ -98,7 +98,7 @@ BAD = {
     ),
     "too much in divisors": (
         lambda: Expression("".join(f"1/(x+{'y+' * 95}{k}+" for k in range(20)) + "x" + ")" * 20),
-        "exp and divisors with .* steps .* the limit is 20000",
+        "exp and divisors with .* steps, the limit is 20000",
     ),
     "pole in a disc": (
         lambda: Expression("0.001/(x - 0.3)").require_disc(5.0, "it"),
@@ -131,7 +131,7 @@ BAD = {
     ),
     "two lenses on a place": (
         lambda: LensArray(centres=[[0, 0], [1, 1], [2, 2], [1, 1]], lenslet=Sphere(radius=5.0)),
-        r"lenses 2 and 4, counted from 1, both at \(1, 1\) mm",
+        r"lenses 2 and 4, counted from 1, .*at \(1, 1\) mm",
     ),
     "four lenses on a place": (
         lambda: LensArray(centres=[[1, 1]] * 4, lenslet=Sphere(radius=5.0)),

@@ -112,9 +112,10 @@ def _notes(study: ToleranceStudy) -> list[str]:
         )
     for kind, outcome in study.outcomes.items():
         if outcome.explained_variance is not None and outcome.explained_variance[0] < MIN_MODEL_R2:
+            share = max(outcome.explained_variance[0], 0)
             notes.append(
-                f"{kind}: the linear model explains only {max(outcome.explained_variance[0], 0):.0%} of the variance of "
-                "form error PV, so the sensitivities are a rough guide: too few cases, or form is not linear in the errors"
+                f"{kind}: the linear model explains only {share:.0%} of the variance of form error PV, so the "
+                "sensitivities are a rough guide: too few cases, or form is not linear in the errors"
             )
     for reason, count in Counter(study.reasons).most_common(3):
         notes.append(f"{count} cases failed and count as parts out of tolerance: {reason}")
