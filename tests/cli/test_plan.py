@@ -329,7 +329,7 @@ def test_speeds_that_cannot_be_are_one_sentence(tmp_path):
     speeds = ("strategy.spindle_speeds", [["0 mm", "300 rpm"], ["1 mm", "200 rpm"]])
     varied = "variable_speed = true"
     for controller, changes, sentence in (
-        ("", [speeds], "keeps one: state one speed"),
+        ("", [speeds], "spindle speed varies over the radius"),
         (varied, [speeds, ("strategy.spindle_speed", "100 rpm")], "are both given"),
         (varied, [(speeds[0], speeds[1][::-1])], "do not ascend"),
         (varied, [(speeds[0], speeds[1][:1])], "needs 2"),
