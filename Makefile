@@ -51,12 +51,13 @@ fuzz: $(VENV)/.testing ## give 20,000 mutated inputs to every door; the suite gi
 	$(BIN)/python tests/proof/fuzz.py --inputs 20000
 
 fmt: setup ## format, and mend what can be mended
-	$(BIN)/ruff format src tests benchmarks docs
-	$(BIN)/ruff check --fix src tests benchmarks docs
+	$(BIN)/ruff format src tests benchmarks docs tools
+	$(BIN)/ruff check --fix src tests benchmarks docs tools
 
 lint: setup
-	$(BIN)/ruff format --check src tests benchmarks docs
-	$(BIN)/ruff check src tests benchmarks docs
+	$(BIN)/ruff format --check src tests benchmarks docs tools
+	$(BIN)/ruff check src tests benchmarks docs tools
+	$(BIN)/python tools/check_words.py
 
 types: setup
 	$(BIN)/mypy

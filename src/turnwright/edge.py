@@ -175,7 +175,7 @@ def _in_pieces(edge: Edge, jumps: Floats, centre: float) -> Edge:
     span = at[first + 1] - at[first]
     count = int(np.ceil(PIECES * span / (at[-1] - at[0])))
     step = span / count
-    before, after = (int(np.ceil(rest / step - 1e-3)) for rest in (at[first] - at[0], at[-1] - at[first + 1]))
+    before, after = (int(np.ceil(length / step - 1e-3)) for length in (at[first] - at[0], at[-1] - at[first + 1]))
     x = at[first] + step * np.arange(-before, count + after + 1)
     node = np.clip(x, at[0], at[-1])
     sweep = edge.sweeps(centre + 2 * base * node / (1 + node * node))

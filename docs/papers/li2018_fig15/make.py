@@ -44,6 +44,6 @@ def measures(surface):
 if __name__ == "__main__":
     for surface in ("flat", "grid"):
         for name, vary in MAPS.items():
-            found = study(job(surface), vary=vary, measure=measures(surface))
-            found.save(HERE / f"{surface}-{name}")
-            print(f"{surface}-{name}: {len(found)} cases, {sum(found.seconds):.0f} s")
+            results = study(job(surface), vary=vary, measure=measures(surface))
+            results.save(HERE / f"{surface}-{name}")
+            print(f"{surface}-{name}: {len(results)} cases, {sum(results.seconds):.0f} s")

@@ -67,7 +67,7 @@ STEP_GROWTH = 4.0
 BESIDE = 1e-7
 """How far to either side of a contact another piece of the surface makes it one between two. [mm]"""
 
-ASIDE = 3e-3
+LATERAL_SHARE = 3e-3
 """Between the points the controller's radius may be aside by this share of a step: a cusp changes by up to four times
 as much, since two passes make it."""
 
@@ -86,7 +86,7 @@ REST_AT_ONCE = 3.0
 LEVEL = 0.9
 """A surface goes on where it curves up by no more than this share of what the nose does: steeper, touches may jump."""
 
-IDLE_ASIDE = 0.1
+IDLE_LATERAL_SHARE = 0.1
 """A pass whose cusp with the last one is outside the rim cuts nothing inside it, so that no cusp depends on it: it may
 be aside by as much as that cusp is outside, up to this share of the step on a flat; the cusp moves by half of that."""
 
@@ -338,7 +338,7 @@ class _Curve:
         last = self.values.size - 1
         turned = np.clip(int(np.argmax(self.values)) + np.linspace(-2, 2, 4001), 0.0, last)
         farthest = float(self.at(turned / self.density)[0].max())
-        room = (farthest - self.values) / (IDLE_ASIDE * self.usual)
+        room = (farthest - self.values) / (IDLE_LATERAL_SHARE * self.usual)
         self.idle = np.minimum(self.idle, np.clip(room, 0.0, 1.0))
         return farthest
 
@@ -353,7 +353,7 @@ class _Curve:
         # Next to a knot that cuts every place counts as cutting.
         knot = np.minimum((turned * self.density).astype(np.int64), self.idle.size - 2)
         idle = np.minimum(self.idle[knot], self.idle[knot + 1])
-        return np.asarray(ASIDE * step + IDLE_ASIDE * self.usual * idle)
+        return np.asarray(LATERAL_SHARE * step + IDLE_LATERAL_SHARE * self.usual * idle)
 
 
 class _Steps:
@@ -560,7 +560,7 @@ class _Steps:
             crest = np.where(share > 0, met + share * (crest + taken - met), met)
             new = new + share * (step - new)
             parts.append(radius)
-            idle.append(np.clip(beyond / IDLE_ASIDE, 0.0, 1.0))
+            idle.append(np.clip(beyond / IDLE_LATERAL_SHARE, 0.0, 1.0))
             beyond = (crest - rim) / step
             if not steady:
                 step = new - (new - step) * _eased(beyond / self.go_on)
