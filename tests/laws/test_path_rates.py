@@ -25,6 +25,6 @@ def test_what_is_stated_is_read_only():
 
 def test_a_velocity_belongs_to_every_axis():
     axes = dict.fromkeys("CXZ", ANGLE)
-    with pytest.raises(InputError, match="one for each"):
+    with pytest.raises(InputError, match="velocities of C"):
         Motion(time=ANGLE, axes=axes, machine=MACHINE, velocity={"C": ANGLE})
     assert Motion(time=ANGLE, axes=axes, machine=MACHINE, velocity=axes).velocity is not None
