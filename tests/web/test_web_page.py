@@ -342,7 +342,7 @@ def test_a_file_goes_to_its_field_into_the_archive_and_back(bench, tmp_path):
         assert archive.read("Sag_table.csv") == (tmp_path / "Sag table.csv").read_bytes()
         assert "# of steel" in archive.read("job.toml").decode()
     (tmp_path / "dish.zip").write_bytes(packed)
-    page.get_by_role("button", name="Take Sag_table.csv out of the job").click()
+    page.get_by_role("button", name="Remove Sag_table.csv from the job").click()
     expect(page.locator("#run")).to_be_disabled()
     with page.expect_file_chooser() as chosen:
         page.get_by_role("button", name="Open a job file").first.click()
@@ -730,8 +730,8 @@ def test_an_injected_offset_is_found_and_corrected(bench, folder, tmp_path):
     # A drift of Z would do as well, which makes the doubt a large one.
     assert figures(cause.locator("p").inner_text())[0] == pytest.approx(OFFSET * 1e3, abs=doubt)
     assert figures(cause.locator("p").inner_text())[:3] == [value, doubt, 95]  # number and sentence say the same
-    # A dish of revolution has no azimuth, so that part of the pose is held: nothing was found of it.
-    assert page.locator("dt", has_text="rotation").locator("+ dd").inner_text() == "held"
+    # A dish of revolution has no azimuth, so that part of the pose is fixed: nothing was found of it.
+    assert page.locator("dt", has_text="rotation").locator("+ dd").inner_text() == "fixed"
     one.drawn("#measured .map canvas.mapcanvas", colours=60)
     for box in page.locator(".cause input").all():
         box.set_checked(False)
