@@ -30,7 +30,7 @@ def settings(found):
     """Nose radius [mm], feed [mm/rev] of every case."""
     names = [one.name for one in found.fields]
     nose = found["tool.nose_radius"] if "tool.nose_radius" in names else np.full(len(found), found.job.tool.nose_radius)
-    speed = found["strategy.spindle_speed"] if "strategy.spindle_speed" in names else found.job.strategy.spindle_speed
+    speed = found["strategy.spindle_speed"] if "strategy.spindle_speed" in names else found.job.strategy.spindle_rpm
     return nose, found["strategy.feed"] / speed
 
 

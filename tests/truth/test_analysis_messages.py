@@ -72,7 +72,7 @@ LINE = Profile(distance=X, z=Z[0], x=X, y=X)
         (lambda: line_psd(LINE, along="x"), "a profile has one direction"),
         (lambda: line_psd(LINE, form="sphere"), "the form of a profile is 'sphere'"),
         (lambda: line_psd(UNEVEN, along="x"), "in uneven steps"),
-        (lambda: area_psd(POLAR), "take line_psd along the radius"),
+        (lambda: area_psd(POLAR), "use line_psd along the radius"),
         (lambda: area_psd(MAP, window="welch"), 'it can be "none", "hann" or "blackman"'),
         (lambda: area_psd(MAP, missing="zero"), 'it can be "rectangle" or "mask"'),
         (lambda: area_psd(MAP).band_rms_nm(3, 2), "the band is 3 to 2 /mm"),
