@@ -54,7 +54,7 @@ def test_a_speed_that_the_path_is_too_short_for_ends_with_2(tmp_path, capsys):
         assert main(["run", file, "--out", str(tmp_path / f"out {speed}")]) == code
         said = capsys.readouterr()
         if code:
-            assert re.search(r"spindle_rpm is 260 rev/min, .* 24\d\.\d+ rev/min, set by the C acceleration", said.err)
+            assert re.search(r"spindle_rpm is 260 rev/min, .* 24\d\.\d+ rev/min \(by the C acceleration", said.err)
         else:
             assert " min at 200 rpm, limited by spindle speed as stated" in said.out
             assert "200 rev/min" in (tmp_path / f"out {speed}" / "report.html").read_text(encoding="utf-8")

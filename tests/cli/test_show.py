@@ -98,7 +98,7 @@ def test_columns_of_a_profile_are_chosen_by_name(tmp_path, capsys):
         (["--picture", "a.jpg"], "must end in .png, .svg, .pdf"),
         (["--form", "cone"], "form is 'cone'"),
         (["--nose-radius", "0.2 mm"], "--nose-radius"),
-        (["--pixel-size", "2 um"], "states the size of its pixels"),
+        (["--pixel-size", "2 um"], "states its pixel size"),
         (["--profile"], "not a profile"),
     ],
 )

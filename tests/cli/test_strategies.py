@@ -138,7 +138,7 @@ def test_a_stream_too_slow_for_the_motion_is_refused(tmp_path, capsys):
     job = written(tmp_path, *PART, *FAST, BLANK, ("strategy", servo), ("program", program))
     assert main(["run", str(job), "--out", str(tmp_path / "out")]) == 2
     told = capsys.readouterr().err.splitlines()[-1]
-    assert "1 heights per second leave out up to" in told
+    assert "at rate_hz 1 heights deviate by up to" in told
     assert "at up to 180 Hz" in told, "180 points a turn, 1 turn a second"
     assert not (tmp_path / "out").exists()
 

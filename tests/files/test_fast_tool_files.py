@@ -174,7 +174,7 @@ def test_what_does_not_belong_together_is_refused(tmp_path):
         tw.post.read_fast_tool(file, machine)
     done.table.write_bytes(good)
     other = replace(machine, convention=tw.machine.Convention(clocking=0.5))
-    with pytest.raises(tw.errors.ProgramError, match="with its own machine"):
+    with pytest.raises(tw.errors.ProgramError, match="is written for X SIDE"):
         tw.post.read_fast_tool(file, other)
     tw.write_nc(
         tw.Motion(time=made.time, axes={**made.axes, "X": made.axes["X"] + 1}, machine=machine).lathe(), machine, file
