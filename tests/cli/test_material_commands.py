@@ -164,7 +164,7 @@ def test_list_names_every_material(capsys):
     assert any("Kc 1489, Kt 816 N/mm^2; ductile to 600 nm" in line for line in lines)
     said = "an estimate, Kc about 4500 +- 50 %, Kt about 2500 +- 71 % N/mm^2 at 1 um; no brittle limit"
     assert f"copper-ofhc: copper OFHC; {said}" in lines  # 700 (1 um / 1 mm)^-0.27 is 4520
-    assert any("no coefficients; ductile to 100 nm and varies with direction" in line for line in lines)
+    assert any("no coefficients; ductile to 100 nm and varies with crystal direction" in line for line in lines)
     assert any("PMMA; no coefficients; no brittle limit" in line for line in lines)
 
 
@@ -176,7 +176,7 @@ def test_show_says_where_each_number_is_from(capsys):
     assert main(["material", "show", "brass"]) == 0
     said = capsys.readouterr().out
     assert "700 +- 350 N/mm^2 at 1 mm, decreasing with chip thickness to the power 0.27" in said
-    assert "stated for chips of 100 um to 1 mm" in said
+    assert "valid for chips of 100 um to 1 mm" in said
 
 
 # What is changed in the experiment's file, and what the sentence must say.

@@ -216,5 +216,5 @@ def test_a_picture_of_no_known_kind_is_refused_first(tmp_path, capsys):
     (tmp_path / "cuts.csv").write_text(averages())
     arguments = ["material", "fit", str(tmp_path / "cuts.csv"), "--out", str(tmp_path / "g.toml")]
     assert main([*arguments, "--picture", str(tmp_path / "g.bmp")]) == 2
-    assert "it can be .png, .svg, .pdf" in capsys.readouterr().err
+    assert "it must end in .png, .svg, .pdf" in capsys.readouterr().err
     assert not (tmp_path / "g.toml").exists()

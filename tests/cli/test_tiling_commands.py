@@ -248,10 +248,10 @@ def test_processes_make_the_same_map_despite_a_kill(tmp_path):
 
 def test_a_map_killed_at_its_first_file_begins_again(tmp_path):
     (tmp_path / ".case.json.part").write_text('{"ke')
-    _tiling._require_own(tmp_path)
+    _tiling._require_usable(tmp_path)
     (tmp_path / "thesis.txt").write_text("somebody's")
     with pytest.raises(tw.InputError, match="holds something else"):
-        _tiling._require_own(tmp_path)
+        _tiling._require_usable(tmp_path)
 
 
 @pytest.mark.parametrize(
