@@ -250,7 +250,7 @@ def test_a_map_killed_at_its_first_file_begins_again(tmp_path):
     (tmp_path / ".case.json.part").write_text('{"ke')
     _tiling._require_usable(tmp_path)
     (tmp_path / "thesis.txt").write_text("somebody's")
-    with pytest.raises(tw.InputError, match="holds something else"):
+    with pytest.raises(tw.InputError, match="holds other files"):
         _tiling._require_usable(tmp_path)
 
 
@@ -299,7 +299,7 @@ def test_what_a_map_refuses(tmp_path):
             call()
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "letter.txt").write_text("mine", encoding="utf-8")
-    with pytest.raises(tw.InputError, match="holds something else"):
+    with pytest.raises(tw.InputError, match="holds other files"):
         made(tmp_path / "taken")
     with pytest.raises(
         tw.errors.StudyError, match=r"letter.txt' cannot be used \((File exists|Not a directory)\), 0 of"
