@@ -327,7 +327,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(shop, tmp_path, capsys):
         (["measure", str(torn), "--job", job], "torn.x3p"),
         (["measure", good, "--job", str(tmp_path / "no.toml")], "no.toml"),
         (["diagnose", good, "--job", str(unknown)], "bad luck"),
-        (["diagnose", good, good, "--job", job, "--job", job, "--job", job], "2 maps and 3 jobs"),
+        (["diagnose", good, good, "--job", job, "--job", job, "--job", job], "got 3 jobs for 2 maps"),
         (["diagnose", good, good, "--job", job, "--job", str(other)], "different tools or machines"),
         (["correct", good, "--job", job, "--of", str(other)], "nose radius 0.6 mm"),
     ]  # fmt: skip

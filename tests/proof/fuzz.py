@@ -173,7 +173,7 @@ def _by_command(case: Case, folder: Path, listener: Listener) -> int:
         "fit": ["material", "fit", str(folder / case.options.get("data", "")), "--out", str(folder / "fitted.toml")],
     }
     code = cli.main(commands[case.door])
-    return 0 if code == cli.INTERRUPTED and listener.answered is not None else code
+    return 0 if code == cli.INTERRUPTED_CODE and listener.answered is not None else code
 
 
 @functools.cache

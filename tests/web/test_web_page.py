@@ -944,7 +944,7 @@ def test_a_job_with_an_error_or_under_check_has_no_barrier(bench, by_hand, how):
     page, held = one.page, []
     box = page.locator("#field-tool-included")
     box.fill("60 degrees")
-    page.locator("#pill").filter(has_text="to mend").wait_for()
+    page.locator("#pill").filter(has_text="to correct").wait_for()
     found = barriers(page, "error")
     if "size" in how:
         page.get_by_role("navigation", name="Panes").get_by_role("button", name="Results", exact=True).click()

@@ -161,7 +161,7 @@ def require_own(place: str, layout: Layout) -> None:
     known = _about(group)
     if known is None:
         if group is not None or ("://" not in place and any(Path(place).iterdir())):
-            raise InputError(f"{place!r} is there already and holds something else: name another place")
+            raise InputError(f"{place!r} already exists and holds other files: choose another folder")
     elif known.get("format") != FORMAT or Layout.read(known["layout"]).in_tiles(layout.tile) != layout:
         raise _another(place)
 

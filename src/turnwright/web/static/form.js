@@ -816,7 +816,7 @@ function Pane() {
     <div class="panehead">
       <div class="tabs" role="tablist" aria-label="The job as">${tab("Fields", !text, () => showText(false))}${tab("TOML", text, () => showText(true))}</div>
       <span class="gap"></span>
-      ${errors.length > 0 && html`<span class="count" title=${errors.map((error) => error.sentence).join("\n")}>${errors.length} to mend</span>`}
+      ${errors.length > 0 && html`<span class="count" title=${errors.map((error) => error.sentence).join("\n")}>${errors.length} to correct</span>`}
       <${Tool} icon="undo" name="Undo" keys="Ctrl+Z" disabled=${!job || !past.length} onClick=${undo} />
       <${Tool} icon="redo" name="Redo" keys="Ctrl+Shift+Z" disabled=${!job || !future.length} onClick=${redo} />
     </div>
