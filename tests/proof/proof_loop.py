@@ -42,6 +42,7 @@ class Sample:
     errors: list  # of each cut, the last of them that after the correction
     phases: np.ndarray
     plausible: dict = field(default_factory=dict)  # sizes of the tool's deviations
+    per_rev: int = 1440  # points of the program, by which alone the program sees the part
     job: Job = field(init=False)
 
     def __post_init__(self):
@@ -54,7 +55,7 @@ class Sample:
                 },
                 "machine": {"name": "generic"},
                 "strategy": {
-                    "kind": "slow tool servo", "feed": f"{self.feed!r} mm/rev", "points_per_rev": 1440,
+                    "kind": "slow tool servo", "feed": f"{self.feed!r} mm/rev", "points_per_rev": self.per_rev,
                     "spindle_speed": "20 rpm",
                 },
                 "measurement": {"waviness": [3, 4]},
