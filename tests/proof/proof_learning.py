@@ -8,7 +8,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
-from learning_cases import KC, KINDS, SMOOTH, covered, shipped
+import numpy as np
+
+from learning_cases import KC, KINDS, SMOOTH, covered, disturbed, shipped
 from turnwright.cutting import learn_material
 
 HELD = 0.90
@@ -16,6 +18,10 @@ HELD = 0.90
 
 FALSE = 0.02
 """Share of experiments without a transition that may show one."""
+
+
+RECORDS, WITHIN = 0.93, (0.01, 0.01, 0.03)
+"""The same of disturbed records of a ramp, and how far each number, and half of its interval, may be off."""
 
 
 def main(cases: int = 100, seed: int = 1) -> int:
@@ -37,6 +43,9 @@ def main(cases: int = 100, seed: int = 1) -> int:
     away = max(abs(one.cutting.value / KC - 1) for one in learned)
     bias = sum((one.cutting.value - KC) / (one.cutting.high - one.cutting.low) * 2 for one in learned) / cases
     print(f"{'IRG 26':14}{found:8.3f}{held:8.3f}   Kc off by {away:.2%} at most, {bias:+.2f} half intervals on average")
+    off, inside, half = np.moveaxis(disturbed(cases), 2, 0)
+    print(f"{'records':14}{'':8}" + "".join(f"{one:8.3f}" for one in inside.mean(axis=0)))
+    failed |= bool((inside.mean(axis=0) < RECORDS).any() or (np.maximum(np.abs(off), half).max(axis=0) > WITHIN).any())
     return int(failed or held < HELD or found < 1 or away > 0.03)
 
 

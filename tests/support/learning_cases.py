@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from force_oracle import learned, ramp_record, tap_tests
 from turnwright.cutting import Cuts, learn_material
 from turnwright.cutting.learning.straight import least_chance
 from turnwright.material import Material
@@ -98,3 +99,26 @@ def plateau(random):
     noise = 10 ** random.uniform(-4, -1.5)
     cutting, thrust = (0.5 * k * np.minimum(chip, limit) + noise * random.normal(size=count) for k in (KC, KT))
     return Cuts(thickness=chip, width=np.full(count, 0.5), cutting=cutting, thrust=thrust)
+
+
+def disturbed(count):
+    """Return what was learned from disturbed records of a ramp, for Kc, Kt and the limit of each. (count, 3, 3).
+
+    The relative error, whether the interval holds the truth, and half of its width over that.
+    """
+    found = []
+    for seed in range(count):
+        random = np.random.default_rng(50_000 + seed)
+        record, truth = ramp_record(random)
+        material = learned(record, tap_tests(random))
+        found.append(
+            [
+                (one.value / true - 1, one.low <= true <= one.high, (one.high - one.low) / 2 / true)
+                for one, true in (
+                    (material.cutting, truth.cutting),
+                    (material.thrust, truth.thrust),
+                    (material.critical, truth.critical),
+                )
+            ]
+        )
+    return np.array(found)

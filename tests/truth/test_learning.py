@@ -1,6 +1,6 @@
 """Coefficients and critical thickness against the truth that records were made from.
 
-Oracles: a hundred random experiments whose truth is known; Student's t of a straight line as SciPy computes it.
+Oracles: random experiments whose truth is known; Student's t of a straight line as SciPy computes it.
 """
 
 import re
@@ -10,38 +10,24 @@ import pytest
 from scipy import stats
 
 from force_oracle import learned, ramp_record, tap_tests
-from learning_cases import covered, misled, shipped
+from learning_cases import covered, disturbed, misled, shipped
 from turnwright.cutting import Cuts, learn_material
 from turnwright.errors import InputError
 
-TRIALS = 100
+TRIALS = 30
 
 
 @pytest.fixture(scope="module")
 def trials():
-    found = []
-    for seed in range(TRIALS):
-        random = np.random.default_rng(50_000 + seed)
-        record, truth = ramp_record(random)
-        material = learned(record, tap_tests(random))
-        found.append(
-            [
-                (one.value / true - 1, one.low <= true <= one.high, (one.high - one.low) / 2 / true)
-                for one, true in (
-                    (material.cutting, truth.cutting),
-                    (material.thrust, truth.thrust),
-                    (material.critical, truth.critical),
-                )
-            ]
-        )
-    return np.array(found)
+    return disturbed(TRIALS)
 
 
 @pytest.mark.parametrize(("which", "limit"), [(0, 0.01), (1, 0.01), (2, 0.03)])
-def test_a_hundred_disturbed_records_give_their_coefficients(trials, which, limit):
+def test_disturbed_records_give_their_coefficients(trials, which, limit):
+    """The proof in tests/proof/proof_learning.py has a hundred of them or more."""
     off, inside, half = trials[:, which].T
     assert np.abs(off).max() < limit
-    assert np.count_nonzero(inside) >= 93
+    assert np.count_nonzero(inside) >= 0.93 * TRIALS
     assert half.max() < limit  # an interval as wide as the limit would say nothing
 
 
@@ -53,7 +39,7 @@ def test_without_the_inverse_filter_the_cross_talk_would_stay():
 
 def test_an_uninterrupted_ramp_needs_its_time_in_air():
     inside = []
-    for seed in range(20):
+    for seed in range(10):
         random = np.random.default_rng(70_000 + seed)
         record, truth = ramp_record(random, period=10.0, engaged=9.0)
         taps = tap_tests(random)
@@ -62,7 +48,7 @@ def test_an_uninterrupted_ramp_needs_its_time_in_air():
         inside += [one.low <= true <= one.high for one, true in both]
         with pytest.raises(InputError, match=r"forces in air of channel Fy .* lead"):
             learned(record, taps)
-    assert np.count_nonzero(inside) >= 53  # of 60 at 95 %: fewer has a chance of 3 %
+    assert np.count_nonzero(inside) >= 26  # of 30 at 95 %: fewer has a chance of 2 %
 
 
 def test_air_counted_as_cut_is_reported():
