@@ -145,17 +145,17 @@ def test_the_command_writes_a_table_and_a_page(tmp_path):
     (tmp_path / "job.toml").write_text(tomli_w.dumps(JOB))
     (tmp_path / "budget.toml").write_text(BUDGET)
     words = [
-        "tolerance", str(tmp_path / "job.toml"), "--budget", str(tmp_path / "budget.toml"), "--cases", "16",
+        "tolerance", str(tmp_path / "job.toml"), "--budget", str(tmp_path / "budget.toml"), "--cases", "10",
         "--workers", "1", "--confirm", "--out", str(tmp_path / "out"),
     ]  # fmt: skip
     with Stop() as stop:
         result = CliRunner().invoke(app, words, obj=Session(stop), catch_exceptions=False)
-    shares = re.findall(r"([0-9.]+)% of 16 parts meet all tolerances", result.output)
+    shares = re.findall(r"([0-9.]+)% of 10 parts meet all tolerances", result.output)
     assert result.exit_code == (0 if shares[-1] == "100.0" else 4), result.output
     assert "confirmed: " in result.output
     with (tmp_path / "out" / "cases.csv").open() as lines:
         rows = list(csv.reader(lines))
-    assert len(rows) == 17
+    assert len(rows) == 11
     assert rows[0][:2] == ["tool offset x [mm]", "drift z [mm]"]
     assert "corrected form_pv [nm]" in rows[0]
     page = (tmp_path / "out" / "report.html").read_text()

@@ -20,7 +20,7 @@ BASES = {
 }
 
 
-def made(base, seed, *, way=0.0, displaced=2e-3, side=600, coma=COMA):
+def made(base, seed, *, way=0.0, displaced=2e-3, side=500, coma=COMA):
     """Return map, part, nominal centres and displacements, which have no shift, rotation or scale in them."""
     rng = np.random.default_rng(seed)
     (bend_x, bend_y), surface = BASES[base]
@@ -73,7 +73,7 @@ def judged(found, centres, moved):
     return np.sqrt(np.mean(np.sum(off**2, axis=1))), np.sqrt(np.mean((off / stated) ** 2))
 
 
-@pytest.mark.parametrize(("base", "way"), [("toroid", 0.0), ("toroid", np.pi / 4), ("sphere", 0.6)])
+@pytest.mark.parametrize(("base", "way"), [("toroid", 0.0), ("sphere", 0.6)])
 def test_the_form_of_the_base_neither_moves_nor_turns_the_lenslets(base, way):
     """Without it the centres are 1.4 um off, stated within 10 nm; a toroid turns by what 0.5 um of astigmatism is."""
     heights, part, centres, moved = made(base, 1, way=way)
@@ -145,11 +145,14 @@ def test_measure_finds_base_and_lenslets_in_one_command(tmp_path, capsys, monkey
     assert main(command) == 0
     assert "base" in capsys.readouterr().out
     (measured,) = results
-    off, _ = judged(measured.lenslets, centres, moved)
+    off, ratio = judged(measured.lenslets, centres, moved)
     assert off < 0.1e-3
+    assert 0.6 < ratio < 1.6
     assert measured.registration.pose.rotation == pytest.approx(POSE.rotation, abs=0.05e-3)
     terms = json.loads((out / "measured.json").read_text(encoding="utf-8"))["base_form"]
     assert terms["3"]["height"] == pytest.approx(ASTIGMATISM, rel=0.02)
     assert terms["3"]["std"] < 0.02 * ASTIGMATISM
+    assert terms["5"]["height"] == pytest.approx(0, abs=0.02 * ASTIGMATISM)
+    assert terms["8"]["height"] == pytest.approx(COMA, rel=0.02)
     # The form error is that of the part, base and lenslets: the form of the base is in it.
     assert measured.form_rms_nm > 100
