@@ -113,7 +113,7 @@ def place(
     [Li2018]_, [Troutman2016]_ ch. 6; the exact maximum: `turnwright.placing.search`. Its derivative: [Danskin1967]_.
     """
     if along not in ("z", "normal"):
-        raise InputError(f'along must be "z" or "normal", got {along!r}')
+        raise InputError(f'along is {along!r}, it must be "z" or "normal"')
     edge = tool.cutting_edge(spiral.sense)
     tips = Tips(spiral.angle, spiral.radius, np.zeros(spiral.angle.size) if spiral.y is None else spiral.y)
     if along == "normal":
