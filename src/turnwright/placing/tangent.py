@@ -206,7 +206,7 @@ def _solve_edge_tangents(contact: Contact, limit: float, tips: Tips, out: Touch)
         # On a steep surface a full step from the tip could leave the arc: the step is limited.
         s = s + np.clip(step, -0.3, 0.3)
         out.z[active], sweep[active] = top, s
-        far = (np.abs(step) > kernel.CLOSE) | (np.abs(top - value) > kernel.LITTLE)
+        far = (np.abs(step) > kernel.STEP_TOL_RAD) | (np.abs(top - value) > kernel.RISE_TOL_MM)
         if not far.any():
             break
         if 2 * np.count_nonzero(far) < far.size:
@@ -270,7 +270,7 @@ def follow(
         kernel.newton_step(edge, angle, s, *jet, value, first, top, step, bend)
         lost |= ~(np.abs(step) < tilt)
         s += np.where(lost, 0.0, step)
-        far = ~lost & ((np.abs(step) > kernel.CLOSE) | (np.abs(top - value) > kernel.LITTLE))
+        far = ~lost & ((np.abs(step) > kernel.STEP_TOL_RAD) | (np.abs(top - value) > kernel.RISE_TOL_MM))
         if not far.any():
             break
     lost |= far | (s < edge.low) | (s > edge.high)
