@@ -223,7 +223,7 @@ def _prepared(cut: _Cut, low: float, high: float, most_rings: int) -> Prepared:
     if cut.upright and cut.edge.convex:
         kernel.useful_by_ring(cut.bounds, cut.edge, rings, useful)
     else:
-        kernel.useful_aside(
+        kernel.useful_lateral(
             cut.bounds, cut.edge, cut.gap, cut.bend, most_y, rings, useful, core
         )  # fmt: skip
     return Prepared(cut, blocks, rings, useful, core, most_y)

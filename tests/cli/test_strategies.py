@@ -113,7 +113,7 @@ def test_a_two_axis_fast_tool_leaves_what_the_slides_would(tmp_path):
                 ("strategy", {"kind": "adaptive tool servo", "scallop": "80 nm", "chord": "10 nm"}),
                 ("passes", [{"name": "finish", "feed": "5 um/rev"}]),
             ],
-            "it states feed, which the adaptive tool servo does not have",
+            "feed is set, which the adaptive tool servo does not have",
         ),
         (
             [

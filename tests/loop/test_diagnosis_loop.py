@@ -89,7 +89,7 @@ def test_a_stated_noise_is_the_least_that_the_intervals_know(ogive):
     assert (noise, larger) == pytest.approx((50, 100))
     assert wide == pytest.approx(plain * noise / shown, rel=0.15)
     assert wider == pytest.approx(2 * wide, rel=0.05)
-    with pytest.raises(tw.InputError, match="there are 2 noises and 1 maps"):
+    with pytest.raises(tw.InputError, match="noise_nm has 2 values for 1 maps"):
         found([1.0, 2.0])
 
 

@@ -149,7 +149,9 @@ def test_a_steady_feed_is_the_largest_that_keeps_the_scallop():
 @pytest.mark.parametrize("x_motion", ["servo", "steady"])
 def test_a_march_from_the_axis_after_a_look_at_the_rim(monkeypatch, x_motion):
     """On every lenslet the largest feed is that of a sphere, sqrt(8 R h (1 - R / bend)); R large against its cusps."""
-    monkeypatch.setattr(adaptive, "BLOCK", 1 << 14)  # so that heights outside take the place of those at the axis
+    monkeypatch.setattr(
+        adaptive, "BLOCK_SAMPLES", 1 << 14
+    )  # so that heights outside take the place of those at the axis
     part = Part(surface=LensArray.hexagonal(pitch=0.3, lenslet=Sphere(radius=8.0), rings=3), radius=0.4)
     servo = AdaptiveToolServo(scallop=SCALLOP, chord=10e-6, interpolation="linear", x_motion=x_motion)
     spiral = servo.spiral(part, TOOL)

@@ -309,7 +309,7 @@ def test_a_table_no_larger_than_the_part_is_enough():
 
 def test_a_part_steeper_than_the_flanks_is_refused():
     part = tw.Part(surface=tw.Plane(slope=(1.0, 0.0)), radius=2.0)
-    with pytest.raises(tw.GougeError, match=r"a flank of the tool stands on the rim .* larger included angle"):
+    with pytest.raises(tw.GougeError, match=r"a flank of the tool touches the rim .* larger included angle"):
         tw.place(spiral(2.0, 0.1, 60), part, NARROW)
 
 

@@ -27,7 +27,7 @@ MAP = tw.HeightMap(x=X, y=X, z=PART.surface.sag(*np.meshgrid(X, X) * np.array(0.
         ({"waviness": (3, 2)}, "must ascend"),
         ({"waviness": (3, 12)}, "at most 9"),
         ({"waviness": np.array([0.1])}, "1 knots"),
-        ({"straightness": 2}, "at 2 positions"),
+        ({"straightness": 2}, "is 2 positions"),
         ({"feed": -0.1}, "feed is -0.1"),
         ({"points": 0}, "points is 0"),
     ],
@@ -63,7 +63,7 @@ def test_a_map_must_lie_where_the_tool_cuts():
         tw.diagnose(replace(MAP, x=X + 100), PART, TOOL, MACHINE)
     blunt = replace(TOOL, included=np.deg2rad(1))
     steep = replace(MAP, z=np.where(np.hypot(*MAP.points()) > 1.0, MAP.z, np.nan))
-    with pytest.raises(tw.InputError, match="give the tool of the plan"):
+    with pytest.raises(tw.InputError, match="use the tool of the plan"):
         tw.diagnose(steep, PART, blunt, MACHINE)
 
 
@@ -74,7 +74,7 @@ def test_few_points_do_not_carry_many_numbers():
 
 
 def test_a_cause_of_ones_own_has_a_name_and_heights():
-    with pytest.raises(tw.InputError, match="'waviness': give it a name"):
+    with pytest.raises(tw.InputError, match="'waviness', it must be new"):
         tw.diagnosis.Cause(name="waviness", signature=lambda cutting: cutting.x, typical=1.0)
     with pytest.raises(tw.InputError, match="typical"):
         tw.diagnosis.Cause(name="drift", signature=lambda cutting: cutting.x, typical=0.0)

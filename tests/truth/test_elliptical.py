@@ -40,7 +40,7 @@ def each_lens(angle, radius, y):
 def course_of(name):
     """The spiral of the steady tool, and the swing that a servo makes of it; many tests ask for it."""
     servo = SERVOS.get(name) or FALLING[name]
-    plain = servo._base().spiral(PART, TOOL)
+    plain = servo._make_slow_servo().spiral(PART, TOOL)
     return plain, servo._plan(plain, PART, TOOL, None)[0]
 
 
@@ -111,7 +111,7 @@ def test_no_kink_where_the_tool_stands_still(found, name):
 def test_the_kink_of_a_steady_tool_in_closed_form():
     """And every valley that a steady tool passes is among them."""
     valleys = replace(SKIP, shortest=1e-6).valleys(PART, TOOL)
-    plain = SKIP._base().spiral(PART, TOOL)
+    plain = SKIP._make_slow_servo().spiral(PART, TOOL)
     slope = (plain.radius[-1] - plain.radius[0]) / (plain.angle[-1] - plain.angle[0])
 
     def heights(at):
@@ -148,7 +148,7 @@ def test_slow_keeps_the_limit_of_the_y_axis_at_the_least_displacement(found):
     assert off[found["slow"][0].stood].min() < -1e-3 < 1e-3 < off[found["slow"][0].stood].max()
     course = course_of("slow")[1]
     line = np.sort(np.random.default_rng(2).uniform(30.0, 32.0, 7))
-    moment = SLOW._moments(course, line, np.zeros(7))
+    moment = SLOW._schedule_moments(course, line, np.zeros(7))
     edges = np.concatenate([course.moment[:1], line, course.moment[-1:]])
     radius = np.abs(course.radius(edges))
     least = 15 * np.pi / 30 * np.sqrt(2 * np.pi * np.maximum(radius[1:], radius[:-1]) * np.diff(edges) / (0.95 * 200))
@@ -176,9 +176,9 @@ def test_policies_differ_at_short_intervals_only(found):
     ("change", "words"),
     [
         ({"short": "hop"}, 'must be "merge", "skip" or "slow"'),
-        ({"shortest": None}, "goes with shortest"),
-        ({"y_acceleration": 10.0}, "without y_acceleration"),
-        ({"short": "slow", "shortest": None, "y_acceleration": 10.0, "spindle_rpm": None}, "no spindle_rpm is given"),
+        ({"shortest": None}, "takes shortest"),
+        ({"y_acceleration": 10.0}, "not y_acceleration"),
+        ({"short": "slow", "shortest": None, "y_acceleration": 10.0, "spindle_rpm": None}, "needs spindle_rpm"),
         ({"shortest": -1.0}, "shortest is -1 mm"),
     ],
 )
@@ -193,14 +193,14 @@ def test_a_path_without_a_valley_is_that_of_a_steady_tool():
     for servo in SERVOS.values():
         swung = servo.spiral(part, TOOL)
         np.testing.assert_array_equal(swung.y, 0)
-        np.testing.assert_allclose(swung.radius, servo._base().spiral(part, TOOL).radius, atol=1e-15)
+        np.testing.assert_allclose(swung.radius, servo._make_slow_servo().spiral(part, TOOL).radius, atol=1e-15)
         assert servo.valleys(part, TOOL).angle.size == 0
 
 
 def test_a_smooth_surface_and_a_y_too_slow_are_refused():
-    with pytest.raises(tw.InputError, match="no valley to stand still at"):
+    with pytest.raises(tw.InputError, match="has no valleys"):
         MERGE.spiral(tw.Part(surface=tw.Plane(), radius=0.3), TOOL)
-    with pytest.raises(tw.LimitError, match="turn slower"):
+    with pytest.raises(tw.LimitError, match="lower spindle speed"):
         replace(SLOW, y_acceleration=1.0).spiral(PART, TOOL)
-    with pytest.raises(tw.InputError, match="has no y"):
-        MERGE.axes(tw.place(MERGE._base().spiral(PART, TOOL), PART, TOOL))
+    with pytest.raises(tw.InputError, match="has no Y"):
+        MERGE.axes(tw.place(MERGE._make_slow_servo().spiral(PART, TOOL), PART, TOOL))

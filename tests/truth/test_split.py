@@ -22,10 +22,10 @@ def test_the_split_is_the_optimum_that_an_active_set_method_finds():
     turned = np.linspace(0, TURN, 257)
     height = 0.05 * np.cos(turned) + 0.03 * np.sin(2 * turned) + 0.002 * np.cos(9 * turned)
     stroke = 0.02
-    slow, _ = _split.smoothest(turned, height, tw.Axis(low=-stroke / 2, high=stroke / 2), None)
+    slow, _ = _split.find_smoothest(turned, height, tw.Axis(low=-stroke / 2, high=stroke / 2), None)
 
-    step = TURN / _split.CELLS[0]
-    knots = step * np.arange(-3, _split.CELLS[0] + 4)
+    step = TURN / _split.CELLS_PER_REV[0]
+    knots = step * np.arange(-3, _split.CELLS_PER_REV[0] + 4)
     splines = [BSpline(knots, row, 3) for row in np.eye(knots.size - 4)]
     at = np.array([spline(turned) for spline in splines]).T
     third = np.array([spline.derivative(3)((knots[3:-4] + knots[4:-3]) / 2) for spline in splines]).T
@@ -43,11 +43,11 @@ def test_the_split_is_the_optimum_that_an_active_set_method_finds():
         left = corner @ found - np.eye(len(corner))[-1]
         return -left[:-1] / left[-1]
 
-    loose, tight = best(stroke / 2), best(stroke / 2 * (1 - _split.SPARE))
+    loose, tight = best(stroke / 2), best(stroke / 2 * (1 - _split.TRAVEL_MARGIN))
     ours = lower.T @ np.linalg.lstsq(at, slow, rcond=None)[0] - g
     assert loose @ loose * (1 - 1e-6) <= ours @ ours <= tight @ tight * (1 + 1e-6)
     assert tight @ tight < 1.01 * (loose @ loose)
-    assert np.abs(slow - at @ inverse.T @ (loose + g)).max() < 2 * _split.SPARE * stroke
+    assert np.abs(slow - at @ inverse.T @ (loose + g)).max() < 2 * _split.TRAVEL_MARGIN * stroke
     assert np.abs(height - slow).max() <= stroke / 2
 
 
@@ -56,7 +56,7 @@ def test_with_room_to_spare_the_slide_takes_what_is_slower_than_a_turn(harmonic,
     turned = np.linspace(0, 12 * TURN, 12 * 512 + 1)
     drift = 0.3 * np.cos(turned / 40)
     height = drift + 0.004 * np.cos(harmonic * turned)
-    slow, _ = _split.smoothest(turned, height, tw.Axis(low=-0.1, high=0.1), None)
+    slow, _ = _split.find_smoothest(turned, height, tw.Axis(low=-0.1, high=0.1), None)
     middle = slice(4 * 512, 8 * 512)
     assert slow[middle] == pytest.approx(
         (drift + 0.004 * share * np.cos(harmonic * turned))[middle], abs=0.004 * share / 200 + 1e-7
@@ -76,7 +76,7 @@ def test_every_limit_of_the_fast_tool_is_kept_and_used(limit):
     turned = np.linspace(0, 6 * TURN, 6 * 720 + 1)
     height = 0.03 * np.cos(2 * turned) + 0.001 * np.cos(3 * turned)
     omega = 100 * TURN / 60
-    slow, _ = _split.smoothest(turned, height, fast, omega)
+    slow, _ = _split.find_smoothest(turned, height, fast, omega)
     axes = {"C": turned, "X": 5 - 0.001 * turned, "Z": slow, "W": height - slow}
     limits = tw.check_limits(tw.Motion(time=turned / omega, axes=axes, machine=machine), machine)
     low, high = limits.travel["W"]
@@ -94,8 +94,8 @@ def test_a_corner_that_no_slide_can_help_is_refused():
     height = 0.01 * np.abs(np.sin(3 * turned))
     fast = tw.Axis(low=-0.035, high=0.035, acceleration=1e3)
     with pytest.raises(tw.LimitError, match=r"1000 mm/s\^2 \(the path has 6875\)"):
-        _split.smoothest(turned, height, fast, 10.0)
-    slow, _ = _split.smoothest(turned, height, fast, None)
+        _split.find_smoothest(turned, height, fast, 10.0)
+    slow, _ = _split.find_smoothest(turned, height, fast, None)
     assert np.isfinite(slow).all()
 
 

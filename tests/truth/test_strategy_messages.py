@@ -7,7 +7,7 @@ from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.part import Part
 from turnwright.path import Path
 from turnwright.strategy import SlowToolServo, Strategy
-from turnwright.strategy.slow import _refined
+from turnwright.strategy.slow import _refine_samples
 from turnwright.surface import Surface
 from turnwright.tool import Tool
 
@@ -34,7 +34,7 @@ TOOL = Tool(nose_radius=0.5, included=np.deg2rad(60))
         ({"feed": 0.01, "arc_length": 0.1, "chord": 1e-5}, "set by arc_length and chord"),
         ({"feed": 0.01, "points_per_rev": 360.0}, "points_per_rev is 360.0, it must be a whole number"),
         ({"feed": 0.01, "points_per_rev": 7}, "points_per_rev is 7"),
-        ({"feed": 0.01, "points_per_rev": 360, "max_step": 0.1}, "drop one"),
+        ({"feed": 0.01, "points_per_rev": 360, "max_step": 0.1}, "remove one"),
         ({"feed": 0.01, "arc_length": 0.1, "max_step": 1}, "max_step is 57.2958 deg, the limit is 45 deg"),
         ({"feed": 0.01, "arc_length": -0.1}, "arc_length is -0.1 mm"),
         ({"feed": 0.01, "chord": 0}, "chord is 0 mm"),
@@ -68,7 +68,7 @@ def test_a_slip_of_the_unit_is_refused_before_memory_runs_out(points):
 
 def test_a_path_that_jumps_has_no_chord():
     with pytest.raises(InputError, match=r"the path jumps 1\.250 turns from the inner end"):
-        _refined(np.linspace(0, 8, 100), lambda t: np.where(t < 2.5 * np.pi, 0.0, 1.0), 1e-5)
+        _refine_samples(np.linspace(0, 8, 100), lambda t: np.where(t < 2.5 * np.pi, 0.0, 1.0), 1e-5)
 
 
 def test_the_axes_of_a_slow_tool_servo():

@@ -28,7 +28,7 @@ class Kernel:
 
     @property
     def dispatcher(self) -> Any:
-        """What numba calls the function by, with the code that was compiled."""
+        """The dispatcher of numba, with the compiled code."""
         if self._dispatcher is None:
             from turnwright._kernels.compiling import compiled  # noqa: PLC0415 - numba is costly to import
 
@@ -51,7 +51,7 @@ def jit(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def jit_inline(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a kernel as `jit` does, into its callers: a small one, for which passing an `Edge` on costs more."""
+    """Compile a kernel as `jit` does, and inline it: for small ones, as passing an `Edge` on costs more."""
     return Kernel(function, {"contract"}, inline=True)
 
 

@@ -1,8 +1,8 @@
-"""Turns as far apart as the cusp allows, and points as far apart as the chord allows. See strategy/adaptive.py.
+"""Feed as large as the scallop allows, and points as far apart as the chord allows. See strategy/adaptive.py.
 
 A path is sampled as arrays over the angle turned t: height z, real radius x, their derivatives dz and dx by t, the
-slope s of the height along the radius, and how far the radius may be aside. Between two samples it is a cubic. Each
-array is (n,), and ``path`` (7, n) holds t, z, dz, x, dx, s and aside.
+slope s of the height along the radius, and the allowed error ``lateral`` of the radius. Between two samples it is a
+cubic. Each array is (n,), and ``path`` (7, n) holds t, z, dz, x, dx, s and lateral.
 """
 
 import numpy as np
@@ -10,9 +10,9 @@ import numpy as np
 from turnwright._kernels import jit
 from turnwright._kernels.edge import height, slope
 
-LOOK = 2  # a point is looked for up to so many times as far as the furthest that was found, and some samples
-MORE = 8
-HALVINGS = 6  # of the interval between the last sample that a step may reach and the next
+SEARCH_FACTOR = 2  # points are tried up to this many times the furthest step so far, plus some samples
+SEARCH_MARGIN = 8
+BISECTIONS = 6  # of the interval between the last sample that a step may reach and the next
 
 
 @jit
@@ -44,7 +44,7 @@ def spline_at(f, df, position, value, rate):
 @jit
 def refine(path, parts, out):
     """Fill ``out`` (7, m) with the samples of a path and those between, ``parts`` (n - 1,) pieces to each interval."""
-    t, z, dz, x, dx, s, aside = path
+    t, z, dz, x, dx, s, lateral = path
     m = 0
     for k in range(parts.size):
         for i in range(parts[k]):
@@ -54,7 +54,7 @@ def refine(path, parts, out):
             out[1, m], out[2, m] = cubic(t, z, dz, k, at)
             out[3, m], out[4, m] = cubic(t, x, dx, k, at)
             out[5, m] = s[k] + share * (s[k + 1] - s[k])
-            out[6, m] = aside[k] + share * (aside[k + 1] - aside[k])
+            out[6, m] = lateral[k] + share * (lateral[k + 1] - lateral[k])
             m += 1
     for row in range(out.shape[0]):
         out[row, m] = path[row, parts.size]
@@ -64,10 +64,10 @@ def refine(path, parts, out):
 def fits(path, first, last, a, b, hermite, slack, bend):
     """Return whether the controller's curve between nodes a and b passes samples first to last within ``slack``.
 
-    A node is (t, z, dz, x, dx). Where the controller's radius is off the sampled one, so is the height that is right
-    there, by the slope along the radius, and by no more than ``bend`` times the square besides.
+    A node is (t, z, dz, x, dx). Where the controller's radius differs from the sampled one, the exact height differs by
+    the slope along the radius times the difference, and by at most ``bend`` times its square.
     """
-    t, z, x, s, aside = path[0], path[1], path[3], path[5], path[6]
+    t, z, x, s, lateral = path[0], path[1], path[3], path[5], path[6]
     h = b[0] - a[0]
     rise, along = b[1] - a[1], b[3] - a[3]
     p, q, v, w = rise, 0.0, along, 0.0
@@ -88,7 +88,7 @@ def fits(path, first, last, a, b, hermite, slack, bend):
         else:
             up, out = a[1] + u * p, a[3] + u * v
         off = out - x[j]
-        if not (abs(up - z[j] - s[j] * off) <= slack - bend * off * off and abs(off) <= aside[j]):
+        if not (abs(up - z[j] - s[j] * off) <= slack - bend * off * off and abs(off) <= lateral[j]):
             return False
     return True
 
@@ -119,7 +119,7 @@ def on_path(path, begin, stop, slack, bend, widest, hermite, out):
         best = first
         new = node(path, k, t[first])
         j = first + 1
-        while j < n and j <= k + LOOK * (best - k) + MORE and t[j] - last[0] <= widest:
+        while j < n and j <= k + SEARCH_FACTOR * (best - k) + SEARCH_MARGIN and t[j] - last[0] <= widest:
             tried = node(path, j - 1, t[j])
             if fits(path, first, j - 1, last, tried, hermite, slack, bend):
                 best, new = j, tried
@@ -127,7 +127,7 @@ def on_path(path, begin, stop, slack, bend, widest, hermite, out):
         if j == n:
             break
         low, high = t[best], min(t[best + 1], last[0] + widest)
-        for _ in range(HALVINGS):
+        for _ in range(BISECTIONS):
             at = 0.5 * (low + high)
             if not low < at < high:
                 break
@@ -144,11 +144,11 @@ def on_path(path, begin, stop, slack, bend, widest, hermite, out):
 
 @jit
 def cone(path, first, last, a, b, slack, bend, bounds):
-    """Narrow ``bounds`` to the slopes of straight lines from node a that pass all samples before b; say if any is left.
+    """Narrow ``bounds`` to the slopes of straight lines from node a that pass all samples before b; return if any.
 
     See `fits`; b itself must be within ``slack`` of its own height.
     """
-    t, z, x, s, aside = path[0], path[1], path[3], path[5], path[6]
+    t, z, x, s, lateral = path[0], path[1], path[3], path[5], path[6]
     along = (b[3] - a[3]) / (b[0] - a[0])
     h = 1.0 / (b[0] - a[0])
     low, high = (b[1] - slack - a[1]) * h, (b[1] + slack - a[1]) * h
@@ -156,7 +156,7 @@ def cone(path, first, last, a, b, slack, bend, bounds):
         j = last - n
         h = t[j] - a[0]
         off = a[3] + along * h - x[j]
-        if abs(off) > aside[j]:
+        if abs(off) > lateral[j]:
             return False
         rise = z[j] + s[j] * off - a[1]
         room = slack - bend * off * off
@@ -172,8 +172,8 @@ def off_path(path, begin, start, stop, slack, bend, widest, out, lift):
     """Choose nodes up to ``slack`` off a path, each the furthest that a straight line reaches; return how many.
 
     A line from the last node fits while its slope lies in a cone, which only narrows: the furthest node is the last
-    for which it is not empty. See `on_path`; the first node stands ``start`` above the path, and ``lift`` (n + 1,)
-    takes how far each does.
+    for which it is not empty. See `on_path`; the first node is ``start`` above the path, and ``lift`` (n + 1,) receives
+    the height of each above the path.
     """
     t = path[0]
     n = t.size
@@ -207,7 +207,7 @@ def off_path(path, begin, start, stop, slack, bend, widest, out, lift):
         new = node(path, best - 1, t[best])
         cone(path, first, best - 1, last, new, slack, bend, bounds)
         low, high = t[best], min(t[best + 1], last[0] + widest)
-        for _ in range(HALVINGS):
+        for _ in range(BISECTIONS):
             at = 0.5 * (low + high)
             if not low < at < high:
                 break
@@ -216,7 +216,7 @@ def off_path(path, begin, start, stop, slack, bend, widest, out, lift):
                 low, new = at, tried
             else:
                 high = at
-        # Where the cone leaves a choice, the node stands nearest to the path.
+        # Within the cone, the node nearest to the path is chosen.
         h = new[0] - last[0]
         way = min(max((new[1] - last[1]) / h, bounds[0]), bounds[1])
         up = last[1] + way * h
@@ -249,7 +249,7 @@ def tips_at(first, step, z, rate, row, radius, tip, along):
 
 @jit
 def under(edge, cosine, sine, radius, at, x, y):
-    """Fill where in plan the edge of a tip at ``radius`` stands over ``at``, both distances along the rake plane."""
+    """Fill the plan position of the edge of a tip at ``radius`` over ``at``, both distances along the rake plane."""
     for i in range(radius.size):
         across = edge.dy + edge.rake_sin * height(edge, at[i] - radius[i])
         x[i] = at[i] * cosine[i] - across * sine[i]
@@ -258,7 +258,7 @@ def under(edge, cosine, sine, radius, at, x, y):
 
 @jit
 def crest_step(edge, cosine, sine, scallop, radius, tip, f, fx, fy, at, low, high):
-    """Take a Newton step towards where, outside its contact, the edge stands ``scallop`` above the surface.
+    """Take a Newton step towards the place outside the contact where the edge is ``scallop`` above the surface.
 
     ``at`` is the place, [low, high] its bracket; return the largest step taken.
     """
@@ -288,7 +288,7 @@ def crest_step(edge, cosine, sine, scallop, radius, tip, f, fx, fy, at, low, hig
 def next_step(edge, goal, at, tip, along, radius, low, high):
     """Take a Newton step towards the radius outside from which the edge passes the crest ``goal`` at ``at``.
 
-    As a function of the radius its height there is convex and comes through the goal twice; the outer time counts.
+    As a function of the radius its height there is convex and reaches the goal twice; the outer radius counts.
     """
     most = 0.0
     for i in range(at.size):

@@ -22,9 +22,9 @@ def nearest(x, y, centres, corner, step, counts, first, candidates, index, u, v)
             index[i] = -1
             continue
         b = np.int64(along) * columns + np.int64(across)
-        found = candidates[first[b]]
-        near_u = x[i] - centres[found, 0]
-        near_v = y[i] - centres[found, 1]
+        nearest = candidates[first[b]]
+        near_u = x[i] - centres[nearest, 0]
+        near_v = y[i] - centres[nearest, 1]
         best = near_u * near_u + near_v * near_v
         for j in range(first[b] + 1, first[b + 1]):
             other_u = x[i] - centres[candidates[j], 0]
@@ -32,9 +32,9 @@ def nearest(x, y, centres, corner, step, counts, first, candidates, index, u, v)
             square = other_u * other_u + other_v * other_v
             if square < best:
                 best = square
-                found = candidates[j]
+                nearest = candidates[j]
                 near_u = other_u
                 near_v = other_v
-        index[i] = found
+        index[i] = nearest
         u[i] = near_u
         v[i] = near_v

@@ -1,8 +1,9 @@
-"""The uncut chip along a motion, in the plane of the rake face's edge through the axis. See cutting/chip.py.
+"""The uncut chip thickness along a motion, in the plane of the rake face's edge through the axis. See cutting/chip.py.
 
 Every *piece* is one earlier pass of the same edge through that plane: its tip (p, z) along the radial line and +1, or
--1 where it stands beyond the axis and is mirrored. Two pieces of a convex edge cross at most once, so what they leave
-is a lower envelope built with a stack. The chip is what the edge takes off below that envelope and below the stock.
+-1 where it stands beyond the axis and is mirrored. Two pieces of a convex edge cross at most once, so the surface
+they leave is a lower envelope built with a stack. The chip is the material that the edge removes below that envelope
+and below the stock.
 """
 
 import numpy as np
@@ -13,17 +14,17 @@ from turnwright._kernels.generation import TURN, guess_index, locate
 
 FAR = 1e300
 EPSILON = 2.3e-16
-# Earlier passes of a motion that are looked back at, and those that a plane can hold of both motions.
-OWN = 64
-MOST = 2048
-# Turns in a row, each higher than the one after it, beyond which no other is looked at.
-LOOK_BACK = 12
-# Cells that a window is cut into.
-CELLS = 8
+# Most earlier passes of one motion that are considered, and most pieces of both motions in a plane.
+MAX_OWN_PASSES = 64
+MAX_PIECES = 2048
+# The search stops after this many consecutive turns, each higher than the one after it.
+MAX_HIGHER_TURNS = 12
+# Cells of a window.
+WINDOW_CELLS = 8
 # Gauss-Legendre, three nodes.
 NODES = np.array([0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15)])
 WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
-# What a row of results holds.
+# Columns of a result.
 THICKEST, AREA, DEPTH, LOW, HIGH, WIDTH, FRACTURE, RADIAL, AXIAL, CUTTING, CUT_SHORT = range(11)
 ROWS = 11
 
@@ -98,7 +99,7 @@ def _earlier(c, x, z, sense, starts, t, tip, bottom, low, high, reach, edge, p, 
         end = high if side > 0.0 else low
         least = zs[0] + _rise(edge, end - p[0])
         above, before = 0, 0.0
-        while at - TURN >= begin and count < OWN:
+        while at - TURN >= begin and count < MAX_OWN_PASSES:
             at -= TURN
             where, rise = _tip(c, x, z, sense, starts, at)
             if abs(where - tip) > reach:
@@ -110,13 +111,13 @@ def _earlier(c, x, z, sense, starts, t, tip, bottom, low, high, reach, edge, p, 
                 above = 0
             else:
                 above = above + 1 if over >= before else 0
-                if above == LOOK_BACK:
+                if above == MAX_HIGHER_TURNS:
                     break
             before = over
     if tip - reach > 0.0:
         return count, low, high
     at, near, taken = t - 0.5 * TURN, FAR, 0
-    while at >= begin and taken < OWN:
+    while at >= begin and taken < MAX_OWN_PASSES:
         where, rise = _tip(c, x, z, sense, starts, at)
         at -= TURN
         away = abs(where + tip)
@@ -277,11 +278,15 @@ def chips(
     the share of it that is ductile beyond doubt; ``cutting`` and ``thrust`` the coefficients over thickness, or empty,
     and ``factor`` (n, 2) what they are multiplied by.
     """
-    p, zs, mirror = np.empty(MOST), np.empty(MOST), np.empty(MOST)
-    sp, sz, sm = np.empty(MOST - 2 * OWN), np.empty(MOST - 2 * OWN), np.empty(MOST - 2 * OWN)
-    which, begin = np.empty(MOST, dtype=np.int64), np.empty(MOST)
-    grid = np.empty(MOST + 2 * CELLS + 8)
-    whose = np.empty(MOST + 2 * CELLS + 8, dtype=np.int64)
+    p, zs, mirror = np.empty(MAX_PIECES), np.empty(MAX_PIECES), np.empty(MAX_PIECES)
+    sp, sz, sm = (
+        np.empty(MAX_PIECES - 2 * MAX_OWN_PASSES),
+        np.empty(MAX_PIECES - 2 * MAX_OWN_PASSES),
+        np.empty(MAX_PIECES - 2 * MAX_OWN_PASSES),
+    )
+    which, begin = np.empty(MAX_PIECES, dtype=np.int64), np.empty(MAX_PIECES)
+    grid = np.empty(MAX_PIECES + 2 * WINDOW_CELLS + 8)
+    whose = np.empty(MAX_PIECES + 2 * WINDOW_CELLS + 8, dtype=np.int64)
     for row in range(points.size):
         i = points[row]
         tip, bottom = x[i], z[i]
@@ -325,7 +330,7 @@ def chips(
         layers = _envelope(edge, p, zs, mirror, count, low, high, which, begin)
         # Forces bend where a plateau begins, if the chip comes near it: finer cells.
         limit = critical[row] if critical.size > 0 else FAR
-        cells = 2 * CELLS if plateau.size > 0 and 1.5 * advance * reach > limit * edge.base else CELLS
+        cells = 2 * WINDOW_CELLS if plateau.size > 0 and 1.5 * advance * reach > limit * edge.base else WINDOW_CELLS
         # Elementary intervals: equal cells, and where another pass begins to be lowest.
         size, layer = 0, 0
         for k in range(cells + 1):
@@ -412,20 +417,20 @@ def chips(
                     # The two ends, for the thickest place and the engaged arc; three nodes for the integrals.
                     weight = 0.0
                     if node == 0:
-                        here = first
+                        position = first
                     elif node == 4:
-                        here = last
+                        position = last
                     else:
-                        here = first + NODES[node - 1] * (last - first)
+                        position = first + NODES[node - 1] * (last - first)
                         weight = WEIGHTS[node - 1] * (last - first)
                     if blank:
-                        s, rise = _stock(stock, row, stock_first[row], stock_step[row], here)
+                        s, rise = _stock(stock, row, stock_first[row], stock_step[row], position)
                     else:
-                        away = mirror[piece] * (here - p[piece])
+                        away = mirror[piece] * (position - p[piece])
                         s = zs[piece] + _rise(edge, away)
                         rise = mirror[piece] * edge.rake_cos * slope(edge, away)
-                    below = bottom + _rise(edge, here - tip)
-                    thick, sine, cosine, bend = _foot(edge, here - tip, s - bottom)
+                    below = bottom + _rise(edge, position - tip)
+                    thick, sine, cosine, bend = _foot(edge, position - tip, s - bottom)
                     out[row, THICKEST] = max(out[row, THICKEST], thick)
                     if node == 0 and np.isnan(nearest_low):
                         nearest_low = np.arctan2(sine, cosine)
@@ -434,7 +439,7 @@ def chips(
                         # How high the edge stands there above the tangent at the contact.
                         cu = centre - tip
                         lean = edge.rake_cos * slope(edge, cu)
-                        fu, fw = here - tip + thick * sine, s - bottom - thick * cosine
+                        fu, fw = position - tip + thick * sine, s - bottom - thick * cosine
                         over = fw - _rise(edge, cu) - lean * (fu - cu)
                         lowest = min(lowest, over / np.sqrt(1.0 + lean * lean))
                     if weight == 0.0:

@@ -1,9 +1,9 @@
-"""How kernels are compiled, and kept on disk.
+"""Compilation of the kernels, and their cache on disk.
 
 numba's disk cache notices an edited function but not an edited callee in another module, and would silently serve the
 old code. So each module has a cache folder named after a hash of its source and of the kernels that it imports: an edit
-starts fresh ones for that module and for those that call it, and leaves the others. What is kept there is ours, not
-numba's: numba runs whatever it finds in its files, and fails where one is cut short or the disk is full.
+starts new folders for that module and for those that call it, and keeps the others. The files are our own, not
+numba's: numba runs whatever its files contain, and fails if one is truncated or the disk is full.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def _digest(folder: Path, name: str) -> str:
 
 @functools.cache
 def _cache_folder(module: str) -> Path:
-    """Return where the kernels of a module are kept once they are compiled, for this version of Python."""
+    """Return the cache folder of the kernels of a module, for this version of Python."""
     name = module.rpartition(".")[2]
     base = os.environ.get("NUMBA_CACHE_DIR") or platformdirs.user_cache_dir("turnwright")
     digest = _digest(Path(__file__).parent, name)
@@ -58,8 +58,8 @@ def _cache_folder(module: str) -> Path:
 class _Cache:
     """Compiled code on disk, a file for each kernel and signature, as numba's dispatcher asks for it.
 
-    The code is run as it is read, so each file begins with a checksum of the rest. A file that is cut, damaged or of
-    another signature, or a disk that takes none, means only that the kernel is compiled.
+    The code is executed as read, so each file begins with a checksum of the remainder. If a file is truncated, damaged
+    or of another signature, or the disk is not writable, the kernel is compiled.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -74,13 +74,13 @@ class _Cache:
             data = self._file(key).read_bytes()
             if hashlib.sha256(data[CHECKSUM:]).digest() != data[:CHECKSUM]:
                 return None
-            kept, code = pickle.loads(data[CHECKSUM:])  # noqa: S301 - written by this class, as its checksum tells
-            return compiler.CompileResult._rebuild(context, *code) if kept == key else None  # noqa: SLF001 - as numba does
+            stored_key, code = pickle.loads(data[CHECKSUM:])  # noqa: S301 - written by this class: its checksum is right
+            return compiler.CompileResult._rebuild(context, *code) if stored_key == key else None  # noqa: SLF001 - as numba does
         except Exception:  # noqa: BLE001 - whatever is wrong with it, it can be compiled
             return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
-        """Keep the compiled code for a signature, if the disk takes it."""
+        """Write the compiled code for a signature, if the disk is writable."""
         key = _key(signature, compiled.codegen)
         body = serialize.dumps((key, compiled._reduce()))  # noqa: SLF001 - as numba does
         file = self._file(key)
@@ -94,7 +94,7 @@ class _Cache:
                 part.unlink(missing_ok=True)
 
     def flush(self) -> None:
-        """Forget all signatures, as numba does when a function is compiled anew."""
+        """Forget all signatures, as numba does when a function is compiled again."""
         for file in Path(self.cache_path).glob(f"{self._name}-*.kernel"):
             file.unlink(missing_ok=True)
 
@@ -103,14 +103,14 @@ class _Cache:
 
 
 def _key(signature: Any, codegen: Any) -> tuple[Any, ...]:
-    """Return what compiled code is kept under. A named tuple counts by its fields, which its type does not tell."""
+    """Return the key of compiled code, with the fields of named tuples, which the type does not include."""
     names = tuple(getattr(one, "fields", ()) for one in signature)
     return signature, names, codegen.magic_tuple()
 
 
 def compiled(function: Callable[..., Any], fastmath: set[str], *, inline: bool = False) -> Callable[..., Any]:
-    """Return a function as numba compiles it for the types of its arguments, kept on disk."""
-    # No kernel is called by its address: without the wrapper for that it compiles a tenth sooner.
+    """Return a function that numba compiles for the types of its arguments, cached on disk."""
+    # No kernel is called by its address; without the wrapper for that, compilation takes 10 % less time.
     decorate = numba.njit(nogil=True, fastmath=fastmath, error_model="numpy", no_cfunc_wrapper=True, forceinline=inline)
     dispatcher: Callable[..., Any] = decorate(function)
     dispatcher._cache = _Cache(function)  # type: ignore[attr-defined] # noqa: SLF001 - where numba's own would be

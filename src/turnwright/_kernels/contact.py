@@ -1,4 +1,4 @@
-"""How fast a tip in contact rises along its spiral: the pointwise parts. See placing.contact for the method."""
+"""Derivatives of a tip in contact along its spiral, point by point. See placing.contact for the method."""
 
 import numpy as np
 
@@ -16,9 +16,9 @@ def rates(
 ):  # fmt: skip
     """Fill ``rate`` with the derivative of the tip's height by the angle.
 
-    The place on the edge is known less well than the height there, so the slope is taken where the last Newton step
-    leads, if that is below ``near``: then ``tangent`` is set. Fill ``across`` (2, n) with how the contact point moves
-    with the angle, ``along`` (2, n) and ``rise`` with how it moves, and how the edge rises, with the sweep.
+    The place on the edge is less accurate than the height there, so the slope is evaluated after one more Newton step,
+    if that is below ``near``: then ``tangent`` is set. Fill ``across`` (2, n) with the derivative of the contact point
+    by the angle, ``along`` (2, n) and ``rise`` with those of the contact point and of the edge height by the sweep.
     """
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
@@ -50,7 +50,7 @@ def normal_rates(edge, angle, x, y, sweep, fx, fy, fxx, fxy, fyy, outward, upwar
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
         _, _, du, dw, ddu, ddw = outline(edge, sweep[i])
-        # How the contact moves with the angle at a fixed sweep, and with the sweep, as a leaning edge moves it aside.
+        # Derivatives of the contact by the angle at a fixed sweep, and by the sweep: rake moves it laterally.
         turned_x = outward[i] * cosine - upward[i] * sine - y[i]
         turned_y = outward[i] * sine + upward[i] * cosine + x[i]
         swept_x, swept_y = -edge.rake_sin * dw * sine, edge.rake_sin * dw * cosine
@@ -75,8 +75,8 @@ def normal_rates(edge, angle, x, y, sweep, fx, fy, fxx, fxy, fyy, outward, upwar
 
 
 @jit
-def spread(edge, angle, radius, aside, first, step, below, above, x, y, e):
-    """Fill ``x``, ``y`` with where the edge stands over the part at one place each, and ``e`` with its height there.
+def spread(edge, angle, radius, lateral, first, step, below, above, x, y, e):
+    """Fill ``x``, ``y`` with the position on the part of one place of each edge, and ``e`` with its height there.
 
     The places follow each other by the golden ratio: half of them on the arc; the others on the flanks, closer together
     at its ends, as far as ``below`` and ``above`` reach. [rad]
@@ -94,7 +94,7 @@ def spread(edge, angle, radius, aside, first, step, below, above, x, y, e):
         sine, cosine = sincos(angle[i])
         u, w, _, _, _, _ = outline(edge, sweep)
         along = radius[i] + edge.dx + u
-        across = aside[i] + edge.dy + edge.rake_sin * w
+        across = lateral[i] + edge.dy + edge.rake_sin * w
         x[i] = along * cosine - across * sine
         y[i] = along * sine + across * cosine
         e[i] = edge.rake_cos * w + edge.dz

@@ -1,4 +1,4 @@
-"""Bringing the edge down onto the surface: the pointwise parts. See placing.search for the method."""
+"""Dilation of the surface by the edge, point by point. See placing.search for the method."""
 
 import numpy as np
 
@@ -6,21 +6,21 @@ from turnwright._kernels import jit
 from turnwright._kernels.edge import height, outline, slope
 from turnwright._kernels.trig import sincos
 
-FULL, OUTSIDE = -1, -2  # what `candidates` answers when it cannot
+FULL, OUTSIDE = -1, -2  # return values of `candidates` without a result
 # After a Newton step this small [rad], to a top this little higher [mm], the parabola's top is the maximum within 1e-11
 # mm, also on a ridge a tenth of a micrometre sharp, and within 1e-13 mm elsewhere: its error goes with the third power.
-CLOSE = 3e-5
-LITTLE = 1e-9
+STEP_TOL_RAD = 3e-5
+RISE_TOL_MM = 1e-9
 
 
 @jit
-def under_edge(edge, angle, radius, aside, sweep, x, y):
-    """Fill ``x`` and ``y`` with where the edge stands over the part at ``sweep``, the tip at (radius, ``aside``)."""
+def under_edge(edge, angle, radius, lateral, sweep, x, y):
+    """Fill ``x``, ``y`` with the position of the edge on the part at ``sweep``, the tip at (radius, ``lateral``)."""
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
         u, w, _, _, _, _ = outline(edge, sweep[i])
         along = radius[i] + edge.dx + u
-        across = aside[i] + edge.dy + edge.rake_sin * w
+        across = lateral[i] + edge.dy + edge.rake_sin * w
         x[i] = along * cosine - across * sine
         y[i] = along * sine + across * cosine
 
@@ -32,7 +32,7 @@ def newton_step(edge, angle, sweep, f, fx, fy, fxx, fxy, fyy, value, first, top,
     Fill ``value`` with f - e and ``first`` with its derivative, ``top`` with the maximum as the local parabola gives
     it, ``step`` with the change of sweep towards it (heights of the commanded tip) and ``bend`` with the curvature of
     the surface under the edge, per distance along it. [1/mm]
-    A step of nan says that the parabola opens upward: no maximum is near.
+    A step of nan means that the parabola opens upward: no maximum is near.
     """
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
@@ -85,18 +85,18 @@ def round_step(edge, limit, cosine, sine, radius, u, f, fx, fy, fxx, fxy, fyy, z
         y[i] = along * s
         # Written so that nan counts as doubtful.
         doubtful += 0 if curve < limit else 1
-        far += 1 if abs(step) > CLOSE * edge.radius or abs(0.5 * first * step) > LITTLE else 0
+        far += 1 if abs(step) > STEP_TOL_RAD * edge.radius or abs(0.5 * first * step) > RISE_TOL_MM else 0
     return far, doubtful
 
 
 @jit
-def places(edge, angle, radius, aside, u, x, y):
-    """Fill ``x`` and ``y`` (rows, n) with where the edge stands over the part at distances ``u`` (rows, n)."""
+def places(edge, angle, radius, lateral, u, x, y):
+    """Fill ``x`` and ``y`` (rows, n) with the position of the edge on the part at distances ``u`` (rows, n)."""
     for i in range(u.shape[0]):
         sine, cosine = sincos(angle[i])
         for j in range(u.shape[1]):
             along = radius[i] + edge.dx + u[i, j]
-            across = aside[i] + edge.dy
+            across = lateral[i] + edge.dy
             if edge.rake_sin != 0.0:
                 across += edge.rake_sin * height(edge, u[i, j])
             x[i, j] = along * cosine - across * sine
@@ -175,7 +175,7 @@ def candidates(
     rows, m = heights.shape
     g = np.empty(m)
     broken = np.empty(m, np.int64)  # number of the first break after a sample, or -1
-    found = 0
+    count = 0
     for row in range(rows):
         f = heights[row]
         first_break, last_break = break_offsets[row], break_offsets[row + 1]
@@ -251,7 +251,7 @@ def candidates(
             u = origin + step * where - p
             curve = edge.rake_cos * abs(height(edge, u - step) - 2.0 * height(edge, u) + height(edge, u + step))
             threshold = top - bend - curve
-            if found + (end - begin) + 2 * (last_break - first_break) + 4 > point.size:
+            if count + (end - begin) + 2 * (last_break - first_break) + 4 > point.size:
                 return FULL
             for j in range(begin, end + 1):
                 # A last step, shorter than the others, may hide more than the samples say.
@@ -261,29 +261,29 @@ def candidates(
                     continue
                 at = origin + step * j - p
                 # Neighbours of a sample: the next sample, or the near side of a kink or step before it.
-                before, left = at, g[j]
+                before, left_value = at, g[j]
                 if j > begin:
-                    before, left = at - step, g[j - 1]
+                    before, left_value = at - step, g[j - 1]
                     if broken[j - 1] >= 0:
                         b = broken[j - 1]
                         while b + 1 < last_break and break_after[b + 1] == j - 1:
                             b += 1
                         before = break_at[b] - p
-                        left = break_height[1, b] - edge.rake_cos * height(edge, before)
+                        left_value = break_height[1, b] - edge.rake_cos * height(edge, before)
                 after, right = at, g[j]
                 if j < end:
                     after, right = at + step, g[j + 1]
                     if broken[j] >= 0:
                         after = break_at[broken[j]] - p
                         right = break_height[0, broken[j]] - edge.rake_cos * height(edge, after)
-                if g[j] >= left and g[j] >= right:
-                    point[found], start[found], stop[found] = k, before, after
-                    guess[found] = at
-                    if before == at - step and after == at + step and left > -np.inf and right > -np.inf:
-                        second = left - 2.0 * g[j] + right
+                if g[j] >= left_value and g[j] >= right:
+                    point[count], start[count], stop[count] = k, before, after
+                    guess[count] = at
+                    if before == at - step and after == at + step and left_value > -np.inf and right > -np.inf:
+                        second = left_value - 2.0 * g[j] + right
                         if second < 0.0:
-                            guess[found] = at + 0.5 * step * (left - right) / second
-                    found += 1
+                            guess[count] = at + 0.5 * step * (left_value - right) / second
+                    count += 1
             if first < 0:
                 continue
             for b in range(first, last + 1):
@@ -295,10 +295,10 @@ def candidates(
                     if value == -np.inf or (value < threshold and not at_end):
                         continue
                     # The neighbour on this side: a sample, or the facing side of the next break in the same interval.
-                    beside = b - 1 if side == 0 else b + 1
-                    if beside >= first and beside <= last and break_after[beside] == break_after[b]:
-                        next_at = break_at[beside] - p
-                        following = break_height[1 - side, beside] - edge.rake_cos * height(edge, next_at)
+                    neighbour = b - 1 if side == 0 else b + 1
+                    if neighbour >= first and neighbour <= last and break_after[neighbour] == break_after[b]:
+                        next_at = break_at[neighbour] - p
+                        following = break_height[1 - side, neighbour] - edge.rake_cos * height(edge, next_at)
                     else:
                         j = break_after[b] + side
                         next_at, following = origin + step * j - p, g[j]
@@ -307,11 +307,11 @@ def candidates(
                         direct[k], direct_at[k], ended[k] = value, at, at_end
                     # It rises into the smooth piece, and is no higher at the other end: a maximum in between.
                     if inward > 0.0 and value >= following:
-                        point[found] = k
-                        start[found], stop[found] = min(at, next_at), max(at, next_at)
-                        guess[found] = 0.5 * (at + next_at)
-                        found += 1
-    return found
+                        point[count] = k
+                        start[count], stop[count] = min(at, next_at), max(at, next_at)
+                        guess[count] = 0.5 * (at + next_at)
+                        count += 1
+    return count
 
 
 @jit
@@ -332,10 +332,10 @@ def bracket(begin, end, low, high, sweep, value, first, top, step, best, place, 
             high[i] = s
         following = s + step[i]
         inside = following > low[i] and following < high[i]
-        small = abs(step[i]) <= CLOSE and abs(top[i] - value[i]) <= LITTLE
-        found, at = (top[i], following) if small and inside else (value[i], s)
-        if found > best[i]:
-            best[i], place[i] = found, at
+        small = abs(step[i]) <= STEP_TOL_RAD and abs(top[i] - value[i]) <= RISE_TOL_MM
+        height_at, at = (top[i], following) if small and inside else (value[i], s)
+        if height_at > best[i]:
+            best[i], place[i] = height_at, at
         at_end = s >= end[i] if rising else s <= begin[i]
         done[i] = (small and inside) or at_end or high[i] - low[i] <= 1e-15
         done[i] |= blind and begin[i] < s < end[i]

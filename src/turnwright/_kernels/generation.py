@@ -39,7 +39,7 @@ def turn_starts(c, sense, starts):
 
 @jit
 def turn_bounds(c, x, y, z, sense, starts, dx, out):
-    """Fill ``out`` (7, turns) with what holds all through each turn.
+    """Fill ``out`` (7, turns) with bounds over each turn.
 
     Least and greatest tip position, least and greatest height, most that the tip, its height and Y move per radian.
     """
@@ -201,7 +201,7 @@ def stacked(position, level, count, mirrored, edge, low, high, stack, limit):
             stack[depth], limit[depth] = i, limit[i]
             depth += 1
         return depth
-    if low == high:  # one sample: crossings on either side of it cannot be told apart
+    if low == high:  # one sample: crossings on either side of it cannot be distinguished
         lowest, least, side = -1, FAR, -1.0 if mirrored else 1.0
         for i in range(count):
             z = level[i] + height(edge, side * (low - position[i]))
@@ -345,10 +345,10 @@ def polar_block(c, x, z, sense, starts, bounds, edge, radius, angle, out):
 
 @jit_inline
 def stand(c, x, y, z, sense, edge, at, along, hint):
-    """Let the tool stand at ``at``, where a point lies ``along`` from the axis within its plane.
+    """Place the tool at ``at``, where a point lies ``along`` from the axis within its plane.
 
-    Return (height of the edge over the point, how far aside of the plane the edge is there, place on the edge, index):
-    the tool passes over the point where the point itself is as far aside.
+    Return (height of the edge over the point, lateral distance of the edge from the plane, place on the edge, index).
+    The tool passes over the point where the point has the same lateral distance.
     """
     i = locate(c, sense, at, hint)
     ci = sense * c[i]
@@ -363,38 +363,38 @@ def stand(c, x, y, z, sense, edge, at, along, hint):
 
 @jit_inline
 def pass_at(c, x, y, z, sense, edge, t, r, side, hint):
-    """Return (height, index, u, at, aside) of a pass over the point at distance ``r``, azimuth ``t`` along the motion.
+    """Return (height, index, u, at, lateral) of a pass over a point at distance ``r``, azimuth ``t`` along the motion.
 
-    An edge out of the radial plane by v passes over the point not at ``t`` but where the point stands v aside,
-    r sin(azimuth of the point - azimuth of the tool) = v(u). A fixed point, which contracts to half or less outside the
-    core (see `useful_aside`): when the steps shrink no more they are rounding, whatever the sizes. The height is FAR
-    where the tool does not pass over the point at all, or not in the way of passes that can be lowest.
+    An edge out of the radial plane by v passes over the point not at ``t`` but where the lateral distance of the point
+    is v: r sin(azimuth of the point - azimuth of the tool) = v(u). This is solved by a fixed-point iteration, which
+    contracts to half or less outside the core (see `useful_lateral`): when the steps no longer shrink, they are
+    rounding. The height is FAR where the tool does not pass over the point, or where the pass cannot be the lowest.
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
     sign = 1.0 if side == 0 else -1.0
     if edge.rake_sin == 0.0 and edge.dy == 0.0 and y.size == 0:
         if t < begin - ROUNDING or t > end + ROUNDING:
             return FAR, hint, 0.0, t, 0.0
-        # What `stand` does, without what is aside: a third faster.
+        # As `stand`, without lateral distances: faster by a third.
         at = min(max(t, begin), end)
         i = locate(c, sense, at, hint)
         ci = sense * c[i]
         share = (at - ci) / (sense * c[i + 1] - ci)
         u = sign * r - (x[i] + share * (x[i + 1] - x[i]) + edge.dx)
         return z[i] + share * (z[i + 1] - z[i]) + edge.dz + height(edge, u), i, u, at, 0.0
-    aside, i, before = 0.0, hint, FAR
-    while abs(aside) <= r:
-        at = t - sign * sense * np.arcsin(aside / r)
+    lateral, i, before = 0.0, hint, FAR
+    while abs(lateral) <= r:
+        at = t - sign * sense * np.arcsin(lateral / r)
         held = min(max(at, begin), end)
-        along = sign * np.sqrt(r * r - aside * aside)
+        along = sign * np.sqrt(r * r - lateral * lateral)
         h, across, u, i = stand(c, x, y, z, sense, edge, held, along, i)
-        step = abs(across - aside)
+        step = abs(across - lateral)
         if step == 0.0 or step > 0.75 * before:
-            # The angle of the spindle rounds with its size, and the edge moves aside by half of that at most.
+            # The spindle angle has a rounding error in proportion to its size; the lateral error is at most half of it.
             rounding = 8.0 * EPSILON * (r * (1.0 + abs(t)) + abs(across) + abs(along) + abs(u) + edge.base)
             reached = step <= rounding and abs(at - held) <= ROUNDING
             return (h if reached else FAR), i, u, held, across
-        aside, before = across, step
+        lateral, before = across, step
     return FAR, i, 0.0, t, 0.0
 
 
@@ -411,22 +411,22 @@ def block_bounds(x, y, z, dx, out):
 
 @jit_inline
 def least_between(edge, gap, low, high):
-    """Return a height that the edge is nowhere below between the places ``low`` and ``high`` from its tip."""
+    """Return a lower bound of the edge height between the places ``low`` and ``high`` from its tip."""
     return height(edge, low if low > 0.0 else min(high, 0.0)) - gap
 
 
 @jit_inline
 def over(line, edge, sense, r, phase, s):
-    """Let the tool stand ``s`` along one line of its motion, see `lowest_on_line`.
+    """Place the tool at ``s`` along one line of its motion, see `lowest_on_line`.
 
-    Return (height of the edge over the point, how far aside of the edge the point is, place on the edge, sine and
+    Return (height of the edge over the point, lateral distance of the point from the edge, place on the edge, sine and
     cosine of the angle from the point to the tool).
     """
     sine, cosine = sincos(phase + s)
     u = r * cosine - (line[0] + line[3] * s + edge.dx)
     w = height(edge, u)
-    aside = -sense * r * sine - (line[1] + line[4] * s) - edge.dy - edge.rake_sin * w
-    return line[2] + line[5] * s + edge.dz + edge.rake_cos * w, aside, u, sine, cosine
+    lateral = -sense * r * sine - (line[1] + line[4] * s) - edge.dy - edge.rake_sin * w
+    return line[2] + line[5] * s + edge.dz + edge.rake_cos * w, lateral, u, sine, cosine
 
 
 @jit_inline
@@ -434,9 +434,9 @@ def lowest_on_line(line, edge, bend, sense, r, phase, first, last, pieces, lowes
     """Return ``lowest``, or less if the edge passes lower over a point while the tool is on one line of its motion.
 
     ``line`` holds X, Y, Z where it begins and how much they change per radian, ``phase`` the angle there from the point
-    to the tool, ``first`` and ``last`` from where to where along it. Within a piece of it the point stands aside of the
-    edge by F. Pieces that bounds of F and of the height exclude are dropped; one in which F only grows, or only falls,
-    holds at most one root; others are halved. ``pieces`` (64, 2) is scratch.
+    to the tool, ``first`` and ``last`` the range along it. Within a piece of it, F is the lateral distance of the point
+    from the edge. Pieces that bounds of F and of the height exclude are dropped; one in which F is monotonic holds at
+    most one root; others are halved. ``pieces`` (64, 2) is scratch.
     """
     size = r + abs(line[0]) + abs(line[1]) + abs(edge.dx) + abs(edge.dy) + edge.base
     tiny = 4.0 * EPSILON * (size + (abs(line[3]) + abs(line[4])) * max(abs(first), abs(last)))
@@ -446,20 +446,20 @@ def lowest_on_line(line, edge, bend, sense, r, phase, first, last, pieces, lowes
         depth -= 1
         a, b = pieces[depth, 0], pieces[depth, 1]
         s, half = 0.5 * (a + b), 0.5 * (b - a)
-        h, aside, u, sine, cosine = over(line, edge, sense, r, phase, s)
+        h, lateral, u, sine, cosine = over(line, edge, sense, r, phase, s)
         # The edge goes over the point at ``pace``, and F changes at ``rate``, give or take what Taylor's theorem says.
         pace, loose = -r * sine - line[3], r * half * (abs(cosine) + 0.5 * half)
         du = (abs(pace) + loose) * half
         flat, steep = slope(edge, u - du) - bend, slope(edge, u + du) + bend
         if h - abs(line[5]) * half - edge.rake_cos * max(abs(flat), abs(steep)) * du > lowest - tiny:
             continue
-        if abs(aside) <= tiny:
+        if abs(lateral) <= tiny:
             lowest = min(lowest, h)
         rate, doubt = -sense * r * cosine - line[4], r * half * (abs(sine) + 0.5 * half)
         if edge.rake_sin != 0.0:
             rate -= edge.rake_sin * 0.5 * (flat + steep) * pace
             doubt += abs(edge.rake_sin) * (0.5 * (steep - flat) * (abs(pace) + loose) + 0.5 * abs(flat + steep) * loose)
-        if abs(aside) > (abs(rate) + doubt) * half + tiny:
+        if abs(lateral) > (abs(rate) + doubt) * half + tiny:
             continue
         # Two roots within a microradian, that no change of sign betrays: 1e-13 r further in there are none.
         if abs(rate) <= doubt and half > 5e-7:
@@ -477,18 +477,18 @@ def lowest_on_line(line, edge, bend, sense, r, phase, first, last, pieces, lowes
         if (aside_a > 0.0) == (aside_b > 0.0):
             continue
         for _ in range(80):
-            if (aside > 0.0) == (aside_a > 0.0):
+            if (lateral > 0.0) == (aside_a > 0.0):
                 a = s
             else:
                 b = s
             rate = -sense * r * cosine - line[4]
             if edge.rake_sin != 0.0:
                 rate += edge.rake_sin * slope(edge, u) * (r * sine + line[3])
-            if abs(aside) <= 2e-15 * abs(rate) or b - a < 1e-15:
+            if abs(lateral) <= 2e-15 * abs(rate) or b - a < 1e-15:
                 break
-            following = s - aside / rate if rate != 0.0 else a
+            following = s - lateral / rate if rate != 0.0 else a
             s = following if a < following < b else 0.5 * (a + b)
-            h, aside, u, sine, cosine = over(line, edge, sense, r, phase, s)
+            h, lateral, u, sine, cosine = over(line, edge, sense, r, phase, s)
         lowest = min(lowest, h)
     return lowest
 
@@ -499,10 +499,10 @@ def core_height(
 ):  # fmt: skip
     """Return the height at one point that a turn may pass over at any number of moments.
 
-    So it is close to the axis, or Y moves about as fast as the part. From either side the edge can pass over the point
-    only while the plane through the axis is at most as far aside of the point as the edge is of the plane: within a
-    quarter turn, or much less. Each such stretch of each turn of ``useful`` (2, 2), see `useful_aside`, is searched
-    block by block (see `block_bounds`) and line by line, those likely to be lowest first.
+    Such a point is close to the axis, or Y moves about as fast as the part. From either side the edge can pass over the
+    point only while the lateral distance of the point from the plane through the axis is at most that of the edge:
+    within a quarter turn, or much less. Each such stretch of each turn of ``useful`` (2, 2), see `useful_lateral`, is
+    searched block by block (see `block_bounds`) and line by line, those likely to be lowest first.
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
     turns, lines = bounds.shape[1], c.size - 1
@@ -510,7 +510,7 @@ def core_height(
     dip = max(gap - height(edge, 0.0), 0.0)  # the most that the edge is below the tip
     size = r + edge.base + abs(edge.dx) + abs(edge.dy) + most_y + max(abs(bounds[1, 0]), abs(bounds[0, turns - 1]))
     if edge.rake_sin * edge.dy >= 0.0 and r + 64.0 * EPSILON * size < abs(edge.dy) - lean * dip - most_y:
-        return FAR  # the edge is always further aside of the axis
+        return FAR  # the lateral distance of the edge from the axis is always larger
     pieces, line = np.empty((64, 2)), np.empty(6)
     lowest = FAR
     for which in range(2):
@@ -532,8 +532,8 @@ def core_height(
             after = min(max(int((t + 0.5 * np.pi - begin) / TURN), 0), turns - 1)
             bottom = min(bounds[2, before], bounds[2, after]) + edge.dz
             low, high = min(bounds[0, before], bounds[0, after]), max(bounds[1, before], bounds[1, after])
-            aside = off + lean * max((lowest - bottom) / edge.rake_cos, dip)
-            share = min(aside / r * (1.0 + 1e-12), 1.0) if r > 0.0 else 1.0
+            lateral = off + lean * max((lowest - bottom) / edge.rake_cos, dip)
+            share = min(lateral / r * (1.0 + 1e-12), 1.0) if r > 0.0 else 1.0
             wide, inner = np.arcsin(share) + ROUNDING, r * np.sqrt(1.0 - share * share)
             if which == 0:
                 least = least_between(edge, gap, inner - high, r - low)
@@ -581,9 +581,9 @@ def core_height(
 
 @jit
 def axis_height(x, z, starts, bounds, edge, gap):
-    """Return the height on the axis itself, which an upright tool passes at every moment: the least of them all.
+    """Return the height on the axis, which an upright tool passes at every moment: the least of all heights.
 
-    Turns whose bounds stand above what is found already are passed over; the one with the least comes first.
+    Turns with bounds above the lowest height so far are skipped; the turn with the least bound is evaluated first.
     """
     turns = starts.size - 1
     floor = np.empty(turns)
@@ -634,26 +634,26 @@ def useful_by_ring(bounds, edge, rings, out):
 
 
 @jit
-def nearest_use(begin, end, which, aside, low, high):
-    """Return the place on the edge, toward its side, nearest the tip that can be over a ring, at most ``aside``.
+def nearest_use(begin, end, which, lateral, low, high):
+    """Return the place on the edge nearest the tip, toward its side, that can be over a ring within ``lateral``.
 
     The tip stands between ``begin`` and ``end`` along its own side; the ring lies between ``low`` and ``high``.
     """
-    inner = np.sqrt(max(low * low - aside * aside, 0.0)) if aside < low else 0.0
+    inner = np.sqrt(max(low * low - lateral * lateral, 0.0)) if lateral < low else 0.0
     first = -end if which == 1 else begin
     last = -begin if which == 1 else end
     return high - first if first > high else max(inner - last, 0.0)
 
 
 @jit
-def useful_aside(bounds, edge, gap, bend, most_y, rings, out, core):
+def useful_lateral(bounds, edge, gap, bend, most_y, rings, out, core):
     """Fill ``out`` like `useful_by_ring`, for any edge; mark in ``core`` the rings that need `core_height`.
 
     Some pass is over every point of the ring, which gives a ceiling to the surface. A pass under the ceiling has its
-    edge at most W above the tip, so at most A aside, and stands between sqrt(r^2 - A^2) and r from the axis in its own
-    plane. There its distance aside changes by a share of the place aside; where that is at most a half, up to 2 A, a
-    fixed point finds it, and it is the only one of its side. ``gap`` is the most that the edge sinks back on its
-    way out from the tip, ``bend`` the most that its slope falls back.
+    edge at most W above the tip, so at most the lateral distance A, and is between sqrt(r^2 - A^2) and r from the axis
+    in its own plane. There the lateral distance of the edge changes by a fraction of that of the point. Where the
+    fraction is at most a half, up to 2 A, a fixed-point iteration finds the pass, and it is the only one of its side.
+    ``gap`` is the largest drop of the edge on its way out from the tip, ``bend`` the largest decrease of its slope.
     """
     turns = bounds.shape[1]
     lean, off = abs(edge.rake_sin), abs(edge.dy) + most_y
@@ -693,12 +693,12 @@ def useful_aside(bounds, edge, gap, bend, most_y, rings, out, core):
                     first, last = ranges[which, 0, m], ranges[which, 1, m]
                     reach = max(abs(low - last), abs(high - first))
                     most = max(height(edge, reach), height(edge, -reach)) + gap
-                    aside = 2.0 * (off + lean * max(most, dip))
-                    if aside > low:
+                    lateral = 2.0 * (off + lean * max(most, dip))
+                    if lateral > low:
                         continue
-                    reach = max(abs(np.sqrt(low * low - aside * aside) - last), abs(high - first))
+                    reach = max(abs(np.sqrt(low * low - lateral * lateral) - last), abs(high - first))
                     most = max(height(edge, reach), height(edge, -reach)) + gap
-                    if off + lean * max(most, dip) <= aside and tops[m] + edge.dz + edge.rake_cos * most < ceiling:
+                    if off + lean * max(most, dip) <= lateral and tops[m] + edge.dz + edge.rake_cos * most < ceiling:
                         ceiling = tops[m] + edge.dz + edge.rake_cos * most
                         nearest = k
         most = 0.0
@@ -707,18 +707,18 @@ def useful_aside(bounds, edge, gap, bend, most_y, rings, out, core):
             out[ring, which, 0], out[ring, which, 1] = turns, -1
             for k in range(heaps):
                 rise = (ceiling - heap[5, k] - edge.dz) / edge.rake_cos
-                aside = off + lean * max(rise, dip)
-                u = nearest_use(heap[0, k], heap[1, k], which, aside, low, high)
+                lateral = off + lean * max(rise, dip)
+                u = nearest_use(heap[0, k], heap[1, k], which, lateral, low, high)
                 if height(edge, side * u) - 2.0 * gap > rise:
                     continue
                 for m in range(HEAP * k, min(HEAP * (k + 1), turns)):
                     rise = (ceiling - bounds[2, m] - edge.dz) / edge.rake_cos
-                    aside = off + lean * max(rise, dip)
-                    u = nearest_use(bounds[0, m], bounds[1, m], which, aside, low, high)
+                    lateral = off + lean * max(rise, dip)
+                    u = nearest_use(bounds[0, m], bounds[1, m], which, lateral, low, high)
                     if height(edge, side * u) - gap <= rise:
                         out[ring, which, 0] = min(out[ring, which, 0], m)
                         out[ring, which, 1] = m
-                        most = max(most, aside)
+                        most = max(most, lateral)
         core[ring] = 2.0 * most >= low
         if core[ring]:
             continue
@@ -758,11 +758,11 @@ def gather(c, sense, starts, rings, useful, upright, low, high, middle, side, sh
     """List every pass that may matter between the distances ``low`` and ``high`` from the axis, near one azimuth.
 
     Pass k comes from ``side`` k and passes over the azimuth a (along the motion) at a + ``shift`` k; ``hint`` k is
-    where in the motion to look. ``useful`` is of `useful_by_ring` or `useful_aside`. Return how many there are.
+    where in the motion to look. ``useful`` is of `useful_by_ring` or `useful_lateral`. Return how many there are.
     """
     turns = starts.size - 1
     begin = sense * c[0]
-    found = 0
+    count = 0
     for which in range(2):
         along = middle + (np.pi if which == 1 else 0.0)
         start = along + TURN * np.ceil((begin - along - ROUNDING) / TURN)
@@ -775,9 +775,9 @@ def gather(c, sense, starts, rings, useful, upright, low, high, middle, side, sh
         after = 1 if last == turns - 1 or not upright else 0
         for m in range(max(first - before, -1), min(last + after, turns) + 1):
             t = start + TURN * m
-            side[found], shift[found], hint[found] = which, t - middle, guess_index(c, sense, t, starts)
-            found += 1
-    return found
+            side[count], shift[count], hint[count] = which, t - middle, guess_index(c, sense, t, starts)
+            count += 1
+    return count
 
 
 @jit
@@ -787,12 +787,12 @@ def choose(work, count, chosen):
     for k in range(count):
         if work[2, k] < FAR:
             ceiling = min(ceiling, work[0, k] + work[2, k])
-    found = 0
+    number = 0
     for k in range(count):
         if work[2, k] == FAR or work[0, k] - work[2, k] <= ceiling:
-            chosen[found] = k
-            found += 1
-    return found
+            chosen[number] = k
+            number += 1
+    return number
 
 
 @jit
@@ -871,16 +871,16 @@ def gradients(c, x, y, z, sense, edge, bend, rc, hr, ha, at, i, u, across, side,
     """Fill ``out`` (4,) with bounds of the gradient of one pass within (hr, ha) of a point at distance ``rc``.
 
     They are the least and the greatest change of its height per distance from the axis and per azimuth. With A along
-    and B aside of the plane of the tool, D = A + Y' + v' (B - X') for the pass that the tool makes with growing angle,
+    and B across the plane of the tool, D = A + Y' + v' (B - X') for the pass that the tool makes with growing angle,
     both follow from r sin(azimuth of the point - azimuth of the tool) = v(u) + Y, differentiated. Return False where no
     bounds hold: the pass does not cover all of it, or D may vanish.
     """
     lean, rise, sign = edge.rake_sin, edge.rake_cos, (1.0 if side == 0 else -1.0)
-    beside = sense * across
-    away = rc * rc - beside * beside
+    lateral_offset = sense * across
+    away = rc * rc - lateral_offset * lateral_offset
     if not away > 0.0 or hr >= rc:
         return False
-    reach = 3.0 * (ha + hr * (abs(beside) / rc + abs(lean * slope(edge, u))) / np.sqrt(away))
+    reach = 3.0 * (ha + hr * (abs(lateral_offset) / rc + abs(lean * slope(edge, u))) / np.sqrt(away))
     if at - reach < sense * c[0] or at + reach > sense * c[c.size - 1]:
         return False
     first, last = locate(c, sense, at - reach, i), locate(c, sense, at + reach, i)
@@ -888,12 +888,12 @@ def gradients(c, x, y, z, sense, edge, bend, rc, hr, ha, at, i, u, across, side,
     z_low, z_high = rates_between(c, z, sense, first, last)
     y_low, y_high = rates_between(c, y, sense, first, last) if y.size > 0 else (0.0, 0.0)
     drift, sway = max(abs(x_low), abs(x_high)), max(abs(y_low), abs(y_high))
-    du = 2.0 * hr + drift * reach + 2.0 * abs(beside) * (ha + reach)
+    du = 2.0 * hr + drift * reach + 2.0 * abs(lateral_offset) * (ha + reach)
     g_low, g_high = slope(edge, u - du) - bend, slope(edge, u + du) + bend
     p_low, p_high = product(lean, lean, g_low, g_high)
     wander = sway * reach + max(abs(p_low), abs(p_high)) * du
-    b_low, b_high = beside - wander, beside + wander
-    most, near, far = abs(beside) + wander, rc - hr, rc + hr
+    b_low, b_high = lateral_offset - wander, lateral_offset + wander
+    most, near, far = abs(lateral_offset) + wander, rc - hr, rc + hr
     if most >= near:
         return False
     a_low, a_high = np.sqrt(near * near - most * most), far  # of A without its sign
@@ -934,20 +934,20 @@ def gradients(c, x, y, z, sense, edge, bend, rc, hr, ha, at, i, u, across, side,
 
 
 @jit
-def shorten_aside(
+def shorten_lateral(
     c, x, y, z, sense, edge, bend, rc, ac, hr, ha, count, side, shift, hint, work, bounds, chosen
 ):  # fmt: skip
-    """Choose passes like `shorten`, of an edge that is aside of the plane through the axis.
+    """Choose passes like `shorten`, of an edge at a lateral distance from the plane through the axis.
 
     Each pass is bounded by a plane of one tilt for all, give or take what its gradients differ from that; a pass
     without bounds stays on the list. ``bounds`` (count, 4) is scratch too.
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
-    aside = 0.5 * np.pi  # how far off its azimuth a tool may pass over a point
+    lateral = 0.5 * np.pi  # largest azimuth between a tool and a point that it passes over
     lowest, best = FAR, -1
     for k in range(count):
         t = ac + shift[k]
-        if t + ha + aside < begin - ROUNDING or t - ha - aside > end + ROUNDING:
+        if t + ha + lateral < begin - ROUNDING or t - ha - lateral > end + ROUNDING:
             work[0, k], work[2, k] = FAR, 0.0  # nowhere within reach
             continue
         h, i, u, at, across = pass_at(c, x, y, z, sense, edge, t, rc, side[k], hint[k])
@@ -1042,7 +1042,7 @@ def tiles(
                 c, x, y, z, sense, edge, bend, rc, ac, hr, ha, n, side, shift, hint, work, chosen
             )  # fmt: skip
         else:
-            n = shorten_aside(
+            n = shorten_lateral(
                 c, x, y, z, sense, edge, bend, rc, ac, hr, ha, n, side, shift, hint, work, tilts, chosen
             )  # fmt: skip
         for k in range(n):
@@ -1057,7 +1057,7 @@ def tiles(
                     work, picked,
                 )  # fmt: skip
             else:
-                few = shorten_aside(
+                few = shorten_lateral(
                     c, x, y, z, sense, edge, bend, rc, ac, hr, ha, n, near_side, near_shift, near_hint,
                     work, tilts, picked,
                 )  # fmt: skip

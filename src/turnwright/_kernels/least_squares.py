@@ -1,6 +1,6 @@
 """Normal equations of least squares for a few dozen parameters, and Zernike polynomials as their terms.
 
-BLAS hands products of this shape to its threads, which costs more than it saves as soon as another thread works.
+BLAS splits products of this shape between its threads, which takes more time than it saves if other threads are busy.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How far points of a grid stand out from their neighbours."""
+"""Outliers of a grid: deviations of points from their neighbours."""
 
 import numpy as np
 
@@ -34,7 +34,7 @@ def neighbour(z, piece, i, j, row, column, closed):
 
 @jit
 def stand_out(z, piece, closed, ways, least, index, out):
-    """Write how far points stand out in whichever of some ways they do least, in deviations of noise of 1.
+    """Write the deviation of points from their neighbours, the least over some directions, for noise of 1.
 
     The ways are the row, the column and, if there are four, both diagonals. A point that stands out to different sides
     stands out by 0; one with fewer than ``least`` ways that can be judged is nan. ``index`` (k,) are flat places.
@@ -67,15 +67,15 @@ def stand_out(z, piece, closed, ways, least, index, out):
 
 @jit
 def prominent(amount, closed, bound, index, chosen):
-    """Say which places (k,) exceed the bound beyond the median around them, and no neighbour by more.
+    """Fill which places (k,) exceed the median around them by more than the bound, and by more than their neighbours.
 
-    The median is over 5 x 5 points, so that what a curved surface does everywhere is no spike.
+    The median is over 5 x 5 points, so that the curvature of a surface is no outlier.
     """
     m, n = amount.shape
     around = np.empty(24)
     for k in range(index.size):
         i, j = index[k] // n, index[k] % n
-        own, count, largest = amount[i, j], 0, True
+        deviation, count, largest = amount[i, j], 0, True
         for di in range(-2, 3):
             for dj in range(-2, 3):
                 row, column = i + di, j + dj
@@ -88,8 +88,8 @@ def prominent(amount, closed, bound, index, chosen):
                     continue
                 around[count] = value
                 count += 1
-                if abs(di) < 2 and abs(dj) < 2 and abs(value) > abs(own):
+                if abs(di) < 2 and abs(dj) < 2 and abs(value) > abs(deviation):
                     largest = False
         if count > 0:
-            own -= np.median(around[:count])
-        chosen[k] = largest and abs(own) > bound
+            deviation -= np.median(around[:count])
+        chosen[k] = largest and abs(deviation) > bound

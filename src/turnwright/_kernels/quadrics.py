@@ -3,8 +3,8 @@
 Every kernel adds to the 1, 3 or 6 rows of ``out``: z; zx, zy; zxx, zxy, zyy. Curvatures are 1/R, so a flat is 0.
 Outside its domain a root is nan, and so are the rows.
 
-One function knows a point and is inlined; what a loop does not store of it is not computed. A loop over points for each
-number of rows, because a condition inside may become masked stores beyond ``out``, which cost 100 ns each.
+One function computes a point and is inlined; results that a loop does not store are not computed. A loop over points
+for each number of rows, because a condition inside may become masked stores beyond ``out``, which cost 100 ns each.
 """
 
 from __future__ import annotations

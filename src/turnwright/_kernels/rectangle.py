@@ -27,14 +27,14 @@ def largest_rectangle(valid, step_x, step_y):
             tall[j] = tall[j] + 1 if valid[i, j] else 0
         top = 0
         for j in range(columns + 1):
-            left = j
+            leftmost = j
             while top > 0 and height[top - 1] > tall[j]:
                 top -= 1
-                left = start[top]
-                area = height[top] * step_y * (j - left) * step_x
+                leftmost = start[top]
+                area = height[top] * step_y * (j - leftmost) * step_x
                 if area > best:
-                    best, row, count, column, width = area, i - height[top] + 1, height[top], left, j - left
+                    best, row, count, column, width = area, i - height[top] + 1, height[top], leftmost, j - leftmost
             if tall[j] > 0 and (top == 0 or height[top - 1] < tall[j]):
-                start[top], height[top] = left, tall[j]
+                start[top], height[top] = leftmost, tall[j]
                 top += 1
     return row, count, column, width

@@ -1,4 +1,4 @@
-"""How well points fit a table of heights at each of many places, and where from there they fit best."""
+"""Misfit of points to a table of heights at each of many poses, and the best fit from there."""
 
 from __future__ import annotations
 
@@ -151,18 +151,18 @@ def misfit(x, y, z, places, height, table, low, step, free, passes, out):
     turn, at, sizes = np.zeros((3, 3)), np.zeros(3), np.zeros(x.size)
     for k in range(places.shape[0]):
         at[0], at[1], at[2] = places[k, 0], places[k, 1], height
-        a = b = n = left = 0.0
+        a = b = n = mean_square = 0.0
         for _ in range(passes):
             _turned(a, b, places[k, 2], turn)
             n, square = _gather(x, y, z, at, turn, table, low, step, np.inf, normal, right, sizes)
-            left = np.inf
+            mean_square = np.inf
             if n < 4.0:
                 break
-            left = max(square - _step(normal, right, 0.0, level, change), 0.0) / n
+            mean_square = max(square - _step(normal, right, 0.0, level, change), 0.0) / n
             at[2] -= change[2]
             a -= change[3]
             b -= change[4]
-        out[0, k], out[1, k], out[2, k], out[3, k], out[4, k] = n, left, at[2], a, b
+        out[0, k], out[1, k], out[2, k], out[3, k], out[4, k] = n, mean_square, at[2], a, b
 
 
 @jit
@@ -188,7 +188,7 @@ def bend(at, about, bends, out):
 
 @jit
 def settle(x, y, z, starts, bends, table, low, step, free, most, width, out):
-    """Let each start slide into its valley of the table: fill ``out`` (m, 14) with points, mean square and motion.
+    """Refine each start to the nearest minimum of the table: fill ``out`` (m, 14) with points, mean square and motion.
 
     A start holds px, py, turn as in `misfit`, then height and the axis (a, b) of what levels it there; the motion is
     where the pivot lies (3,), then the matrix (9,) that turns the points about it. Steps follow the valleys of
@@ -219,19 +219,19 @@ def settle(x, y, z, starts, bends, table, low, step, free, most, width, out):
             for i in range(3):
                 for j in range(3):
                     trial_turn[i, j] = tilted[i, 0] * turn[0, j] + tilted[i, 1] * turn[1, j] + tilted[i, 2] * turn[2, j]
-            m, found = 0.0, np.inf
+            m, trial_square = 0.0, np.inf
             if trial_turn[2, 2] > 0.3:
-                m, found = _gather(
+                m, trial_square = _gather(
                     x, y, z, trial_at, trial_turn, table, low, step, limit, trial_normal, trial_right, sizes
                 )
             # A step must not be paid for by points that it moves off the part: each costs what one cost at first.
-            better = m >= 0.5 * first and m >= 8.0 and found / m <= square / n
-            if m < 0.98 * first and found - begun * m > square - begun * n:
+            better = m >= 0.5 * first and m >= 8.0 and trial_square / m <= square / n
+            if m < 0.98 * first and trial_square - begun * m > square - begun * n:
                 better = False
             if better:
-                done = found / m > (1.0 - 1e-5) * square / n
+                done = trial_square / m > (1.0 - 1e-5) * square / n
                 at[:], turn[:], normal[:], right[:] = trial_at, trial_turn, trial_normal, trial_right
-                n, square, damping = m, found, max(damping / 10.0, 1e-9)
+                n, square, damping = m, trial_square, max(damping / 10.0, 1e-9)
                 if done:
                     break
             else:

@@ -1,4 +1,4 @@
-"""The surface left by a tool and a machine that are not the planned ones, pointwise. See diagnosis/model.py.
+"""The surface cut by a tool and a machine that differ from the plan, point by point. See diagnosis/model.py.
 
 A state holds, for each point, the sweep at which the planned edge would touch and the one at which the real edge cuts.
 """
@@ -28,10 +28,10 @@ def arc(radius, d, d1, d2, s):
 
 @jit
 def places(radius, azimuth, planned, real, more, late, touch, cut, rho, psi, x, y):
-    """Fill where the tip was (``rho``, azimuth ``psi``) when it cut each point, and where it had been to touch (x, y).
+    """Fill the tip position (``rho``, azimuth ``psi``) that cut each point, and the planned contact (x, y).
 
-    ``more`` (3, n) is what the real edge deviates beyond the planned waviness, with two derivatives by the sweep;
-    ``late`` is by how much Z stands where it should have stood before, in azimuth.
+    ``more`` (3, n) is the deviation of the real edge from the planned waviness, with two derivatives by the sweep;
+    ``late`` is the lag of Z, in azimuth.
     """
     for i in range(radius.size):
         d, d1, d2 = waviness(planned.breaks, planned.coefficients, cut[i])
@@ -102,7 +102,7 @@ def heights(
     radius, azimuth, planned, real, more, late, slide, slide_slope, rho, psi,
     f, fx, fy, fxx, fxy, fyy, touch, cut, out,
 ):  # fmt: skip
-    """Fill ``out`` (14, n) with the height and what it changes by, the places of touch and cut having been found.
+    """Fill ``out`` (14, n) with the height and its derivatives, for given sweeps of touch and cut.
 
     Rows: height; its slopes along x and y; its derivatives by dx, dy, dz of the tip, by the radius, by a deviation of
     the edge where it cuts, by the azimuth (Z early); the second derivative of Z by the azimuth; the curvature of the
@@ -122,11 +122,11 @@ def heights(
         d, d1, d2 = waviness(planned.breaks, planned.coefficients, cut[i])
         _, wa, dua, dwa, ddua, ddwa = arc(real.radius, d + more[0, i], d1 + more[1, i], d2 + more[2, i], cut[i])
         va = real.dy + real.rake_sin * wa
-        beside = np.sqrt(radius[i] * radius[i] - va * va)
+        in_plane = np.sqrt(radius[i] * radius[i] - va * va)
         g_rho, g_psi = fr + slide_slope[i], ft * along - fr * across
-        g_v = -(g_rho * va + g_psi) / beside
+        g_v = -(g_rho * va + g_psi) / in_plane
         out[0, i] = lowest + real.dz + real.rake_cos * wa + slide[i]
-        g_r = g_rho * radius[i] / beside + g_psi * va / (radius[i] * beside)
+        g_r = g_rho * radius[i] / in_plane + g_psi * va / (radius[i] * in_plane)
         sine, cosine = sincos(azimuth[i])
         out[1, i] = g_r * cosine - g_psi * sine / radius[i]
         out[2, i] = g_r * sine + g_psi * cosine / radius[i]

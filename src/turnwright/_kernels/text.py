@@ -1,7 +1,7 @@
 """Program text in bulk: numbers into bytes and bytes into numbers, tens of nanoseconds a block.
 
-Only plain cutting blocks are read here. Anything else (another code, a comment that matters, a fault) is left where
-it stands for the patient reader in `turnwright.post`, which is the one authority on grammar and messages.
+Only plain cutting blocks are read here. Anything else (another code, a comment that matters, a fault) is left to the
+general reader in `turnwright.post`, which defines grammar and messages.
 """
 
 from __future__ import annotations
@@ -63,11 +63,11 @@ def check_steps(angle, factor, shift, half_turn, sign):
     """Return the first index whose rounded C step is not strictly inside (0, half a turn) in the given direction."""
     before = np.rint(angle[0] * factor + shift)
     for i in range(1, angle.size):
-        here = np.rint(angle[i] * factor + shift)
-        step = (here - before) * sign
+        current = np.rint(angle[i] * factor + shift)
+        step = (current - before) * sign
         if step <= 0 or step >= half_turn:
             return i
-        before = here
+        before = current
     return -1
 
 
@@ -116,8 +116,8 @@ def feeds(time, start, stop, unit, every, most, state, mantissa, places, duratio
                     break
                 j += 1
             mean = (time[j - 1] - time[i - 1]) / (j - i)
-            said = 60.0 / mean if unit == INVERSE_MINUTES else mean * 1e3 if unit == MILLISECONDS else mean
-            digits, shift = shortest(said, most)
+            stated = 60.0 / mean if unit == INVERSE_MINUTES else mean * 1e3 if unit == MILLISECONDS else mean
+            digits, shift = shortest(stated, most)
             fresh = every or digits != state[1] or shift != state[2]
             state[0], state[1], state[2] = j, digits, shift
         written = state[1] / POWERS[state[2]]
@@ -136,10 +136,10 @@ def write_whole(out, at, number):
     end = at + count
     write = end
     while write > at:
-        rest = number // TEN
+        quotient = number // TEN
         write -= ONE
-        out[write] = np.uint8(ZERO_SIGN + (number - rest * TEN))
-        number = rest
+        out[write] = np.uint8(ZERO_SIGN + (number - quotient * TEN))
+        number = quotient
     return end
 
 
@@ -183,17 +183,17 @@ def write_fixed(out, at, units, places):
         return write_whole(out, at, number)
     scale = POWERS_U[places]
     shown = U(places)
-    whole = number // scale
-    part = number - whole * scale
-    at = write_whole(out, at, whole)
+    integer = number // scale
+    part = number - integer * scale
+    at = write_whole(out, at, integer)
     out[at] = 46
     end = at + ONE + shown
     write = end
     while write > at + ONE:
-        rest = part // TEN
+        quotient = part // TEN
         write -= ONE
-        out[write] = np.uint8(ZERO_SIGN + (part - rest * TEN))
-        part = rest
+        out[write] = np.uint8(ZERO_SIGN + (part - quotient * TEN))
+        part = quotient
     return end
 
 
@@ -234,13 +234,13 @@ def format_blocks(rows, letters, decimals, prefix, leading, mantissa, places, ou
             out[at] = 45
             at += U(units < 0)
             ascii_digits = eight_digits(number)
-            whole = U(8 - shown)  # two or three digits, of which leading zeros are shifted out
+            integer_digits = U(8 - shown)  # two or three digits, of which leading zeros are shifted out
             scale = POWERS_U[shown]
-            zeros = whole - ONE - U(number >= scale * TEN) - U(number >= scale * HUNDRED)
+            zeros = integer_digits - ONE - U(number >= scale * TEN) - U(number >= scale * HUNDRED)
             write_eight(out, at, ascii_digits >> (zeros * BITS))
-            at += whole - zeros
+            at += integer_digits - zeros
             out[at] = 46
-            write_eight(out, at + ONE, ascii_digits >> (whole * BITS))
+            write_eight(out, at + ONE, ascii_digits >> (integer_digits * BITS))
             at += ONE + U(shown)
         if mantissa[i] > 0 and leading.size == 0:
             if mantissa[i] == digits and places[i] == shift:
@@ -280,16 +280,16 @@ def run_of_digits(data, at):
         other = (((word & U(0x7F7F7F7F7F7F7F7F)) + U(0x7676767676767676)) | word) & U(0x8080808080808080)
         # The ones below the lowest bit of ``other``: one in each byte up to its own.
         below = (((other - ONE) & ~other & U(0x0101010101010101)) * U(0x0101010101010101)) >> U(56)
-        found = U(8) if other == U(0) else below - ONE
-        if found == U(0):
+        digit_count = U(8) if other == U(0) else below - ONE
+        if digit_count == U(0):
             return number, count
-        word <<= (U(8) - found) * BITS
+        word <<= (U(8) - digit_count) * BITS
         word = (word * TEN + (word >> U(8))) & U(0x00FF00FF00FF00FF)
         word = (word * HUNDRED + (word >> U(16))) & U(0x0000FFFF0000FFFF)
         word = (word * TEN_THOUSAND + (word >> U(32))) & U(0xFFFFFFFF)
-        number = number * POWERS_U[found] + word
-        count += found
-        if found < U(8):
+        number = number * POWERS_U[digit_count] + word
+        count += digit_count
+        if digit_count < U(8):
             return number, count
         at += U(8)
 
@@ -316,7 +316,7 @@ def number_at(data, at):
 
 @jit
 def parse_blocks(data, at, end, whole, real, out, first):
-    """Read plain cutting blocks until something else stands in the way.
+    """Read plain cutting blocks until something else follows.
 
     Parameters
     ----------
@@ -368,7 +368,7 @@ def parse_blocks(data, at, end, whole, real, out, first):
                 slot = 2
             elif b == 90:
                 slot = 4
-            elif b == 70 and not fast:  # beside curves with times of their own, F is another number
+            elif b == 70 and not fast:  # with curves that state their own times, F has another meaning
                 slot = 8
             elif b == 89:
                 slot = 16
@@ -503,15 +503,15 @@ def unwrap(degrees, first):
     degrees[0] = before + 360.0 * turns
     sign = 0.0
     for i in range(1, degrees.size):
-        here = degrees[i]
-        jump = np.rint((here - before) / 360.0)
-        step = (here - before) - 360.0 * jump
+        current = degrees[i]
+        jump = np.rint((current - before) / 360.0)
+        step = (current - before) - 360.0 * jump
         if step == 0 or abs(step) == 180.0 or step * sign < 0:
             return i
         sign = step
         turns -= jump
-        degrees[i] = here + 360.0 * turns
-        before = here
+        degrees[i] = current + 360.0 * turns
+        before = current
     return -1
 
 
@@ -541,7 +541,7 @@ def clock(duration):
     duration[0] = 0.0
     for i in range(1, duration.size):
         if duration[i] != value:
-            # The finished run goes into the base, with the part that the addition loses kept beside it.
+            # The finished run goes into the base, and the part that the addition loses is accumulated.
             term = run * value - lost
             total = base + term
             lost = (total - base) - term

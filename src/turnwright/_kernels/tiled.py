@@ -1,4 +1,4 @@
-"""What is known of one tile of a large map: sums that merge, and the map at half its resolution.
+"""Statistics of one tile of a large map: sums that merge, and the map at half its resolution.
 
 Sums run over a row each and are then added with compensation, so that they are as good as the longest row is short.
 """
@@ -24,7 +24,7 @@ def add(totals, lost, k, value):
 
 @jit
 def plane_sums(z, out):
-    """Fill ``out`` (12,) with what a plane through the heights needs, rows and columns counted from the tile's corner.
+    """Fill ``out`` (12,) with the sums for a plane fit of the heights, rows and columns counted from the tile's corner.
 
     Count, lowest, highest, a height z0 among them, and the sums of i, j, ii, ij, jj, z - z0, i (z - z0), j (z - z0)
     over the columns i and rows j that have a height.
@@ -58,7 +58,7 @@ def plane_sums(z, out):
 
 @jit
 def residual_sums(z, rows, columns, level, along_x, along_y, dx, dy, out):
-    """Fill ``out`` (13,) with the sums of what a plane leaves of a tile, its differences and its area.
+    """Fill ``out`` (13,) with the sums of the residual of a tile from a plane, its differences and its area.
 
     ``z`` has ``rows`` and ``columns`` of its own and one more of its neighbours, nan where there are none. The plane is
     ``level`` at the corner and rises by ``along_x`` and ``along_y`` a step. Sums: |r|, r², r³, r⁴, their count; squared
@@ -67,20 +67,20 @@ def residual_sums(z, rows, columns, level, along_x, along_y, dx, dy, out):
     """
     totals, lost = np.zeros(SUMS), np.zeros(SUMS)
     low, high = np.inf, -np.inf
-    here, below = np.empty(columns + 1), np.empty(columns + 1)
+    above, below = np.empty(columns + 1), np.empty(columns + 1)
     for i in range(columns + 1):
         below[i] = z[0, i] - (level + along_x * i)
     for j in range(rows):
-        here, below = below, here
+        above, below = below, above
         for i in range(columns + 1):
             below[i] = z[j + 1, i] - (level + along_x * i + along_y * (j + 1))
         n, first, second, third, fourth = 0, 0.0, 0.0, 0.0, 0.0
         n_across, across, n_down, down, n_cells, cells = 0, 0.0, 0, 0.0, 0, 0.0
-        left = (below[0] - here[0]) / dy
-        left *= left
+        left_slope = (below[0] - above[0]) / dy
+        left_slope *= left_slope
         for i in range(columns):
-            r = here[i]
-            right = (below[i + 1] - here[i + 1]) / dy
+            r = above[i]
+            right = (below[i + 1] - above[i + 1]) / dy
             right *= right
             if not np.isnan(r):
                 low, high = min(low, r), max(high, r)
@@ -90,10 +90,10 @@ def residual_sums(z, rows, columns, level, along_x, along_y, dx, dy, out):
                 second += square
                 third += square * r
                 fourth += square * square
-                if not np.isnan(left):
+                if not np.isnan(left_slope):
                     n_down += 1
-                    down += left
-                upper = (here[i + 1] - r) / dx
+                    down += left_slope
+                upper = (above[i + 1] - r) / dx
                 upper *= upper
                 if not np.isnan(upper):
                     n_across += 1
@@ -102,9 +102,9 @@ def residual_sums(z, rows, columns, level, along_x, along_y, dx, dy, out):
                     lower *= lower
                     if not np.isnan(lower):
                         n_cells += 1
-                        for steep in (upper + left, upper + right, lower + left, lower + right):
+                        for steep in (upper + left_slope, upper + right, lower + left_slope, lower + right):
                             cells += steep / (1.0 + np.sqrt(1.0 + steep))
-            left = right
+            left_slope = right
         row = (
             first, second, third, fourth, float(n), across, float(n_across), down, float(n_down), cells, float(n_cells),
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""An axis between its program points, and what a linear system makes of it, exactly, in one pass.
+"""An axis between its program points, and its exact response as a linear system, in one pass.
 
 Between two knots the command is a polynomial of the third degree or less, so each mode of the axis, x' = p x + u, has a
 closed form there. Nothing is sampled or discretised.
@@ -62,7 +62,7 @@ def blossom(kind, time, value, k, t, out):
 def piece(kind, time, value, rate, k, out):
     """Fill ``out`` (4,) with the polynomial of piece k in the time since its knot.
 
-    Beyond both ends the axis goes on as straight as it began or ended.
+    Beyond both ends the axis continues in a straight line.
     """
     last = time.size - 1
     out[:] = 0.0
@@ -121,9 +121,9 @@ def command(kind, time, value, rate, delay, at, out):
     piece(kind, time, value, rate, k, part)
     for i in range(at.size):
         t = at[i] - delay
-        found = find_piece(kind, time, t, k)
-        if found != k:
-            k = found
+        new_piece = find_piece(kind, time, t, k)
+        if new_piece != k:
+            k = new_piece
             piece(kind, time, value, rate, k, part)
         s = t - knot(kind, time, k)
         out[i] = part[0] + s * (part[1] + s * (part[2] + s * part[3]))
@@ -144,14 +144,14 @@ def weights(pole, span, phi):
         three = four * z + INVERSE_FACTORIALS[3]
         two = three * z + INVERSE_FACTORIALS[2]
         one = two * z + 1.0
-        whole = one * z + 1.0
+        exponential = one * z + 1.0
     else:
-        whole = np.exp(z)
-        one = (whole - 1.0) / z
+        exponential = np.exp(z)
+        one = (exponential - 1.0) / z
         two = (one - 1.0) / z
         three = (two - INVERSE_FACTORIALS[2]) / z
         four = (three - INVERSE_FACTORIALS[3]) / z
-    phi[0] = whole
+    phi[0] = exponential
     phi[1] = span * one
     phi[2] = span * span * two
     phi[3] = 2.0 * span**3 * three
@@ -160,16 +160,16 @@ def weights(pole, span, phi):
 
 @jit
 def respond(kind, time, value, rate, delay, poles, residues, direct, at, out):
-    """Fill ``out`` with where an axis stands at the ascending times ``at``.
+    """Fill ``out`` with the position of an axis at the ascending times ``at``.
 
-    The axis has moved since ever as straight as its command begins. Its response is ``direct`` + sum of
+    Before the command the axis has always moved as straight as the command begins. Its response is ``direct`` + sum of
     ``residues`` / (s - ``poles``), taken twice the real part for each pole, so that conjugate ones are given once and
     real ones with half their residue.
     """
     part, local = np.empty(4), np.empty(4)
     states = np.empty(poles.size, dtype=np.complex128)
     phi = np.empty((poles.size, 5), dtype=np.complex128)
-    known = -1.0  # the span that phi is for
+    weights_span = -1.0  # the span that phi is for
     # Start in the steady state of the straight line: x = -(u + u'/p) / p.
     start = min(at[0] - delay, time[0])
     k = find_piece(kind, time, start, 0)
@@ -179,29 +179,29 @@ def respond(kind, time, value, rate, delay, poles, residues, direct, at, out):
     slope = part[1] + s * (2.0 * part[2] + 3.0 * s * part[3])
     for m in range(poles.size):
         states[m] = -(u + slope / poles[m]) / poles[m]
-    here = start
+    now = start
     for i in range(at.size):
         goal = at[i] - delay
-        while here < goal:
+        while now < goal:
             end = knot(kind, time, k + 1)
             stop = min(goal, end)
-            span = stop - here
-            s = here - knot(kind, time, k)
+            span = stop - now
+            s = now - knot(kind, time, k)
             local[0] = part[0] + s * (part[1] + s * (part[2] + s * part[3]))
             local[1] = part[1] + s * (2.0 * part[2] + 3.0 * s * part[3])
             local[2] = part[2] + 3.0 * s * part[3]
             local[3] = part[3]
-            # Equal blocks differ by the rounding of their times, which says nothing.
-            if abs(span - known) > 4.5e-16 * abs(stop):
+            # Equal blocks differ by the rounding of their times, which is ignored.
+            if abs(span - weights_span) > 4.5e-16 * abs(stop):
                 for m in range(poles.size):
                     weights(poles[m], span, phi[m])
-                known = span
+                weights_span = span
             for m in range(poles.size):
                 states[m] = (
                     phi[m, 0] * states[m] + phi[m, 1] * local[0] + phi[m, 2] * local[1] + phi[m, 3] * local[2]
                     + phi[m, 4] * local[3]
                 )  # fmt: skip
-            here = stop
+            now = stop
             if stop == end:
                 k = find_piece(kind, time, stop, k)
                 piece(kind, time, value, rate, k, part)

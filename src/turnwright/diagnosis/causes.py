@@ -1,4 +1,4 @@
-"""What may have gone wrong, and the mark that each leaves on the part."""
+"""The error sources, and the error signature of each on the part."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ from turnwright._validate import check_numbers, positive
 from turnwright.diagnosis.model import Cutting, Deviations, Powers, Splines
 from turnwright.errors import InputError
 
-__all__ = ["CAUSES", "DEFAULT", "Cause", "Column", "Columns", "Known"]
+__all__ = ["CAUSES", "DEFAULT", "Cause", "Column", "Columns", "SourceInfo"]
 
 
-class Known(NamedTuple):
-    """What is known of a cause beforehand."""
+class SourceInfo(NamedTuple):
+    """Prior knowledge of an error source."""
 
     unit: str
-    typical: float  # how large it plausibly is, one standard deviation, in its unit
-    where: str  # where to look when nothing in the map tells it apart
+    typical: float  # plausible size, one standard deviation, in its unit
+    where: str  # what to do if the map does not determine it
     mount: bool = False  # made by the mount, not by the cut
 
 
-CAUSES: Mapping[str, Known] = MappingProxyType(
+CAUSES: Mapping[str, SourceInfo] = MappingProxyType(
     {
-        "offset x": Known("mm", 0.05, "cut an artefact with slopes, such as a concave sphere"),
-        "offset y": Known("mm", 0.05, "cut a tilted flat, or look at the defect at the centre"),
-        "offset z": Known("mm", 0.05, "measure the height from a reference, and leave the piston out of what is free"),
-        "radius error": Known("mm", 0.02, "cut a sphere and measure its radius as well as its form"),
-        "waviness": Known("mm/rad^k", 0.005, "cut an artefact whose slopes use more of the nose"),
-        "squareness": Known("rad", 1e-4, "cut an artefact with another slope, such as a flat"),
-        "straightness": Known("mm", 0.002, "cut a flat"),
-        "servo lag": Known("rad", 0.02, "put a fiducial on the part, and leave the clocking out of what is free"),
-        "servo amplitude": Known("rad^2", 1e-3, "cut a part whose height changes more often in a turn"),
-        "astigmatism": Known("mm", 0.005, "measure the part again, turned in its mount", mount=True),
-        "trefoil": Known("mm", 0.005, "measure the part again, turned in its mount", mount=True),
+        "offset x": SourceInfo("mm", 0.05, "cut a test part with slopes, such as a concave sphere"),
+        "offset y": SourceInfo("mm", 0.05, "cut a tilted flat, or measure the defect at the centre"),
+        "offset z": SourceInfo("mm", 0.05, "measure the height from a reference, with the piston not free"),
+        "radius error": SourceInfo("mm", 0.02, "cut a sphere and measure its radius as well as its form"),
+        "waviness": SourceInfo("mm/rad^k", 0.005, "cut a test part whose slopes use more of the nose"),
+        "squareness": SourceInfo("rad", 1e-4, "cut a test part with another slope, such as a flat"),
+        "straightness": SourceInfo("mm", 0.002, "cut a flat"),
+        "servo lag": SourceInfo("rad", 0.02, "put a fiducial on the part, and keep the clocking fixed"),
+        "servo amplitude": SourceInfo("rad^2", 1e-3, "cut a part whose height changes more often per revolution"),
+        "astigmatism": SourceInfo("mm", 0.005, "measure the part again, rotated in its mount", mount=True),
+        "trefoil": SourceInfo("mm", 0.005, "measure the part again, rotated in its mount", mount=True),
     }
 )  # fmt: skip
-"""Every cause that has a name."""
+"""Every error source that has a name."""
 
 DEFAULT = (
     "offset x",
@@ -51,40 +51,41 @@ DEFAULT = (
     "squareness",
     "servo lag",
 )
-"""Those that are looked for if nobody says otherwise. A bent mount looks like low form, which always is looked for."""
+"""The error sources of a diagnosis by default. A bent mount looks like low-order form, which is always included."""
 
-STEEP = 0.02
-"""Slope of the waviness against the nose that is plausible. [rad]"""
+MAX_WAVINESS_SLOPE_RAD = 0.02
+"""Plausible slope of the waviness against the nose. [rad]"""
 
-MISMEASURED = 0.03
-"""Error of the nose radius that is plausible, as a share of it."""
+RADIUS_ERROR_RATIO = 0.03
+"""Plausible error of the nose radius, as a fraction of the radius."""
 
-BENT = 0.1
-"""Change of the nose's own radius by a wave that is plausible, as a share of it: near 1 it would have a flat."""
+RADIUS_CHANGE_RATIO = 0.1
+"""Plausible change of the local nose radius by a wave, as a fraction of the radius: near 1 the nose would be flat."""
 
-HARMONIC = MappingProxyType({"astigmatism": 2, "trefoil": 3})
+LOBES = MappingProxyType({"astigmatism": 2, "trefoil": 3})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cause:
-    """A cause of one's own: a mark that adds to the height in proportion.
+    """A user-defined error source: an error signature that adds to the height in proportion.
 
     Parameters
     ----------
     name
-        What the shop calls it.
+        Its name in the shop.
     signature
-        From how the points were cut by the planned tool (the fields x, y, tip_radius, tip_angle, sweep, z, zx, zy, each
-        (n,) in mm and rad) to the height that one unit of the cause adds there. (n,) [mm per unit]
+        Function that returns the height that one unit of the source adds at some points. Its argument describes how the
+        planned tool cut them: the fields x, y, tip_radius, tip_angle, sweep, z, zx, zy, each (n,) in mm and rad. (n,)
+        [mm per unit]
     typical
-        How large it plausibly is, one standard deviation. [unit]
+        Plausible size, one standard deviation. [unit]
     unit
         Of the value.
 
     Raises
     ------
     InputError
-        If the name is that of a known cause, or ``typical`` is not positive.
+        If the name is empty or that of a built-in source, or ``typical`` is not positive.
     """
 
     name: str
@@ -95,12 +96,12 @@ class Cause:
     def __post_init__(self) -> None:
         check_numbers(self)
         if not self.name or self.name in CAUSES:
-            raise InputError(f"a cause of one's own is called {self.name!r}: give it a name that no cause has yet")
+            raise InputError(f"a cause has the name {self.name!r}, it must be new and not empty: choose another name")
         positive(self.typical, f"typical of the cause {self.name!r}", self.unit)
 
 
 class Column(NamedTuple):
-    """One number to be found."""
+    """One unknown of the fit."""
 
     name: str
     cause: str
@@ -111,22 +112,22 @@ class Column(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Columns:
-    """All numbers to be found, and how they make deviations and marks.
+    """All unknowns of the error sources, and their relation to deviations and error signatures.
 
     Parameters
     ----------
     causes
-        Names, or causes of one's own.
+        Names, or user-defined sources.
     basis
-        Of the waviness.
+        Basis functions of the waviness.
     knots
-        Positions along X of the straightness, which is 0 at both ends: what is straight is squareness. (m,) [mm]
+        Positions along X of the straightness error, which is 0 at both ends: a linear error is squareness. (m,) [mm]
     reach
         Largest sweep used [rad], and radius of the part [mm].
     nose
-        Radius of the tool's nose. [mm]
+        Nose radius of the tool. [mm]
     plausible
-        Size of a cause where it is not the usual one, one standard deviation. [unit of the cause]
+        Plausible sizes that differ from the default, one standard deviation. [unit of the source]
     """
 
     causes: Sequence[str | Cause]
@@ -138,37 +139,41 @@ class Columns:
 
     @property
     def all(self) -> list[Column]:
-        """One column for each number."""
+        """One column for each unknown."""
         columns: list[Column] = []
         for cause in self.causes:
             if isinstance(cause, Cause):
                 columns.append(Column(cause.name, cause.name, cause.unit, cause.typical, 0))
                 continue
-            known, stated = CAUSES[cause], self.plausible.get(cause)
-            typical = known.typical if stated is None else stated
+            info, stated = CAUSES[cause], self.plausible.get(cause)
+            typical = info.typical if stated is None else stated
             if cause == "waviness" and isinstance(self.basis, Powers):
                 for k in self.basis.powers:
                     unit = "mm/rad" if k == 1 else f"mm/rad^{k}"
-                    # Over a short sweep a wave as high as elsewhere would be steeper than an edge can be.
-                    size = typical if stated is not None else min(typical, STEEP * self.nose * self.reach[0] / k)
-                    if stated is None and k > 1:  # nor can it bend so much that the nose is no longer round
-                        size = min(size, BENT * self.nose * self.reach[0] ** 2 / (k * (k - 1)))
+                    # Over a short sweep, a wave of the usual height would be steeper than an edge can be.
+                    size = (
+                        typical
+                        if stated is not None
+                        else min(typical, MAX_WAVINESS_SLOPE_RAD * self.nose * self.reach[0] / k)
+                    )
+                    if stated is None and k > 1:  # the local radius cannot change so much that the nose is flat
+                        size = min(size, RADIUS_CHANGE_RATIO * self.nose * self.reach[0] ** 2 / (k * (k - 1)))
                     columns.append(Column(f"waviness c{k}", cause, unit, size / self.reach[0] ** k, k))
             elif cause == "waviness":
                 columns += [Column(f"waviness b{k + 1}", cause, "mm", typical, 0) for k in range(self.basis.count)]
             elif cause == "straightness":
                 inner = self.knots[1:-1]
                 columns += [Column(f"straightness at {at:.4g} mm", cause, "mm", typical, 0) for at in inner]
-            elif cause in HARMONIC:
+            elif cause in LOBES:
                 columns += [Column(f"{cause} {part}", cause, "mm", typical, 0) for part in ("cos", "sin")]
             else:
                 if cause == "radius error" and stated is None:
-                    typical = min(typical, MISMEASURED * self.nose)
-                columns.append(Column(cause, cause, known.unit, typical, 0))
+                    typical = min(typical, RADIUS_ERROR_RATIO * self.nose)
+                columns.append(Column(cause, cause, info.unit, typical, 0))
         return columns
 
     def deviations(self, values: Floats) -> Deviations:
-        """Return what the numbers make of the tool and the machine. (k,) in."""
+        """Return the deviations of tool and machine for some values. (k,) in."""
         of: dict[str, Floats] = {}
         for column, value in zip(self.all, values, strict=True):
             of[column.cause] = np.append(of.get(column.cause, np.zeros(0)), value)
@@ -189,7 +194,7 @@ class Columns:
         )
 
     def added(self, x: Floats, y: Floats, cutting: Callable[[], Cutting]) -> dict[str, Floats]:
-        """Return the marks that add in proportion, by cause; ``cutting`` is asked only if needed. Each (k, n)."""
+        """Return the signatures that add in proportion, by source; ``cutting`` is called if needed. (k, n) each."""
         marks: dict[str, Floats] = {}
         for cause in self.causes:
             if isinstance(cause, Cause):
@@ -198,16 +203,16 @@ class Columns:
                 if mark.shape != x.shape or not np.isfinite(mark[np.isfinite(cut.z)]).all():
                     raise InputError(
                         f"the signature of the cause {cause.name!r} has the shape {mark.shape} or is not finite, it "
-                        f"needs a finite height for each of {x.size} points: correct it"
+                        f"must return a finite height for each of {x.size} points"
                     )
                 marks[cause.name] = mark[None]
-            elif cause in HARMONIC:
-                wave = ((x + 1j * y) / self.reach[1]) ** HARMONIC[cause]
+            elif cause in LOBES:
+                wave = ((x + 1j * y) / self.reach[1]) ** LOBES[cause]
                 marks[cause] = np.stack([wave.real, wave.imag])
         return marks
 
     def slopes(self, cutting: Cutting, added: Mapping[str, Floats], sense: int, cusp: float) -> Floats:
-        """Return the derivative of the height by each number, that of cusps of ``cusp`` per curvature [mm²] included.
+        """Return the derivative of the height by each unknown, with cusps of ``cusp`` per curvature [mm²].
 
         (n, k).
         """

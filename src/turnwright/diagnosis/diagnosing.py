@@ -1,4 +1,4 @@
-"""From measured maps to findings."""
+"""Diagnosis of measured maps."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from turnwright.diagnosis.causes import CAUSES, DEFAULT, Cause, Columns
 from turnwright.diagnosis.estimate import Estimate
 from turnwright.diagnosis.findings import Diagnosis
 from turnwright.diagnosis.model import Powers, Splines
-from turnwright.diagnosis.report import Asked, reported
-from turnwright.diagnosis.sight import FREE, mark, sights_of
+from turnwright.diagnosis.report import ReportRequest, write_report
+from turnwright.diagnosis.sight import FREE, add_signatures, prepare_maps
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 __all__ = ["diagnose", "plausible_rms_nm"]
 
-MOST_POWERS = 9
+MAX_POWER = 9
 
 POWERS, STRAIGHTNESS = (3, 4, 5, 6), 6
-"""Powers of the sweep, and positions along X, that are looked for if nobody says otherwise."""
+"""Powers of the sweep, and number of positions along X, by default."""
 
 NM = 1e6
 
@@ -52,60 +52,61 @@ def diagnose(
     repeats: bool = True,
     correct: Sequence[str] | None = None,
 ) -> Diagnosis:
-    """Say why a measured part is off.
+    """Attribute the form error of a measured part to error sources.
 
-    All error sources, by the exact contact of the real edge, and the pose are found in one least squares, each with a
-    plausible size beforehand. Lobes of the spindle, its tilt, drift over the time of the cut and low form are in it as
-    well, so that a source which any of these can imitate has the wide interval that it deserves.
+    All error sources (by the exact contact of the real edge) and the pose are estimated in one least-squares fit, each
+    with a prior of plausible size. Error motions and tilt of the spindle, drift during the cut and low-order form are
+    part of the fit. A source that any of these can imitate therefore gets a correspondingly wide confidence interval.
 
     Parameters
     ----------
     maps
-        Measured heights in the frame of the part, registered (see `register`) and cleaned; missing points are nan. What
-        several maps share is told from what changes from one to the other.
+        Measured heights in the frame of the part, registered (see `register`) and cleaned; missing points are nan. With
+        several maps, repeatable errors are separated from those that change between the maps.
     parts
-        What was to be cut: one design for all maps, or one for each.
+        Nominal part: one design for all maps, or one for each.
     tool, machine
-        With which the parts were *planned*: what is found comes on top of their deviations. Each may say how large its
-        errors plausibly are; else they are as large as `CAUSES` says.
+        Tool and machine of the *plan*: findings add to their deviations. Both may set plausible sizes of their errors;
+        the defaults are those of `CAUSES`.
     causes
-        Names of `CAUSES`, or causes of your own, see `Cause`.
+        Names of `CAUSES`, or user-defined sources, see `Cause`.
     reference
-        What the heights count from: the frame of the part, or a sphere of best fit, as an interferometer with a
-        transmission sphere shows it, along z or along the normal of that sphere.
+        Reference of the heights: the frame of the part, or the best-fit sphere, as from an interferometer with a
+        transmission sphere, along z or along the normal of that sphere.
     free
-        What the measurement left open and a change of pose may explain: any of "piston", "tilt", "decentre",
-        "clocking". A sphere of best fit leaves piston, slopes and power open too.
+        Degrees of freedom that the measurement leaves open, so that a change of pose may explain them: any of "piston",
+        "tilt", "decentre", "clocking". With a best-fit sphere, piston, slopes and power are free too.
     waviness
-        Powers of the sweep that are looked for, or an array with the knots of a spline over it (n,) [rad]. The first
-        and the second power do nearly what an offset along X and a radius error do, and are left to these by default.
+        Powers of the sweep, or an array with the knots of a spline over the sweep (n,) [rad]. The first and the second
+        power have nearly the signatures of an offset along X and of a radius error, and are left out by default.
     straightness
-        Positions along X where it is sought, both ends included.
+        Number of positions along X of the straightness error, both ends included.
     sense
-        +1 where the spindle angle under the tool grew with time, -1 where it fell.
+        +1 if the spindle angle under the tool grew with time, -1 if it fell.
     feed
-        To take the mean height of the cusps into account; 0 for maps that do not hold them. [mm/rev]
+        Feed of the cut, for the mean height of the cusps; 0 for maps without cusps. [mm/rev]
     worth_nm
-        What makes less than this of the form, rms, is not worth correcting.
+        Smallest effect on the form, rms, that is worth a correction.
     points
-        Most points of each map that the fit takes, evenly over its grid.
+        Most points of each map in the fit, evenly over its grid.
     noise_nm
-        Standard deviation of a height, independent from point to point, where it is known: one for all maps, or one for
-        each. The estimate takes what the maps show, and no less than this. [nm]
+        Standard deviation of a height, independent from point to point, if known: one for all maps, or one for each.
+        The fit estimates the noise from the maps, and uses at least this value. [nm]
     repeats
-        Whether the drift and the form without a source in a single map are taken to come back on the next part.
+        Whether drift and form without a source, in a single map, are assumed to repeat on the next part.
     correct
-        Causes that tool and machine may be corrected for if they are certain; all if left out. The rest is left to a
-        compensation of the form.
+        Sources for which tool and machine may be corrected if they are certain; by default all. The other sources are
+        left to a compensation of the form.
 
     Raises
     ------
     InputError
-        If a cause or reference is not known, or too little of a map can be used.
+        If a cause or reference is unknown, or too little of a map can be used.
 
     Sources
     -------
-    [Troutman2016]_ ch. 6 has the causes, by small angles; [Danskin1967]_ the slopes of the exact marks.
+    [Troutman2016]_ ch. 6 treats the sources for small angles; [Danskin1967]_ gives the derivatives of the exact
+    signatures.
     """
     maps = [maps] if isinstance(maps, HeightMap) else list(maps)
     parts = [*parts] if isinstance(parts, Sequence) else [parts] * len(maps)
@@ -116,35 +117,35 @@ def diagnose(
     thin = [one.thinned(points) for one in maps]
     noises = [noise_nm] * len(maps) if isinstance(noise_nm, int | float) else list(noise_nm)
     if len(noises) != len(maps):
-        raise InputError(f"there are {len(noises)} noises and {len(maps)} maps: give one for all, or one for each")
+        raise InputError(f"noise_nm has {len(noises)} values for {len(maps)} maps: set one for all, or one for each")
     stated = np.array([between(one, "noise", 0.0, np.inf, "nm") for one in noises]) / NM
-    basis = _basis(waviness)
+    basis = _set_up_basis(waviness)
     if straightness < 3:
-        raise InputError(f"straightness is sought at {straightness} positions, it needs at least 3: give more")
-    estimate = _estimate(
+        raise InputError(f"straightness is {straightness} positions, it must be at least 3")
+    estimate = _set_up_estimate(
         thin, parts, tool, machine, causes=causes, reference=reference, free=free, basis=basis,
         straightness=straightness, sense=sense, feed=feed, stated=stated,
     )  # fmt: skip
     estimate.solve()
-    asked = Asked(tool, machine, worth_nm, repeats, None if correct is None else frozenset(correct))
-    return reported(estimate, maps, thin, parts, asked)
+    report_request = ReportRequest(tool, machine, worth_nm, repeats, None if correct is None else frozenset(correct))
+    return write_report(estimate, maps, thin, parts, report_request)
 
 
 def plausible_rms_nm(
     part: Part, tool: Tool, machine: Machine, x: Floats, y: Floats, *, free: Sequence[str] = FREE, sense: int = 1
 ) -> float:
-    """Return what errors of tool and machine plausibly make of a part, one standard deviation beyond its pose. [nm].
+    """Return the plausible form error by tool and machine beyond a change of pose, one standard deviation. [nm].
 
     Parameters
     ----------
     part, tool, machine
-        What is cut, with which tool on which machine; see `diagnose`.
+        Nominal part, tool and machine; see `diagnose`.
     x, y
-        Where it counts, scattered. (n,) [mm]
+        Points at which the form counts, scattered. (n,) [mm]
     free
-        What a change of pose may explain.
+        Degrees of freedom that a change of pose may explain.
     sense
-        +1 where the spindle angle under the tool grows with time, -1 where it falls.
+        +1 if the spindle angle under the tool grows with time, -1 if it falls.
 
     Raises
     ------
@@ -152,20 +153,20 @@ def plausible_rms_nm(
         If too few of the points can be used.
     """
     design = HeightMap(x=x, y=y, z=part.surface.sag(x, y))
-    estimate = _estimate(
-        [design], [part], tool, machine, causes=DEFAULT, reference="true form", free=free, basis=_basis(POWERS),
+    estimate = _set_up_estimate(
+        [design], [part], tool, machine, causes=DEFAULT, reference="true form", free=free, basis=_set_up_basis(POWERS),
         straightness=STRAIGHTNESS, sense=sense, feed=0.0, stated=np.zeros(1),
     )  # fmt: skip
     return estimate.plausible_rms(0) * NM
 
 
-def _estimate(
+def _set_up_estimate(
     thin: Sequence[HeightMap], parts: Sequence[Part], tool: Tool, machine: Machine, *, causes: Sequence[str | Cause],
     reference: str, free: Sequence[str], basis: Powers | Splines, straightness: int, sense: int, feed: float,
     stated: Floats,
 ) -> Estimate:  # fmt: skip
-    """Return an estimate that has not looked at the heights yet."""
-    sights, reach = sights_of(thin, parts, tool, tuple(free), reference, sense, feed)
+    """Return an estimate before its solution."""
+    sights, reach = prepare_maps(thin, parts, tool, tuple(free), reference, sense, feed)
     radius = max(part.radius for part in parts)
     farthest = max(float(np.nanmax(np.hypot(sight.x, sight.y))) for sight in sights)
     plausible = {**machine.plausible, **tool.plausible}
@@ -178,17 +179,17 @@ def _estimate(
         plausible=plausible,
     )
     for sight in sights:
-        mark(sight, columns)
+        add_signatures(sight, columns)
     return Estimate(
-        sights=sights, columns=columns, sense=sense, radius=[part.radius for part in parts], kinds=_kinds(parts),
+        sights=sights, columns=columns, sense=sense, radius=[part.radius for part in parts], kinds=_group_maps(parts),
         plausible=plausible,
         values=np.zeros((len(thin), len(columns.all))), scale=np.full(len(thin), np.inf), together=np.ones(len(thin)),
         stated=stated,
     )  # fmt: skip
 
 
-def _kinds(parts: Sequence[Part]) -> list[int | None]:
-    """Return which set of maps of one part each map belongs to, ``None`` where it is the only one of its part."""
+def _group_maps(parts: Sequence[Part]) -> list[int | None]:
+    """Return for each map the number of its set of maps of one part, ``None`` if it is the only map of its part."""
     alike = [[other for other, its in enumerate(parts) if its == part] for part in parts]
     several = list(dict.fromkeys(one[0] for one in alike if len(one) > 1))
     return [several.index(one[0]) if len(one) > 1 else None for one in alike]
@@ -198,30 +199,32 @@ def _check(
     maps: Sequence[HeightMap], parts: Sequence[Part], causes: Sequence[str | Cause], reference: str,
     free: Sequence[str], sense: int,
 ) -> None:  # fmt: skip
-    """Raise unless what is asked can be done."""
+    """Raise if the arguments of `diagnose` are not valid."""
     if not maps or len(maps) != len(parts):
-        raise InputError(f"there are {len(maps)} maps and {len(parts)} parts: give a map, and one part or one for each")
+        raise InputError(
+            f"there are {len(maps)} maps and {len(parts)} parts: pass a map, and one part or one for each map"
+        )
     for one in maps:
         one.require_calibrated()
     names = [cause if isinstance(cause, str) else cause.name for cause in causes]
     for cause in causes:
         if isinstance(cause, str) and cause not in CAUSES:
-            raise InputError(f"the cause {cause!r} is not one of {', '.join(CAUSES)}: name one, or give a Cause")
+            raise InputError(f"the cause {cause!r} is not one of {', '.join(CAUSES)}: name one, or pass a Cause")
     if not names or len(set(names)) < len(names):
         raise InputError(f"{len(names)} causes have {len(set(names))} different names: name each once, at least one")
     if reference not in REFERENCES:
-        raise InputError(f"reference is {reference!r}, it can be {', '.join(map(repr, REFERENCES))}: choose one")
+        raise InputError(f"reference is {reference!r}, it must be one of {', '.join(map(repr, REFERENCES))}")
     for name in free:
         if name not in FREE:
-            raise InputError(f"{name!r} cannot be free, only {', '.join(FREE)} can: name any of these")
+            raise InputError(f"{name!r} cannot be free, only {', '.join(FREE)} can")
     if sense not in (-1, 1):
-        raise InputError(f"sense is {sense!r}, it must be 1 or -1: say whether the spindle angle grew")
+        raise InputError(f"sense is {sense!r}, it must be 1 or -1")
 
 
 REFERENCES = ("true form", "best-fit sphere", "best-fit sphere, along its normal")
 
 
-def _basis(waviness: Sequence[int] | Floats) -> Powers | Splines:
+def _set_up_basis(waviness: Sequence[int] | Floats) -> Powers | Splines:
     if isinstance(waviness, np.ndarray):
         knots = frozen(waviness, "the knots of the waviness")
         if knots.size < 2 or not (np.diff(knots) > 0).all():
@@ -230,9 +233,9 @@ def _basis(waviness: Sequence[int] | Floats) -> Powers | Splines:
             )
         return Splines(knots=knots)
     powers = tuple(waviness)
-    if not powers or list(powers) != sorted(set(powers)) or not 1 <= powers[0] <= powers[-1] <= MOST_POWERS:
+    if not powers or list(powers) != sorted(set(powers)) or not 1 <= powers[0] <= powers[-1] <= MAX_POWER:
         raise InputError(
-            f"the powers of the waviness are {powers}, they must ascend from at least 1 to at most {MOST_POWERS}: "
-            "give such powers, or an array of knots"
+            f"the powers of the waviness are {powers}, they must ascend from at least 1 to at most {MAX_POWER}: "
+            "pass such powers, or an array of knots"
         )
     return Powers(powers=powers)

@@ -1,4 +1,4 @@
-"""One least squares of sources, poses and terms, with priors; sizes of the terms and noise from the maps themselves."""
+"""Least-squares fit of sources, poses and terms, with priors; the sizes of the terms and the noise are fitted too."""
 
 from __future__ import annotations
 
@@ -13,121 +13,122 @@ from turnwright._arrays import Bools, Floats, robust_scatter
 from turnwright.diagnosis.causes import Column, Columns
 from turnwright.diagnosis.model import Cutting
 from turnwright.diagnosis.posterior import Posterior, Scaled, posterior
-from turnwright.diagnosis.sight import CENTRE, Sight
+from turnwright.diagnosis.sight import CENTRE_ZONE_MM, Sight
 from turnwright.diagnosis.terms import GROUPS, Group, columns, form_of, lobes_by_angle
 from turnwright.errors import InputError
 
-__all__ = ["FLOOR", "LOOSE", "Estimate", "Look"]
+__all__ = ["MODEL_ERROR_MM", "POSE_SIGMA", "Estimate", "LinearSystem"]
 
-LOOSE = np.array([0.05, 0.05, 1.0, 0.05, 0.01, 0.01, 0.01, 0.01, 1e-3])
-"""How far a registered map may still be off its place, one standard deviation: shift x, y, z [mm], rotation and tilts
-[rad], slopes [1] and curvature [1/mm] of a sphere. It holds those in place that the surface does not determine."""
+POSE_SIGMA = np.array([0.05, 0.05, 1.0, 0.05, 0.01, 0.01, 0.01, 0.01, 1e-3])
+"""Pose error of a registered map, one standard deviation: shift x, y, z [mm], rotation and tilts [rad], slopes [1] and
+curvature [1/mm] of a sphere. This prior fixes the degrees of freedom that the surface does not determine."""
 
-FITTED = 10.0
-"""A direction that the surface determines was fitted to the map, errors of the part included, and may be so many times
-farther off: a tool that is off by 20 um moves a map of the middle of a freeform by half a millimetre."""
+MAX_POSE_FACTOR = 10.0
+"""In a direction that the surface determines, the registration was fitted to the map, errors of the part included, and
+its error may be this many times larger: a tool offset of 20 um moves a map of the middle of a freeform by 0.5 mm."""
 
-NEAR = 0.01
-"""Points that moved by more than this share of the radius see another wave of the form."""
+POSE_TOL_FRACTION = 0.01
+"""The terms of form are recomputed if the points moved by more than this fraction of the radius."""
 
-CANNOT = 1e-8
-"""A mark whose plausible size, less what the pose explains of it, is smaller than this is none. [mm]"""
+MIN_SIGNATURE_MM = 1e-8
+"""A signature of plausible size below this, beyond a change of pose, is not observable."""
 
-FLOOR = 1e-8
-"""The model is no truer than this. [mm]"""
+MODEL_ERROR_MM = 1e-8
+"""Accuracy of the model."""
 
-OUTSIDE = 6.0
-"""Points this many standard deviations off, as the median sees it, are left out: beside a seam of the design a chord of
-the program or a pixel of the instrument makes micrometres."""
+OUTLIER_SIGMA = 6.0
+"""Points beyond this many robust standard deviations are rejected: next to a seam of the design, a chord of the program
+or a pixel of the instrument causes errors of micrometres."""
 
-BETWEEN = (0.003, 1e-6, 0.1)
-"""Change of a source from map to map in plausible units: where its search begins, and its limits."""
+CHANGE_SIGMA = (0.003, 1e-6, 0.1)
+"""Change of a source from map to map in plausible units: start value and limits of the search."""
 
-EDGE = frozenset({"radius error", "waviness"})
-"""Causes that are the same in all cuts with a tool."""
+TOOL_CAUSES = frozenset({"radius error", "waviness"})
+"""Sources that are the same in all cuts with a tool."""
 
-SAME = 2e-3
-"""Terms of two cuts of a part may differ by as little as this share of where the search for their size begins."""
+MIN_DIFFERENCE_RATIO = 2e-3
+"""Least difference of the terms of two cuts of a part, as a fraction of the start value of their size."""
 
-BEGUN = 0.05
-"""Where the search for the size of what differs from cut to cut begins, as a share of that for what they share."""
+START_DIFFERENCE_RATIO = 0.05
+"""Start value of the differences between cuts, as a fraction of the start value of the common part."""
 
-FEW, MANY = 1.4, 1.7
-"""The largest of the terms of a group is at most so many standard deviations: a few lobes may stand out of many, but
-not a term of form."""
+MAX_TERM_SIGMA, MAX_FORM_SIGMA = 1.4, 1.7
+"""Largest term of a group in standard deviations: a few lobes may be much larger than the others, a term of form may
+not."""
 
-DRIFTS = np.geomspace(0.3e-6, 40e-6, 9)
-"""Sizes of a drift that are tried. [mm]"""
+DRIFT_SIZES_MM = np.geomspace(0.3e-6, 40e-6, 9)
+"""Sizes of a drift that are compared."""
 
-EXCLUDED = 2.0
-"""A size under which the maps are less probable than under another, by so much in the logarithm, is excluded."""
+EXCLUSION_LOG_RATIO = 2.0
+"""A size is excluded if the logarithm of the probability of the maps is lower by more than this."""
 
-ROUGH = 0.3
-"""Noise as a share of the residual, before anything is known."""
+START_NOISE_RATIO = 0.3
+"""Start value of the noise, as a fraction of the residual."""
 
-STEPS = 12
-"""Gauss-Newton steps at most."""
+MAX_STEPS = 12
+"""Most Gauss-Newton steps."""
 
-WHOLE, DAMPED = 3, 0.5
-"""After so many steps only this share of each is gone: where numbers hardly matter, whole steps overshoot."""
+FULL_STEPS, DAMPING = 3, 0.5
+"""After this many full steps, later steps are damped by this factor: full steps overshoot in weakly determined
+unknowns."""
 
-LAST = (0.5, 0.5, 0.5, 1.0)
-"""Shares of the steps at the end, with the sizes of all terms held."""
+FINAL_STEP_FRACTIONS = (0.5, 0.5, 0.5, 1.0)
+"""Fractions of the final steps, with the sizes of all terms fixed."""
 
-SETTLED = 0.3
-"""A step that moves the fit by less than this of the noise of a single number is the last."""
+STEP_TOL = 0.3
+"""The iteration ends if a step moves the fit by less than this fraction of the noise of a single unknown."""
 
-SIZED = 0.03
-"""Sizes that change by less than this share are found."""
+SIZE_TOL = 0.03
+"""Relative tolerance of the sizes."""
 
-SEARCHES = 60
+MAX_SIZE_ITERATIONS = 60
 
 SQUARES = ((4, 4), (8, 8), (16, 16))
 CELLS = ((48, 1), (1, 64), *SQUARES)
-"""Rings and sectors over which residuals are averaged to see how far they hang together."""
+"""Rings and sectors over which residuals are averaged to measure their spatial correlation."""
 
-RINGS, SECTORS, FEWEST = 16, 16, 64
-"""Cells of equal area over which maps of one part are compared, and how many of them it needs."""
+RINGS, SECTORS, MIN_COMMON_CELLS = 16, 16, 64
+"""Cells of equal area over which maps of one part are compared, and the least number of common cells."""
 
-ALIKE = 0.3
-"""Correlation of what is left from which maps of one part are not independent."""
+MIN_SHARED_CORRELATION = 0.3
+"""Correlation of the residuals from which maps of one part are not independent."""
 
-HANGS = 1.5
-"""From so many points that count as one on it is no chance of the sample."""
+MIN_CORRELATED_POINTS = 1.5
+"""From this number of correlated points on, the correlation is significant."""
 
-PANEL = 64
-"""Columns at a time of the triangle of a map."""
+PANEL_COLUMNS = 64
+"""Columns of a panel in the triangular factorisation of a map."""
 
 TERMS = sum(group.relative.size for group in GROUPS)
 PLACES = tuple(
     slice(end - group.relative.size, end)
     for group, end in zip(GROUPS, itertools.accumulate(group.relative.size for group in GROUPS), strict=True)
 )
-"""Where the terms of each group are."""
+"""Index range of the terms of each group."""
 
 
-class Look(NamedTuple):
-    """One map at the present numbers: what each number adds at its points, and what is measured beyond them all.
+class LinearSystem(NamedTuple):
+    """Linearised fit of one map: the effect of each unknown at its points, and the residual.
 
-    The columns are the free numbers of the pose in units of `LOOSE`, the sources in plausible units, the terms, and the
-    residual.
+    The columns are the free unknowns of the pose in units of `POSE_SIGMA`, the sources in plausible units, the terms,
+    and the residual.
     """
 
     rows: Floats  # (n, j + k + g + 1) [mm]
-    root: Floats  # the same in few rows, upper triangular: with the same products
-    numbers: list[int]  # of the pose that are free
+    root: Floats  # upper triangular factor of the rows
+    numbers: list[int]  # free unknowns of the pose
     good: Bools
-    turned: Floats  # what the offset along Y adds by turning the lobes, which is in the rows too (n,) [mm]
-    counts: Floats  # share of a height that is in the rows, which may be along the normal (n,)
+    turned: Floats  # effect of the offset along Y by rotation of the lobes, included in the rows (n,) [mm]
+    counts: Floats  # factor from a height to the rows, which may be along the normal (n,)
 
     @property
     def poses(self) -> int:
-        """How many numbers the pose has."""
+        """Number of free unknowns of the pose."""
         return len(self.numbers)
 
 
 class _Split(NamedTuple):
-    """What the numbers of a map's columns are made of: c = own o + shared s, of unit prior."""
+    """Decomposition of the unknowns of a map, c = own o + shared s, with o and s of unit prior."""
 
     own: Floats  # (c, o)
     shared: Floats  # (c, s)
@@ -135,48 +136,48 @@ class _Split(NamedTuple):
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Estimate:
-    """Maps, sources, and what is known of them so far."""
+    """Maps, sources, and the current state of the fit."""
 
     sights: list[Sight]
     columns: Columns
     sense: int
     radius: Sequence[float]  # of the part of each map [mm]
-    kinds: Sequence[int | None]  # which set of maps of one part each map belongs to, if there are several of it
+    kinds: Sequence[int | None]  # number of the set of maps of one part, None for the only map of a part
     values: Floats  # of the sources in each map (maps, k)
-    scale: Floats  # of the noise of each map, so that points count as if they were independent [mm]
-    together: Floats  # points of each map that count as one
-    stated: Floats  # noise of a height of each map as it is known, 0 where it is not: it is taken for no less [mm]
-    plausible: Mapping[str, float]  # sizes of the groups of terms that are known beforehand [mm]
+    scale: Floats  # noise of each map, scaled so that points count as independent [mm]
+    together: Floats  # number of correlated points of each map that count as one
+    stated: Floats  # lower bound of the noise of a height of each map, 0 for none [mm]
+    plausible: Mapping[str, float]  # known sizes of the groups of terms [mm]
     own: Floats = field(init=False)  # variances of the groups of terms in each map (groups,) [mm² or rad²]
     common: Floats = field(init=False)  # of those that all maps of a part share (groups,)
-    between: Floats = field(init=False)  # of the causes from map to map, in plausible units (causes,)
+    between: Floats = field(init=False)  # of the sources from map to map, in plausible units (causes,)
     forms: list[Floats] = field(init=False)  # columns of the terms of form (g, n) each
-    formed: list[Floats] = field(init=False)  # poses at which these were taken
-    loose: list[Floats] = field(init=False)  # root of the prior covariance of each pose in units of LOOSE (j, j)
-    terms: list[Floats] = field(init=False)  # of each map, as last found (groups' terms,)
-    seen: Bools = field(init=False)  # which numbers leave something that no change of pose would (k,)
-    looks: list[Look] = field(init=False, default_factory=list)
+    formed: list[Floats] = field(init=False)  # poses at which these were computed
+    loose: list[Floats] = field(init=False)  # root of the prior covariance of each pose in units of POSE_SIGMA (j, j)
+    terms: list[Floats] = field(init=False)  # current terms of each map (groups' terms,)
+    seen: Bools = field(init=False)  # unknowns that are observable beyond a change of pose (k,)
+    systems: list[LinearSystem] = field(init=False, default_factory=list)
     posterior: Posterior = field(init=False)
 
     def __post_init__(self) -> None:
-        self.own = np.array([self._begun(group) ** 2 for group in GROUPS])
+        self.own = np.array([self._find_start_size(group) ** 2 for group in GROUPS])
         self.common = self.own.copy()
-        if self.several:  # or what all cuts share may be found as what each of them has of its own
-            self.own *= BEGUN**2
-        self.between = np.array([BETWEEN[1 if cause in EDGE else 0] ** 2 for cause in self.causes])
+        if self.several:  # otherwise errors that all cuts share may be attributed to each cut separately
+            self.own *= START_DIFFERENCE_RATIO**2
+        self.between = np.array([CHANGE_SIGMA[1 if cause in TOOL_CAUSES else 0] ** 2 for cause in self.causes])
         self.terms = [np.zeros(TERMS) for _ in self.sights]
         self.forms = [np.zeros((0, 0)) for _ in self.sights]
         self.formed = [np.full(sight.pose.size, np.inf) for sight in self.sights]
         self.loose = []
         self.seen = np.ones(len(self.names), dtype=np.bool_)
 
-    def _begun(self, group: Group) -> float:
-        """Return where the search for the size of a group begins, which is what it is if that is known."""
-        known = self.plausible.get(group.name)
-        return group.size if known is None else known / float(np.sqrt(group.relative.max()))
+    def _find_start_size(self, group: Group) -> float:
+        """Return the start value of the size of a group, or its size if that is known."""
+        stated_size = self.plausible.get(group.name)
+        return group.size if stated_size is None else stated_size / float(np.sqrt(group.relative.max()))
 
-    def _known(self, group: Group) -> bool:
-        """Whether the size of a group is not to be found."""
+    def _is_fixed(self, group: Group) -> bool:
+        """Whether the size of a group is fixed."""
         return group.least == group.size or group.name in self.plausible
 
     @property
@@ -186,341 +187,355 @@ class Estimate:
 
     @property
     def names(self) -> list[Column]:
-        """All numbers of the sources."""
+        """All unknowns of the sources."""
         return self.columns.all
 
     @property
     def causes(self) -> list[str]:
-        """What the numbers belong to."""
+        """The sources, in the order of their unknowns."""
         return list(dict.fromkeys(column.cause for column in self.names))
 
     @property
     def typical(self) -> Floats:
-        """Plausible size of each number. (k,)."""
+        """Plausible size of each unknown. (k,)."""
         return np.array([column.typical for column in self.names])
 
     def of_cause(self, cause: str) -> list[int]:
-        """Return which numbers belong to a cause."""
+        """Return the indices of the unknowns of a source."""
         return [k for k, column in enumerate(self.names) if column.cause == cause]
 
     def solve(self) -> None:
-        """Find all numbers, the poses, the noise and the sizes of the terms."""
-        for step in range(STEPS):
-            self.looks = [self._look(m) for m in range(len(self.sights))]
+        """Solve for all unknowns, the poses, the noise and the sizes of the terms."""
+        for step in range(MAX_STEPS):
+            self.systems = [self._linearise(m) for m in range(len(self.sights))]
             if step == 0:
-                self.seen = self._seen()
+                self.seen = self._find_observable()
                 if not self.seen.all():
-                    self.looks = [self._look(m) for m in range(len(self.sights))]
-                for m, look in enumerate(self.looks):
-                    self.scale[m] = max(ROUGH * float(np.std(look.rows[:, -1])), FLOOR, self.stated[m])
-                self.loose = [self._loose(m) for m in range(len(self.sights))]
-            self._settle()
+                    self.systems = [self._linearise(m) for m in range(len(self.sights))]
+                for m, system in enumerate(self.systems):
+                    self.scale[m] = max(
+                        START_NOISE_RATIO * float(np.std(system.rows[:, -1])), MODEL_ERROR_MM, self.stated[m]
+                    )
+                self.loose = [self._find_pose_prior(m) for m in range(len(self.sights))]
+            self._find_sizes()
             self._measure_noise()
-            if not self._reject() and self._move(1.0 if step < WHOLE else DAMPED) < SETTLED:
+            if not self._reject_outliers() and self._take_step(1.0 if step < FULL_STEPS else DAMPING) < STEP_TOL:
                 break
-        self._widen()
-        for share in LAST:  # with all sizes held, so that sources, terms and poses belong together
-            self.looks = [self._look(m) for m in range(len(self.sights))]
-            self.posterior = self._posterior()
-            self._move(share)
+        self._enlarge_drift()
+        for share in FINAL_STEP_FRACTIONS:  # with all sizes fixed, so that sources, terms and poses are consistent
+            self.systems = [self._linearise(m) for m in range(len(self.sights))]
+            self.posterior = self._solve_posterior()
+            self._take_step(share)
 
     def plausible_rms(self, m: int) -> float:
-        """Return what all sources make of a map beyond its pose, each as large as is plausible. [mm]."""
-        look = self._look(m)
-        j, k = look.poses, self.typical.size
-        return float(np.sqrt((look.root[j:, j : j + k] ** 2).sum() / look.rows.shape[0]))
+        """Return the rms effect of all sources on a map beyond its pose, each of plausible size. [mm]."""
+        system = self._linearise(m)
+        j, k = system.poses, self.typical.size
+        return float(np.sqrt((system.root[j:, j : j + k] ** 2).sum() / system.rows.shape[0]))
 
-    def _look(self, m: int) -> Look:
-        """Take one map at the present numbers."""
+    def _linearise(self, m: int) -> LinearSystem:
+        """Linearise one map at the current values."""
         sight, values = self.sights[m], self.values[m]
         residual, cutting = sight.cut(self.columns.deviations(values))
         for cause, mark in sight.added.items():
             residual = residual - values[self.of_cause(cause)] @ mark
         good = sight.usable & ~sight.apart & np.isfinite(residual) & (cutting.tip_radius >= 0)
         sight.good = good
-        marks, turned, numbers = self.marks(m, sight, cutting, self._form(m))
+        marks, turned, numbers = self.marks(m, sight, cutting, self._update_form(m))
         if (points := int(np.count_nonzero(good))) < (needed := len(numbers) + self.typical.size + 3):
             raise InputError(
                 f"{points} points of the map can be used, {self.typical.size} numbers and a pose need at least "
-                f"{needed}: measure more of the part, or look for fewer causes"
+                f"{needed}: measure more of the part, or set fewer causes"
             )
         rows = np.column_stack([marks, residual])[good]
         counts = np.ones(points)
         if sight.stands is not None:  # the instrument's noise is along the normal
             counts = 1 / np.sqrt(1 + cutting.zx[good] ** 2 + cutting.zy[good] ** 2)
             rows *= counts[:, None]
-        return Look(rows, _triangle(rows), numbers, good, turned[good], counts)
+        return LinearSystem(rows, _reduce_to_triangle(rows), numbers, good, turned[good], counts)
 
     def marks(
         self, m: int, sight: Sight, cutting: Cutting, form: Floats | None = None
     ) -> tuple[Floats, Floats, list[int]]:
-        """Return what each number of a map adds at some points, see `Look`: rows, turned and numbers."""
+        """Return the effect of each unknown of a map at some points, see `LinearSystem`: rows, turned and numbers."""
         typical, by_angle = self.typical, lobes_by_angle(cutting, self.terms[m])
         nuisances, numbers = sight.nuisances(cutting, by_angle)
         marks = self.columns.slopes(cutting, sight.added, self.sense, sight.cusp) * typical
         marks[:, ~self.seen] = 0.0
         turned: Floats = np.zeros(cutting.x.size)
         for k in self.of_cause("offset y"):
-            away = np.maximum(np.hypot(cutting.x, cutting.y), CENTRE)
+            away = np.maximum(np.hypot(cutting.x, cutting.y), CENTRE_ZONE_MM)
             turned = -by_angle / away * typical[k]
             marks[:, k] += turned
         return (
-            np.column_stack([-nuisances * LOOSE[numbers], marks, columns(cutting, self.radius[m], form)]),
+            np.column_stack([-nuisances * POSE_SIGMA[numbers], marks, columns(cutting, self.radius[m], form)]),
             turned,
             numbers,
         )
 
-    def _form(self, m: int) -> Floats:
+    def _update_form(self, m: int) -> Floats:
         """Return the columns of the terms of form at the points of a map. (g, n)."""
         sight, radius = self.sights[m], self.radius[m]
         off = np.abs(sight.pose - self.formed[m])
-        if np.hypot(off[0], off[1]) + off[3] * radius > NEAR * radius:
+        if np.hypot(off[0], off[1]) + off[3] * radius > POSE_TOL_FRACTION * radius:
             x, y, _ = sight.moved()
             self.forms[m], self.formed[m] = form_of(x / radius, y / radius), sight.pose.copy()
         return self.forms[m]
 
-    def _loose(self, m: int) -> Floats:
-        """Return a root of the covariance of a pose beforehand, in units of `LOOSE`. (j, j)."""
-        j = self.looks[m].poses
-        _, heights, directions = np.linalg.svd(self.looks[m].root[:, :j], full_matrices=False)
+    def _find_pose_prior(self, m: int) -> Floats:
+        """Return a root of the prior covariance of a pose, in units of `POSE_SIGMA`. (j, j)."""
+        j = self.systems[m].poses
+        _, heights, directions = np.linalg.svd(self.systems[m].root[:, :j], full_matrices=False)
         shown = (heights / self.scale[m]) ** 2
-        wide = 1 + (FITTED - 1) * shown / (1 + shown)
+        wide = 1 + (MAX_POSE_FACTOR - 1) * shown / (1 + shown)
         return np.asarray((directions.T * wide) @ directions)
 
-    def _seen(self) -> Bools:
-        """Say of which numbers anything is left that a change of pose cannot explain."""
+    def _find_observable(self) -> Bools:
+        """Return which unknowns have an effect that a change of pose cannot explain."""
         k = self.typical.size
         squares, points = np.zeros(k), 0
-        for look in self.looks:
-            squares += (look.root[look.poses :, look.poses : look.poses + k] ** 2).sum(axis=0)
-            points += look.rows.shape[0]
-        return np.asarray(np.sqrt(squares / points) > CANNOT)
+        for system in self.systems:
+            squares += (system.root[system.poses :, system.poses : system.poses + k] ** 2).sum(axis=0)
+            points += system.rows.shape[0]
+        return np.asarray(np.sqrt(squares / points) > MIN_SIGNATURE_MM)
 
     def split(self, m: int) -> _Split:
-        """Return what the numbers of a map are made of, at the present sizes."""
-        j, k = self.looks[m].poses, self.typical.size
+        """Return the decomposition of the unknowns of a map, at the current sizes."""
+        j, k = self.systems[m].poses, self.typical.size
         many = len(self.sights) > 1
         kinds = 1 + max((kind for kind in self.kinds if kind is not None), default=-1)
-        own = np.zeros((j + k + TERMS, j + many * k + TERMS))
-        own[:j, :j] = self.loose[m]
+        map_columns = np.zeros((j + k + TERMS, j + many * k + TERMS))
+        map_columns[:j, :j] = self.loose[m]
         if many:
-            own[j : j + k, j : j + k] = np.diag(np.sqrt(self.between_numbers()))
-        own[j + k :, -TERMS:] = np.diag(self._spread(self.own, even=len(self.sights) == 1))
+            map_columns[j : j + k, j : j + k] = np.diag(np.sqrt(self.between_numbers()))
+        map_columns[j + k :, -TERMS:] = np.diag(self._find_term_sigmas(self.own, even=len(self.sights) == 1))
         shared = np.zeros((j + k + TERMS, k + kinds * TERMS))
         shared[j : j + k, :k] = np.eye(k)
         if (kind := self.kinds[m]) is not None:
-            shared[j + k :, k + kind * TERMS : k + (kind + 1) * TERMS] = np.diag(self._spread(self.common, even=True))
-        return _Split(own, shared)
+            shared[j + k :, k + kind * TERMS : k + (kind + 1) * TERMS] = np.diag(
+                self._find_term_sigmas(self.common, even=True)
+            )
+        return _Split(map_columns, shared)
 
-    def _spread(self, sizes: Floats, *, even: bool) -> Floats:
-        """Return the standard deviation of every term; an even drift is one that nothing else tells of. (g,)."""
+    def _find_term_sigmas(self, sizes: Floats, *, even: bool) -> Floats:
+        """Return the standard deviation of every term; with ``even``, a linear drift has at least its least size."""
         spread = []
         for size, group in zip(sizes.tolist(), GROUPS, strict=True):
-            own = np.sqrt(size * group.relative)
+            sigmas = np.sqrt(size * group.relative)
             if even and group.name not in self.plausible:
-                own[0] = max(own[0], group.ramp)
-            spread.append(own)
+                sigmas[0] = max(sigmas[0], group.ramp)
+            spread.append(sigmas)
         return np.concatenate(spread)
 
     def between_numbers(self) -> Floats:
-        """Return the variance of each number from map to map. (k,)."""
+        """Return the variance of each unknown from map to map. (k,)."""
         causes = self.causes
         return self.between[[causes.index(column.cause) for column in self.names]]
 
     def target(self, m: int) -> Floats:
-        """Return what there is to explain, in the rows of the root: the residual if all numbers but the pose were 0."""
-        look = self.looks[m]
-        j, k = look.poses, self.typical.size
-        return np.asarray(look.root[:, -1] + look.root[:, j : j + k] @ (self.values[m] / self.typical))
+        """Return the target of the fit in the rows of the root: the residual with all unknowns but the pose at 0."""
+        system = self.systems[m]
+        j, k = system.poses, self.typical.size
+        return np.asarray(system.root[:, -1] + system.root[:, j : j + k] @ (self.values[m] / self.typical))
 
     def numbers(self, m: int) -> Floats:
-        """Return the numbers of a map's columns. (j + k + g,)."""
+        """Return the unknowns of a map's columns. (j + k + g,)."""
         split = self.split(m)
         return np.asarray(split.own @ self.posterior.own(m) + split.shared @ self.posterior.shared)
 
-    def _posterior(self) -> Posterior:
+    def _solve_posterior(self) -> Posterior:
         scaled, begun = [], []
-        for m, (look, scale) in enumerate(zip(self.looks, self.scale, strict=True)):
-            split, columns = self.split(m), look.root[:, :-1] / scale
+        for m, (system, scale) in enumerate(zip(self.systems, self.scale, strict=True)):
+            split, columns = self.split(m), system.root[:, :-1] / scale
             scaled.append(Scaled(columns @ split.own, columns @ split.shared, self.target(m) / scale))
             mean = np.zeros(split.own.shape[1])
             sight = self.sights[m]
-            away = (sight.begun - sight.pose)[look.numbers] / LOOSE[look.numbers]
-            mean[: look.poses] = np.linalg.solve(self.loose[m], away)
+            away = (sight.begun - sight.pose)[system.numbers] / POSE_SIGMA[system.numbers]
+            mean[: system.poses] = np.linalg.solve(self.loose[m], away)
             begun.append(mean)
         return posterior(scaled, begun)
 
-    def _settle(self) -> None:
-        """Find noise and sizes of the terms under which the maps are most probable."""
-        for _ in range(SEARCHES):
-            self.posterior = self._posterior()
+    def _find_sizes(self) -> None:
+        """Find the noise and the sizes of the terms for which the maps are most probable."""
+        for _ in range(MAX_SIZE_ITERATIONS):
+            self.posterior = self._solve_posterior()
             variances = [self.posterior.variances(m) for m in range(len(self.sights))]
-            changes = [*self._scales(variances), *self._sizes(variances)]
-            if max(changes, default=0.0) < SIZED and not self._pooled():
+            changes = [*self._update_noise(variances), *self._update_sizes(variances)]
+            if max(changes, default=0.0) < SIZE_TOL and not self._pool_sizes():
                 break
 
-    def _pooled(self) -> bool:
-        """Take terms that every cut has for ones that all share where that is more probable; say whether any were.
+    def _pool_sizes(self) -> bool:
+        """Attribute terms of the single cuts to all cuts where that is more probable; return whether any were.
 
-        Each size is sought near where it is. From maps that are decentred by different amounts the search may end
-        where what all cuts share is found in each of them anew, though not as probable.
+        The search for the sizes is local. With maps that are decentred by different amounts it may end at a less
+        probable solution, in which the terms that all cuts share are attributed to each cut separately.
         """
         if not self.several:
             return False
         pooled = False
         for g, group in enumerate(GROUPS):
-            if self._known(group) or self.own[g] <= self.common[g]:
+            if self._is_fixed(group) or self.own[g] <= self.common[g]:
                 continue
-            own, common, best = self.own[g], self.common[g], self._posterior().evidence
-            self.own[g], self.common[g] = BEGUN**2 * own, own
-            if self._posterior().evidence > best:
+            own_size, common, best = self.own[g], self.common[g], self._solve_posterior().evidence
+            self.own[g], self.common[g] = START_DIFFERENCE_RATIO**2 * own_size, own_size
+            if self._solve_posterior().evidence > best:
                 pooled = True
             else:
-                self.own[g], self.common[g] = own, common
+                self.own[g], self.common[g] = own_size, common
         return pooled
 
-    def _widen(self) -> None:
-        """Give a drift the largest size that the maps do not exclude: sources may have taken what shows of it."""
+    def _enlarge_drift(self) -> None:
+        """Set the size of a drift to the largest that the maps do not exclude: sources may have absorbed a part."""
         for g, group in enumerate(GROUPS):
             if not group.name.startswith("drift") or group.name in self.plausible:
                 continue
             sizes = self.common if self.several else self.own
-            found, evidence = sizes[g], []
-            for size in DRIFTS:
+            current_size, evidence = sizes[g], []
+            for size in DRIFT_SIZES_MM:
                 sizes[g] = size**2
-                evidence.append(self._posterior().evidence)
-            likely = np.flatnonzero(np.array(evidence) >= max(evidence) - EXCLUDED)
-            sizes[g] = max(found, min(DRIFTS[likely[-1]], group.most) ** 2)
+                evidence.append(self._solve_posterior().evidence)
+            likely = np.flatnonzero(np.array(evidence) >= max(evidence) - EXCLUSION_LOG_RATIO)
+            sizes[g] = max(current_size, min(DRIFT_SIZES_MM[likely[-1]], group.most) ** 2)
 
-    def _scales(self, variances: Sequence[Floats]) -> list[float]:
-        """Set the noise of each map to what is left; return by how much that changes its logarithm."""
+    def _update_noise(self, variances: Sequence[Floats]) -> list[float]:
+        """Set the noise of each map to its residual; return the changes of its logarithm."""
         changes = []
-        for m, look in enumerate(self.looks):
-            left = self.target(m) - look.root[:, :-1] @ self.numbers(m)
-            points = look.rows.shape[0] / self.together[m]
-            free = max(points - self._spent(variances[m]), 1.0)
-            scale = max(float(np.sqrt(left @ left / free)), FLOOR, float(self.stated[m]))
+        for m, system in enumerate(self.systems):
+            residual = self.target(m) - system.root[:, :-1] @ self.numbers(m)
+            points = system.rows.shape[0] / self.together[m]
+            free = max(points - self._count_determined(variances[m]), 1.0)
+            scale = max(float(np.sqrt(residual @ residual / free)), MODEL_ERROR_MM, float(self.stated[m]))
             changes.append(abs(float(np.log(scale / self.scale[m]))))
             self.scale[m] = scale
         return changes
 
-    def _spent(self, variances: Floats) -> float:
-        """Return how many numbers a map has told of its own."""
+    def _count_determined(self, variances: Floats) -> float:
+        """Return the number of unknowns that a map determines."""
         shared = self.posterior.shared.size
-        told = 1 - variances
-        return float(told[:-shared].sum() + told[-shared:].sum() / len(self.sights))
+        determined = 1 - variances
+        return float(determined[:-shared].sum() + determined[-shared:].sum() / len(self.sights))
 
-    def _sizes(self, variances: Sequence[Floats]) -> list[float]:
-        """Set the sizes of the groups to what the terms are; return by how much that changes their logarithms."""
+    def _update_sizes(self, variances: Sequence[Floats]) -> list[float]:
+        """Set the sizes of the groups to those of the terms; return the changes of their logarithms."""
         changes: list[float] = []
-        own = [self.posterior.own(m) for m in range(len(self.sights))]
+        map_numbers = [self.posterior.own(m) for m in range(len(self.sights))]
         k = self.typical.size
         for g, (group, place) in enumerate(zip(GROUPS, PLACES, strict=True)):
-            limits, apart = (group.least**2, group.most**2), MANY if group.name == "low form" else FEW
+            limits, apart = (
+                (group.least**2, group.most**2),
+                MAX_FORM_SIGMA if group.name == "low form" else MAX_TERM_SIGMA,
+            )
             if group.ramp and len(self.sights) == 1:
                 place = slice(place.start + 1, place.stop)  # noqa: PLW2901 - the ramp has a size of its own
-            values = np.stack([one[-TERMS:][place] for one in own])
-            spread = np.stack([each[: one.size][-TERMS:][place] for each, one in zip(variances, own, strict=True)])
-            # How a cut differs from another of the same part hides in nothing, so that its size is always found.
-            least = SAME**2 * group.size**2 if self.several else limits[0]
-            known = self._known(group)
-            if self.several or not known:
-                self.own[g], change = _resized(self.own[g], values, spread, (least, limits[1]), apart)
+            values = np.stack([one[-TERMS:][place] for one in map_numbers])
+            spread = np.stack(
+                [each[: one.size][-TERMS:][place] for each, one in zip(variances, map_numbers, strict=True)]
+            )
+            # The differences between cuts of one part are always determined, so their size is always fitted.
+            least = MIN_DIFFERENCE_RATIO**2 * group.size**2 if self.several else limits[0]
+            fixed = self._is_fixed(group)
+            if self.several or not fixed:
+                self.own[g], change = _find_variance(self.own[g], values, spread, (least, limits[1]), apart)
                 changes.append(change)
-            if known:
+            if fixed:
                 continue
             if any(kind is not None for kind in self.kinds):
-                rest = self.posterior.shared[k:].reshape(-1, TERMS)[:, place]
+                common_terms = self.posterior.shared[k:].reshape(-1, TERMS)[:, place]
                 spread = (self.posterior.root[k:] ** 2).sum(axis=1).reshape(-1, TERMS)[:, place]
-                self.common[g], change = _resized(self.common[g], rest, spread, limits, apart)
+                self.common[g], change = _find_variance(self.common[g], common_terms, spread, limits, apart)
                 changes.append(change)
         if len(self.sights) > 1:
             for c, cause in enumerate(self.causes):
-                if cause in EDGE:
+                if cause in TOOL_CAUSES:
                     continue
                 numbers = self.of_cause(cause)
-                at = [look.poses + np.array(numbers) for look in self.looks]
-                values = np.stack([one[where] for one, where in zip(own, at, strict=True)])
+                at = [system.poses + np.array(numbers) for system in self.systems]
+                values = np.stack([one[where] for one, where in zip(map_numbers, at, strict=True)])
                 spread = np.stack([each[where] for each, where in zip(variances, at, strict=True)])
-                self.between[c], change = _resized(self.between[c], values, spread, (BETWEEN[1] ** 2, BETWEEN[2] ** 2))
+                self.between[c], change = _find_variance(
+                    self.between[c], values, spread, (CHANGE_SIGMA[1] ** 2, CHANGE_SIGMA[2] ** 2)
+                )
                 changes.append(change)
         return changes
 
     def left(self, m: int) -> Floats:
-        """Return what is left at the points of a map. (n,) [mm]."""
-        look = self.looks[m]
-        j, k = look.poses, self.typical.size
+        """Return the residual at the points of a map. (n,) [mm]."""
+        system = self.systems[m]
+        j, k = system.poses, self.typical.size
         numbers = self.numbers(m)
         numbers[j : j + k] -= self.values[m] / self.typical
-        return np.asarray(look.rows[:, -1] - look.rows[:, :-1] @ numbers)
+        return np.asarray(system.rows[:, -1] - system.rows[:, :-1] @ numbers)
 
     def _measure_noise(self) -> None:
-        """Find how far what is left hangs together in each map."""
-        for m, look in enumerate(self.looks):
+        """Measure the spatial correlation of the residual of each map."""
+        for m, system in enumerate(self.systems):
             split, roots = self.split(m), self.posterior.roots(m)
             spread = np.hstack([split.own, split.shared]) @ roots
             sight = self.sights[m]
-            self.together[m] = _together(
-                self.left(m), look, spread / self.scale[m], sight.x[look.good], sight.y[look.good]
+            self.together[m] = _count_correlated_points(
+                self.left(m), system, spread / self.scale[m], sight.x[system.good], sight.y[system.good]
             )
         for kind in {one for one in self.kinds if one is not None}:
             alike = [m for m, one in enumerate(self.kinds) if one == kind]
-            if (shared := self._shared(alike)) > ALIKE:  # cusps that the pixels hit alike in all of them, say
+            if (
+                shared := self._correlate_residuals(alike)
+            ) > MIN_SHARED_CORRELATION:  # for example cusps that the pixels sample alike
                 self.together[alike] *= 1 + (len(alike) - 1) * shared
 
-    def _shared(self, maps: Sequence[int]) -> float:
-        """Return how far what is left in maps of one part is the same: the mean correlation of its means over cells."""
+    def _correlate_residuals(self, maps: Sequence[int]) -> float:
+        """Return the mean correlation between the residuals of maps of one part, averaged over cells."""
         means = []
         for m in maps:
-            sight, good = self.sights[m], self.looks[m].good
+            sight, good = self.sights[m], self.systems[m].good
             x, y = sight.x[good] / self.radius[m], sight.y[good] / self.radius[m]
             ring = np.minimum((RINGS * (x * x + y * y)).astype(np.int64), RINGS - 1)
             cell = ring * SECTORS + ((np.arctan2(y, x) / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
             number, total = (np.bincount(cell, weights=one, minlength=RINGS * SECTORS) for one in (None, self.left(m)))
             means.append(np.where(number > 3, total / np.maximum(number, 1), np.nan))
-        known = np.isfinite(means).all(axis=0)
-        if np.count_nonzero(known) < FEWEST:
+        covered = np.isfinite(means).all(axis=0)
+        if np.count_nonzero(covered) < MIN_COMMON_CELLS:
             return 0.0
-        every = np.corrcoef(np.array(means)[:, known])
+        every = np.corrcoef(np.array(means)[:, covered])
         return float(np.mean(every[np.triu_indices(len(maps), 1)]))
 
-    def _move(self, share: float) -> float:
-        """Go a share of the way to the numbers and poses as found; return how far that led, in noise."""
-        moved, every = 0.0, [self.numbers(m) for m in range(len(self.looks))]
-        # The marks hold near the pose at which they were taken.
+    def _take_step(self, share: float) -> float:
+        """Take a fraction of the step to the solution; return its length in units of the noise."""
+        moved, every = 0.0, [self.numbers(m) for m in range(len(self.systems))]
+        # The linearisation holds only near its pose.
         far = max(
-            float(np.abs(numbers[: look.poses]).max(initial=0)) for look, numbers in zip(self.looks, every, strict=True)
+            float(np.abs(numbers[: system.poses]).max(initial=0))
+            for system, numbers in zip(self.systems, every, strict=True)
         )
         share = min(share, 1 / max(far, 1e-9))
-        for m, look in enumerate(self.looks):
-            j, k = look.poses, self.typical.size
-            here = np.concatenate([np.zeros(j), self.values[m] / self.typical, self.terms[m]])
-            step = share * (every[m] - here)
-            numbers = here + step
-            moved += float(np.sum((look.root[:, :-1] @ step / self.scale[m]) ** 2))
-            self.sights[m].pose[look.numbers] += LOOSE[look.numbers] * numbers[:j]
+        for m, system in enumerate(self.systems):
+            j, k = system.poses, self.typical.size
+            present = np.concatenate([np.zeros(j), self.values[m] / self.typical, self.terms[m]])
+            step = share * (every[m] - present)
+            numbers = present + step
+            moved += float(np.sum((system.root[:, :-1] @ step / self.scale[m]) ** 2))
+            self.sights[m].pose[system.numbers] += POSE_SIGMA[system.numbers] * numbers[:j]
             self.values[m] = numbers[j : j + k] * self.typical
             self.terms[m] = numbers[j + k :]
         return float(np.sqrt(moved))
 
-    def _reject(self) -> bool:
-        """Leave out points that stand out of the rest; say whether there were new ones."""
+    def _reject_outliers(self) -> bool:
+        """Reject outliers; return whether there were new ones."""
         new = False
-        for m, look in enumerate(self.looks):
+        for m, system in enumerate(self.systems):
             off = self.left(m)
             off = np.abs(off - np.median(off))
-            out = off > OUTSIDE * max(robust_scatter(off), FLOOR)
-            self.sights[m].apart[np.flatnonzero(look.good)[out]] = True
+            out = off > OUTLIER_SIGMA * max(robust_scatter(off), MODEL_ERROR_MM)
+            self.sights[m].apart[np.flatnonzero(system.good)[out]] = True
             new |= bool(out.any())
         return new
 
 
-def _resized(
-    size: float, values: Floats, variance: Floats, limits: tuple[float, float], apart: float = FEW
+def _find_variance(
+    size: float, values: Floats, variance: Floats, limits: tuple[float, float], apart: float = MAX_TERM_SIGMA
 ) -> tuple[float, float]:
-    """Return the variance under which some numbers of unit prior are most probable, and its change as a logarithm.
+    """Return the variance for which some values of unit prior are most probable, and the change of its logarithm.
 
-    The largest of the numbers is at most ``apart`` standard deviations.
+    The largest value is at most ``apart`` standard deviations.
     """
     determined = max(float((1 - variance).sum()), 1e-9)
     likely = max(float((values**2).sum()) / determined, float((values**2).max()) / apart**2)
@@ -528,26 +543,27 @@ def _resized(
     return new, abs(float(np.log(new / size))) / 2
 
 
-def _triangle(rows: Floats) -> Floats:
-    """Return the triangle of few rows with the same products. (n, c) in, (min(n, c), c)."""
+def _reduce_to_triangle(rows: Floats) -> Floats:
+    """Return the triangular factor of some rows. (n, c) in, (min(n, c), c)."""
     from scipy.linalg.lapack import dgeqrt  # noqa: PLC0415 - costly to import
 
     # Panels that are factored recursively take half the time of those of `numpy.linalg.qr`.
-    packed = dgeqrt(min(PANEL, *rows.shape), np.asfortranarray(rows))[0]
+    packed = dgeqrt(min(PANEL_COLUMNS, *rows.shape), np.asfortranarray(rows))[0]
     return np.triu(packed[: rows.shape[1]])
 
 
-def _together(left: Floats, look: Look, spread: Floats, x: Floats, y: Floats) -> float:
-    """Return how many points count as one.
+def _count_correlated_points(left: Floats, system: LinearSystem, spread: Floats, x: Floats, y: Floats) -> float:
+    """Return the number of correlated points that count as one.
 
-    If the residual were independent from point to point, means over cells of n points would scatter by 1/sqrt(n); by
-    how much more they scatter is how many points count as one. What the fit has taken from them is accounted for.
+    If the residual were independent from point to point, means over cells of n points would scatter by 1/sqrt(n). The
+    ratio of the observed variance to that is the number of correlated points. The degrees of freedom of the fit are
+    accounted for.
     """
     from scipy.sparse import csr_array  # noqa: PLC0415 - costly to import
 
-    rows = look.rows[:, :-1]
-    taken_all = float(((look.root[:, :-1] @ spread) ** 2).sum())
-    variance = max(float(left @ left) / max(left.size - taken_all, 1.0), FLOOR**2)
+    rows = system.rows[:, :-1]
+    taken_all = float(((system.root[:, :-1] @ spread) ** 2).sum())
+    variance = max(float(left @ left) / max(left.size - taken_all, 1.0), MODEL_ERROR_MM**2)
     radius, angle = np.hypot(x, y), np.arctan2(y, x)
     order = np.argsort(np.argsort(radius)) / radius.size  # rings of equal numbers of points
     over: dict[tuple[int, int], float] = {}
@@ -563,9 +579,9 @@ def _together(left: Floats, look: Look, spread: Floats, x: Floats, y: Floats) ->
         if free > 4:
             over[rings, sectors] = float(sums @ sums) / free / variance
     together = max(1.0, *over.values()) if over else 1.0
-    if together > HANGS:
-        # Cells that are not far larger than what hangs together see too little of it, by a share as their outline is
-        # to their area: twice as long sides miss half as much.
+    if together > MIN_CORRELATED_POINTS:
+        # Cells that are not much larger than the correlation length underestimate the correlation, in proportion to
+        # the ratio of outline to area: cells of twice the side length underestimate by half as much.
         for large, small in itertools.pairwise(SQUARES):
             if large in over and small in over:
                 together = max(together, 2 * over[large] - over[small])

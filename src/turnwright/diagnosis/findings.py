@@ -1,4 +1,4 @@
-"""What is found, in numbers and in words."""
+"""Findings of a diagnosis, as numbers and sentences."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ if TYPE_CHECKING:
     from turnwright.part import Part
     from turnwright.tool import Tool
 
-__all__ = ["Contribution", "Diagnosis", "DrawnCut", "Draws", "Finding", "Said", "around", "judge"]
+__all__ = ["Contribution", "Diagnosis", "DrawnCut", "Draws", "Finding", "VerdictInputs", "format_interval", "judge"]
 
 NM = 1e6
 
-IMPLAUSIBLE = 3.0
-"""A source of so many times what was held plausible is another one."""
+IMPLAUSIBLE_SIGMA = 3.0
+"""A finding beyond this many plausible sizes is attributed to another source."""
 
-SHOWN = MappingProxyType({"mm": ("um", 1e3), "rad": ("urad", 1e6), "rad^2": ("1e-6 rad^2", 1e6)})
+DISPLAY_UNITS = MappingProxyType({"mm": ("um", 1e3), "rad": ("urad", 1e6), "rad^2": ("1e-6 rad^2", 1e6)})
 
 REMEDY = MappingProxyType(
     {
-        "offset x": "move the tool by {back} along X, or plan with the tool as it is",
-        "offset y": "move the tool by {back} in height, or plan with the tool as it is",
+        "offset x": "move the tool by {back} along X, or plan with the real offset",
+        "offset y": "move the tool by {back} in height, or plan with the real offset",
         "offset z": "move the tool by {back} along Z",
-        "radius error": "plan with the nose radius as it is",
-        "waviness": "plan with the edge as it is",
-        "squareness": "plan with the squareness as it is, or turn the slide by {back}",
-        "straightness": "plan with the slide as it is",
-        "servo lag": "let Z come earlier by as much, by its dead time in the machine file or a clocking of the part",
-        "servo amplitude": "give the response of Z in the machine file, and precorrect",
+        "radius error": "plan with the real nose radius",
+        "waviness": "plan with the real edge",
+        "squareness": "plan with the real squareness, or rotate the slide by {back}",
+        "straightness": "plan with the real slide",
+        "servo lag": "advance Z by as much, with its dead time in the machine file or by clocking the part",
+        "servo amplitude": "set the response of Z in the machine file, and precorrect",
     }
 )
 
@@ -54,31 +54,31 @@ class Finding:
     Parameters
     ----------
     name
-        Of the number, such as ``"offset x"`` or ``"waviness c2"``.
+        Name of the number, such as ``"offset x"`` or ``"waviness c2"``.
     cause
-        That it belongs to, such as ``"waviness"``.
+        Error source that it belongs to, such as ``"waviness"``.
     value, unit
-        Of the real tool or machine minus what was planned; of several maps what they share. [unit]
+        Real minus planned tool or machine; of several maps the value that they share. [unit]
     plausible
-        How large it was held to be beforehand, one standard deviation. [unit]
+        Plausible size, one standard deviation of the prior. [unit]
     standard_uncertainty
-        Of the value, beside all other sources and terms. [unit]
+        Standard uncertainty of the value, with all other sources and terms in the fit. [unit]
     interval
-        That holds the true value in 95 of 100 cases (low, high). [unit]
+        95 % confidence interval (low, high). [unit]
     rms_nm, pv_nm
-        What the value makes of the form, beyond what a change of pose would take away.
+        Effect of the value on the form, beyond a change of pose.
     correlated_with
-        Findings that it is hard to tell from, each with its correlation.
+        Findings that are strongly correlated with it, each with the correlation.
     determined
-        Whether the maps tell it: its uncertainty is below half of what was plausible.
+        Whether the maps determine it: its uncertainty is below half of the plausible size.
     verdict
         ``"correct"`` or ``"do not correct"``.
     why
-        One sentence.
+        The reason, in one sentence.
     repeatable
-        Whether it is the same in all maps, within what matters on the part; ``None`` where there is only one.
+        Whether it is the same in all maps, within what is worth a correction; ``None`` for a single map.
     each
-        The value in each map where it does not repeat, else empty. (maps,) [unit]
+        The value in each map if it does not repeat, else empty. (maps,) [unit]
     """
 
     name: str
@@ -99,24 +99,24 @@ class Finding:
 
     @property
     def implausible(self) -> bool:
-        """Whether it is so far beyond what was held plausible that the cause is likely another one."""
-        return abs(self.value) > IMPLAUSIBLE * self.plausible
+        """Whether the value is so far beyond the plausible size that another source is likely."""
+        return abs(self.value) > IMPLAUSIBLE_SIGMA * self.plausible
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contribution:
-    """What lobes, drift, tilt of the spindle or low form make of the form.
+    """Effect of error motions, drift or tilt of the spindle, or of low-order form, on the form.
 
     Parameters
     ----------
     name
-        Of the group of terms, such as ``"axial error motion of the spindle"``.
+        Name of the group of terms, such as ``"axial error motion of the spindle"``.
     rms_nm, uncertainty_nm
-        Beyond what a change of pose would take away, most probable, and one standard deviation of the whole.
+        Most probable effect beyond a change of pose, and its standard deviation.
     common_nm
-        Of it what several maps of one part share; ``None`` where there is only one.
+        The part of it that several maps of one part share; ``None`` for a single map.
     why
-        One sentence.
+        The effect in one sentence.
     """
 
     name: str
@@ -128,18 +128,18 @@ class Contribution:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrawnCut:
-    """One draw of all that is not certain, as it can be simulated in full.
+    """One random draw of all uncertain quantities, for a full simulation.
 
     Parameters
     ----------
     number
-        Of the draw.
+        Number of the draw.
     tool, machine
-        That really cut.
+        The real tool and machine of the draw.
     tip_motion
-        From radius, azimuth and height of the tip, each (n,) [mm, rad], to how far it is off along X and Z. [mm]
+        Function from radius, azimuth and height of the tip, each (n,) [mm, rad], to its error along X and Z. [mm]
     rest
-        What no motion of the tip along X and Z makes, at the places of the draws. (n,) [mm]
+        Form error that no motion of the tip along X and Z causes, at the points of the draws. (n,) [mm]
     """
 
     number: int
@@ -151,27 +151,27 @@ class DrawnCut:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Draws:
-    """How a part may really be off, and what the corrected sources leave of it, in draws of all that is not certain.
+    """Possible form errors of a further part, without and with correction, as random draws of all uncertain quantities.
 
     Parameters
     ----------
     x, y
-        Places on the part. (n,) [mm]
+        Points on the part. (n,) [mm]
     before
         Cut minus design of a further part that is cut as planned. (draws, n) [mm]
     after
-        The same if the sources that are called for are corrected. (draws, n) [mm]
+        The same if all sources with the verdict "correct" are corrected. (draws, n) [mm]
     single
-        Whether a single map shows all this, so that nothing says what of it repeats.
+        Whether they are based on a single map, so that repeatability is unknown.
     pose
-        What a change of the free directions adds. (n, j) [mm]
+        Height that a change of each free degree of freedom adds. (n, j) [mm]
     places
-        Where on the part the places really are, as far as the pose of the map is not certain; one for all draws if it
-        is. (draws, 2, n) [mm]
+        Real positions of the points, with the uncertainty of the map's pose; one for all draws if that is certain.
+        (draws, 2, n) [mm]
     unmeasured
-        Share of the part that the map leaves out; what it may be like there is drawn with the rest.
+        Fraction of the part that the map does not cover; its form is drawn too.
     cases
-        Some of the draws, to be simulated in full.
+        Some of the draws, for full simulation.
     """
 
     x: Floats
@@ -185,52 +185,53 @@ class Draws:
     cases: tuple[DrawnCut, ...]
 
     def rms_nm(self, heights: Floats) -> Floats:
-        """Return root mean squares beyond a change of pose. (draws,) of (draws, n) [nm]."""
+        """Return the rms beyond a change of pose. (draws,) for heights (draws, n) [nm]."""
         q, _ = np.linalg.qr(self.pose)
-        left = heights - (heights @ q) @ q.T
-        return np.asarray(np.sqrt((left**2).mean(axis=1)) * NM)
+        residual = heights - (heights @ q) @ q.T
+        return np.asarray(np.sqrt((residual**2).mean(axis=1)) * NM)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Diagnosis(Sequence[Finding]):
-    """All findings, and what they leave.
+    """All findings of a diagnosis, with its residuals.
 
     Parameters
     ----------
     findings
-        Those to be corrected first, each by what it makes of the form.
+        Findings to be corrected first, each group by its effect on the form.
     contributions
-        Of the terms that have no single cause, the largest first.
+        Effects of the terms that have no single source, the largest first.
     names, correlation
-        Of the numbers of the sources; (k, k).
+        Names and correlation matrix of the source parameters; (k, k).
     residuals
-        What neither sources nor terms explain, on the grid of each map. [mm]
+        Residual of sources and terms, on the grid of each map. [mm]
     remainders
-        What the corrected sources leave to a compensation of the form: all else that is found to repeat. [mm]
+        Repeatable form error after correction of the sources, to be removed by a compensation of the form. [mm]
     fields
         The same if no source is corrected. [mm]
     poses
-        How each map sat off its design, as far as that was left free.
+        Pose of each map relative to its design, in the free degrees of freedom.
     measured_rms_nm, explained_rms_nm, unexplained_rms_nm
-        Departure from the design beyond a change of pose; of what sources and terms make of it; and of what is left.
+        Deviation from the design beyond a change of pose; the part explained by sources and terms; the residual.
     noise_nm, together
-        Of each map: what is left scatters by the one from point to point, and this many points count as one.
+        For each map: standard deviation of the residual from point to point, and the number of correlated points that
+        count as one.
     repeatability_nm
-        What differs from one map of a part to another, rms beyond a change of pose, of one map; ``None`` without two.
+        Difference between the maps of one part, rms of one map beyond a change of pose; ``None`` without two maps.
     rejected
-        Points of each map that stand out of the rest by so much that the fit leaves them out.
+        Number of outliers of each map.
     signatures
-        What every finding and contribution makes of each map. [mm]
+        Effect of every finding and contribution on each map. [mm]
     draws
-        From the number of a map to draws of how a further part may be off.
+        Function from the index of a map to draws of the form error of a further part.
     tool, machine
-        The planned ones with all that is to be corrected: plan with these.
+        Tool and machine of the plan with all corrections: plan with these.
     likely_tool, likely_machine
-        The planned ones with every source as it most probably is, certain or not. What they do together is known where
-        each of them is not.
+        Tool and machine of the plan with every source at its most probable value, certain or not. Their joint effect is
+        known even where each single value is uncertain.
     on
-        From another part to draws of how it may be off by the sources alone, and of what planning with the likely tool
-        and machine leaves.
+        Function from another part to draws of its form error by the sources alone, before and after planning with the
+        likely tool and machine.
     """
 
     findings: tuple[Finding, ...]
@@ -258,17 +259,17 @@ class Diagnosis(Sequence[Finding]):
 
     @property
     def residual(self) -> HeightMap:
-        """What no cause explains in the only map, or the first. [mm]."""
+        """Residual of the only map, or of the first. [mm]."""
         return self.residuals[0]
 
     @property
     def summary(self) -> str:
-        """How far the part is off, what is explained of it and what is left, in a sentence."""
-        out = sum(self.rejected)
-        beside = f"; {out} places stand out by more than six standard deviations and are in neither" if out else ""
+        """Form error, explained part and residual, in a sentence."""
+        count = sum(self.rejected)
+        outliers = f"; {count} outliers beyond six standard deviations are in neither" if count else ""
         return (
-            f"off by {self.measured_rms_nm:.4g} nm rms: explained {self.explained_rms_nm:.4g} nm, residual "
-            f"{self.unexplained_rms_nm:.4g} nm{beside}"
+            f"form error {self.measured_rms_nm:.4g} nm rms: explained {self.explained_rms_nm:.4g} nm, residual "
+            f"{self.unexplained_rms_nm:.4g} nm{outliers}"
         )
 
     def __len__(self) -> int:
@@ -279,7 +280,7 @@ class Diagnosis(Sequence[Finding]):
     @overload
     def __getitem__(self, index: slice) -> tuple[Finding, ...]: ...
     def __getitem__(self, index: int | str | slice) -> Finding | tuple[Finding, ...]:
-        """Return a finding by its place or its name."""
+        """Return a finding by its index or its name."""
         if isinstance(index, str):
             for finding in self.findings:
                 if finding.name == index:
@@ -289,90 +290,90 @@ class Diagnosis(Sequence[Finding]):
         return self.findings[index]
 
 
-def _scale(unit: str) -> tuple[str, float]:
-    """Return the unit that people read a value in, and what it is multiplied by."""
-    return (f"um{unit[2:]}", 1e3) if unit.startswith("mm/") else SHOWN.get(unit, (unit, 1.0))
+def _find_display_unit(unit: str) -> tuple[str, float]:
+    """Return the unit in which a value is displayed, and the factor."""
+    return (f"um{unit[2:]}", 1e3) if unit.startswith("mm/") else DISPLAY_UNITS.get(unit, (unit, 1.0))
 
 
-def shown(value: float, unit: str) -> str:
-    """Return a value as people read it."""
-    name, factor = _scale(unit)
+def format_value(value: float, unit: str) -> str:
+    """Return a value with its display unit."""
+    name, factor = _find_display_unit(unit)
     return f"{value * factor:+.4g} {name}".strip()
 
 
-def around(value: float, half: float, unit: str) -> str:
-    """Return a value and how far it may be off, to two digits of that, with the confidence.
+def format_interval(value: float, half: float, unit: str) -> str:
+    """Return a value with its 95 % uncertainty, to two digits of the uncertainty.
 
-    >>> around(3.004e-3, 0.6076e-3, "mm")
+    >>> format_interval(3.004e-3, 0.6076e-3, "mm")
     '+3.00 um within 0.61 um (95 %)'
     """
-    name, factor = _scale(unit)
+    name, factor = _find_display_unit(unit)
     if not 0 < half * factor < math.inf:
-        return shown(value, unit)
+        return format_value(value, unit)
     places = min(9, max(0, 1 - math.floor(math.log10(half * factor))))
     return f"{value * factor:+.{places}f} {name} within {half * factor:.{places}f} {name} (95 %)".replace("  ", " ")
 
 
-class Said(NamedTuple):
-    """What the sentence of a finding rests on."""
+class VerdictInputs(NamedTuple):
+    """Inputs of the verdict of a finding."""
 
     column: Column
     value: float
-    whole: str  # the value and half the width of its interval
+    whole: str  # the value with its uncertainty
     seen: bool
     determined: bool
-    significant: bool  # its interval does not hold 0
-    certain: bool  # what its cause makes of the form is known to a half
-    rms_nm: float  # of the whole cause
+    significant: bool  # the interval does not contain 0
+    certain: bool  # the effect of the source is known to better than 50 %
+    rms_nm: float  # of the source
     worth_nm: float
     each: Sequence[float]
-    allowed: bool  # to be corrected by tool or machine, if it is certain
-    steady: bool  # what changes from map to map makes less of the form than what they share
+    allowed: bool  # may be corrected by tool or machine
+    steady: bool  # the change between maps has less effect than the common part
 
 
-def judge(said: Said) -> tuple[Literal["correct", "do not correct"], str]:
-    """Return verdict and sentence."""
-    column, name = said.column, said.column.name
-    known = CAUSES.get(column.cause)
-    where = known.where if known else "measure another part, on which it shows otherwise"
-    unknown = _unknown(said, where)
+def judge(inputs: VerdictInputs) -> tuple[Literal["correct", "do not correct"], str]:
+    """Return the verdict and its reason."""
+    column, name = inputs.column, inputs.column.name
+    source = CAUSES.get(column.cause)
+    where = source.where if source else "measure another part, on which it has another signature"
+    unknown = _explain_unknown(inputs, where)
     if unknown:
         return "do not correct", unknown
-    made = f"{name} is {said.whole}, the {column.cause} makes {said.rms_nm:.3g} nm rms"
+    made = f"{name} is {inputs.whole}, the {column.cause} causes {inputs.rms_nm:.3g} nm rms"
     if name == column.cause:
-        made = f"{name} is {said.whole} and makes {said.rms_nm:.3g} nm rms"
-    left = ""
-    if known and known.mount:
-        left = f"{made}, as a mount does that bends the part: {where}"
-    elif said.each and not said.steady:
-        each = ", ".join(shown(one, column.unit) for one in said.each)
-        left = f"{name} differs between the maps ({each}): find what moved, it cannot be planned away"
-    elif not said.allowed:
-        left = f"{made}: it is left to the form, as was asked"
-    elif said.rms_nm < said.worth_nm:
-        left = f"{made}, less than the {said.worth_nm:g} nm that are worth it: leave it"
-    elif not said.certain:
-        left = f"{made}, which is known to less than a half: {where}"
-    if left:
-        return "do not correct", left
-    remedy = REMEDY.get(column.cause, "take it out where it comes from")
-    return "correct", f"{made}: {remedy.format(back=shown(-said.value, column.unit))}"
+        made = f"{name} is {inputs.whole} and causes {inputs.rms_nm:.3g} nm rms"
+    reason = ""
+    if source and source.mount:
+        reason = f"{made}, which may be the mount that bends the part: {where}"
+    elif inputs.each and not inputs.steady:
+        each = ", ".join(format_value(one, column.unit) for one in inputs.each)
+        reason = f"{name} differs between the maps ({each}) and cannot be corrected by planning: find what moved"
+    elif not inputs.allowed:
+        reason = f"{made}: left to the compensation of the form, as requested"
+    elif inputs.rms_nm < inputs.worth_nm:
+        reason = f"{made}, less than the {inputs.worth_nm:g} nm that are worth a correction"
+    elif not inputs.certain:
+        reason = f"{made}, with an uncertainty above 50 %: {where}"
+    if reason:
+        return "do not correct", reason
+    remedy = REMEDY.get(column.cause, "remove it at its source")
+    return "correct", f"{made}: {remedy.format(back=format_value(-inputs.value, column.unit))}"
 
 
-def _unknown(said: Said, where: str) -> str:
-    """Return why a number is not known, or nothing if it is."""
-    column, name = said.column, said.column.name
-    if not said.seen:
-        return f"{name} leaves nothing that a change of pose, which is free, would not leave: {where}"
-    if abs(said.value) > IMPLAUSIBLE * column.typical:
+def _explain_unknown(inputs: VerdictInputs, where: str) -> str:
+    """Return why a value is unknown, or an empty string if it is known."""
+    column, name = inputs.column, inputs.column.name
+    if not inputs.seen:
+        return f"{name} has no effect beyond a change of the free pose: {where}"
+    if abs(inputs.value) > IMPLAUSIBLE_SIGMA * column.typical:
         wider = ""
         for owner, sizes in (("tool", tool.PLAUSIBLE), ("machine", machine.PLAUSIBLE)):
             if column.cause in sizes:
                 wider = f", or state a larger {owner}.plausible.{key_of(column.cause)}"
+        largest = format_value(IMPLAUSIBLE_SIGMA * column.typical, column.unit)[1:]
         return (
-            f"{name} would be {said.whole}, {shown(IMPLAUSIBLE * column.typical, column.unit)[1:]} is the largest that "
-            f"is plausible: look for another cause{wider}"
+            f"{name} would be {inputs.whole}, the largest plausible value is {largest}: look for another cause{wider}"
         )
-    if not said.determined:
-        return f"the maps hardly tell {name} ({said.whole}): {where}"
-    return "" if said.significant else f"{name} is {said.whole}, which may be nothing: leave it"
+    if not inputs.determined:
+        return f"the maps do not determine {name} ({inputs.whole}): {where}"
+    return "" if inputs.significant else f"{name} is {inputs.whole}, which does not differ significantly from 0"

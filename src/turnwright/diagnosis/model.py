@@ -1,6 +1,7 @@
-r"""The surface left by a tool and a machine that are not the planned ones, in closed form but for two sweeps.
+r"""The surface cut by a tool and a machine that differ from the planned ones, in closed form except for two sweeps.
 
-The tip was sent to the heights at which the planned edge, :math:`(u, v, e)` at the sweep s, touches the design,
+The commanded heights of the tip are those at which the planned edge, :math:`(u, v, e)` at the sweep s, touches the
+design,
 
 .. math:: Z(\rho, \theta) = \max_s \; [\, f(\mathbf q) - e(s) \,], \qquad
    \mathbf q = \mathrm R(\theta) \begin{pmatrix} \rho + u(s) \\ v(s) \end{pmatrix}
@@ -10,9 +11,9 @@ and the real edge :math:`(\bar u, \bar v, \bar e)`, on a slide with the unplanne
 .. math:: h(\mathbf p) = \min_{\bar s} \; [\, Z(\rho, \theta) + \zeta(\rho) + \bar e(\bar s) \,], \qquad
    \rho = \sqrt{r^2 - \bar v^2} - \bar u, \quad \theta = \varphi - \arcsin(\bar v / r)
 
-at the point :math:`\mathbf p = (r, \varphi)`, as a feed of zero would leave it. The two sweeps are found together by
-Newton's method. At both the height is stationary, so that its derivative by any error is the explicit one, with both
-sweeps held [Danskin1967]_: exact slopes for a fit, at the cost of one height.
+at the point :math:`\mathbf p = (r, \varphi)`, in the limit of zero feed. Both sweeps are found together by Newton's
+method. The height is stationary in both, so that its derivative by any error is the explicit one, with both sweeps
+fixed [Danskin1967]_. This gives exact derivatives for a fit at the cost of one height.
 """
 
 from __future__ import annotations
@@ -31,20 +32,20 @@ from turnwright.tool import Tool
 
 __all__ = ["Cutting", "Deviations", "Powers", "Splines", "Sweeps", "Swept"]
 
-STEPS = 30
-"""Newton steps to both sweeps at most; four are usual."""
+MAX_STEPS = 30
+"""Most Newton steps for both sweeps; four are usual."""
 
-FOUND = 1e-10
-"""Sweeps this near are found: the height is stationary in them. [rad]"""
+SWEEP_TOL_RAD = 1e-10
+"""Tolerance of the sweeps; the height is stationary in them."""
 
-REACHED = 1e-9
-"""What stands higher than this over the surface at its own contact is held off it elsewhere. [mm]"""
+HELD_OFF_TOL_MM = 1e-9
+"""A tip that is higher than its tangent contact by more than this touches the surface elsewhere."""
 
 CHUNK = 1 << 14
-"""Points at a time."""
+"""Points that are computed together."""
 
 ROWS = 14
-"""What `turnwright._kernels.swept.heights` fills."""
+"""Rows that `turnwright._kernels.swept.heights` fills."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,14 +55,14 @@ class Powers:
     Parameters
     ----------
     powers
-        Which, ascending.
+        The powers, ascending.
     """
 
     powers: tuple[int, ...]
 
     @property
     def count(self) -> int:
-        """Number of free values."""
+        """Number of coefficients."""
         return len(self.powers)
 
     def values(self, sweep: Floats) -> Floats:
@@ -81,19 +82,19 @@ class Powers:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Splines:
-    """Waviness as a cubic spline that is 0 at the tip, held constant beyond its ends.
+    """Waviness as a cubic spline that is 0 at the tip, constant beyond its ends.
 
     Parameters
     ----------
     knots
-        Ascending sweeps at which the pieces meet, the ends included; it has ``knots.size + 1`` free values. (n,) [rad]
+        Ascending sweeps at which the pieces meet, the ends included; it has ``knots.size + 1`` coefficients. (n,) [rad]
     """
 
     knots: Floats
 
     @property
     def count(self) -> int:
-        """Number of free values."""
+        """Number of coefficients."""
         return self.knots.size + 1
 
     def values(self, sweep: Floats) -> Floats:
@@ -105,30 +106,30 @@ class Splines:
         spline = BSpline(full, np.eye(full.size - 4), 3)
         tip = spline(np.clip(0.0, self.knots[0], self.knots[-1]))
         inside = (held == sweep)[:, None]
-        # The first two alone span a constant with the rest: the tip's own value is that of the touching-off.
+        # The B-splines together span a constant, which the touch-off of the tool removes: the first one is left out.
         return np.stack([(spline(held) - tip).T, (spline(held, 1) * inside).T, (spline(held, 2) * inside).T])[:, 1:]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Deviations:
-    """What the real tool and machine are beyond the planned ones.
+    """Deviations of the real tool and machine from the planned ones.
 
     Parameters
     ----------
     offset
-        Of the tip (dx, dy, dz). [mm]
+        Offset of the tip (dx, dy, dz). [mm]
     radius
-        Of the nose. [mm]
+        Error of the nose radius. [mm]
     basis, waviness
-        Further deviation of the edge: what its coefficients count, and they. (k,) [mm/rad^k, or mm]
+        Further deviation of the edge: basis functions and coefficients. (k,) [mm/rad^k, or mm]
     squareness
         Height error per X. [rad]
     knots, straightness
-        Height error along X at some positions, linear in between, held beyond. Each (m,) [mm]
+        Height error along X at some positions, linear in between, constant beyond. Each (m,) [mm]
     late
-        Azimuth by which the height comes late against the spindle. [rad]
+        Azimuth by which the height lags behind the spindle. [rad]
     stiff
-        How much of its second derivative by the azimuth the height lacks, see `diagnose`. [rad²]
+        Amplitude error of Z: the height lacks this multiple of its second derivative by the azimuth. [rad²]
     """
 
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -152,7 +153,7 @@ class Deviations:
 
 
 class Sweeps(NamedTuple):
-    """Where on the nose the planned edge touched and the real one cut. Each (n,) [rad], nan where there is no place."""
+    """Places on the nose at which the planned edge touched and the real one cut. Each (n,) [rad], nan for none."""
 
     touch: Floats
     cut: Floats
@@ -161,9 +162,9 @@ class Sweeps(NamedTuple):
 class Cutting(NamedTuple):
     """How the points of a map were cut. Each (n,).
 
-    ``z``, ``zx`` and ``zy`` are the height left and its slopes; ``by_tip`` (3, n) its derivatives by the offset of the
-    tip, ``by_radius`` that by the nose radius, ``by_edge`` that by a deviation of the edge where it cut, ``by_azimuth``
-    that by an azimuth by which Z is early, ``bend`` the second derivative of the height of the tip by its azimuth,
+    ``z``, ``zx`` and ``zy`` are the height of the cut and its slopes; ``by_tip`` (3, n) its derivatives by the offset
+    of the tip, ``by_radius`` by the nose radius, ``by_edge`` by a deviation of the edge where it cut, ``by_azimuth`` by
+    an azimuth by which Z is early, ``bend`` the second derivative of the height of the tip by its azimuth,
     ``between`` the curvature that makes the cusps, and ``between_by`` (3, n) its derivatives by a deviation of the edge
     and by the first two derivatives of that. [mm, 1, mm/rad, mm/rad², 1/mm, 1/mm²]
     """
@@ -187,16 +188,16 @@ class Cutting(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Swept:
-    """A design as it is cut by a tool that was planned.
+    """A design as cut by a real tool with the path of the planned tool.
 
     Parameters
     ----------
     surface, tool
-        What was planned.
+        Nominal surface and planned tool.
     sense
-        +1 where the spindle angle grew, -1 where it fell.
+        +1 if the spindle angle grew, -1 if it fell.
     rim
-        How far the design counts. [mm]
+        Radius inside which the design counts. [mm]
     """
 
     surface: Surface
@@ -205,7 +206,7 @@ class Swept:
     rim: float
 
     def guess(self, x: Floats, y: Floats) -> Sweeps:
-        """Return the sweeps of a tangent in the plane through the axis, nan where there is none."""
+        """Return the sweeps of the tangent in the plane through the axis, nan where there is none."""
         edge = self.tool.cutting_edge(self.sense)
         sweep = np.zeros(x.size)
 
@@ -221,34 +222,34 @@ class Swept:
         return Sweeps(sweep, sweep.copy())
 
     def start(self, x: Floats, y: Floats) -> Sweeps:
-        """Return the sweeps at which the planned tool cuts some points, nan where it cannot or comes to the axis."""
+        """Return the sweeps at which the planned tool cuts some points, nan where it cannot or would reach the axis."""
         sweeps = self.guess(x, y)
         at = self.heights(x, y, sweeps, Deviations())
         with np.errstate(invalid="ignore"):
-            found = np.flatnonzero(np.isfinite(at.z) & (at.tip_radius > 0))
+            cut_points = np.flatnonzero(np.isfinite(at.z) & (at.tip_radius > 0))
         reached = np.zeros(x.size, dtype=np.bool_)
-        if found.size:
-            # The tangent may be one of several: only the highest of them holds the tool.
-            tip = at.tip_radius[found], at.tip_angle[found]
+        if cut_points.size:
+            # The tangent may be one of several: the tool touches at the highest of them.
+            tip = at.tip_radius[cut_points], at.tip_angle[cut_points]
             rim = max(self.rim, float(tip[0].max()))
             down = touch_down(self.surface, self.tool, angle=tip[1], radius=tip[0], sense=self.sense, rim=rim)
-            height = at.z[found] - self.tool.edge(sweeps.cut[found], self.sense)[2]
-            reached[found] = np.abs(down.z - height) < REACHED
+            height = at.z[cut_points] - self.tool.edge(sweeps.cut[cut_points], self.sense)[2]
+            reached[cut_points] = np.abs(down.z - height) < HELD_OFF_TOL_MM
         for one in sweeps:
             one[~reached] = np.nan
         return sweeps
 
     def heights(self, x: Floats, y: Floats, sweeps: Sweeps, deviations: Deviations) -> Cutting:
-        """Return how some points were cut; the sweeps are improved in place, and nan where there is no place for them.
+        """Return how some points were cut; the sweeps are updated in place, nan where the edge has no such place.
 
         Parameters
         ----------
         x, y
             Points. (n,) [mm]
         sweeps
-            Near the right ones.
+            Start values.
         deviations
-            Of the real tool and machine.
+            Deviations of the real tool and machine.
         """
         out = np.empty((ROWS, x.size))
         rho, psi = np.empty(x.size), np.empty(x.size)
@@ -272,16 +273,16 @@ class Swept:
     def _chunk(
         self, x: Floats, y: Floats, touch: Floats, cut: Floats, real: Deviations, out: Floats, rho: Floats, psi: Floats
     ) -> None:
-        """Fill the rows, the radius and the azimuth of the tip for some points, and improve the sweeps."""
+        """Fill the rows, the radius and the azimuth of the tip for some points, and update the sweeps."""
         planned = self.tool.cutting_edge(self.sense)
         dx, dy, dz = (float(one) for one in real.offset)
-        # Of the real edge only what its arc needs; its waviness is the planned one and more.
+        # Only the fields for the arc of the real edge; its waviness is the planned one plus the deviation.
         edge = planned._replace(
             radius=planned.radius + float(real.radius), dx=planned.dx + dx, dy=planned.dy + dy, dz=planned.dz + dz
         )
         late = self.sense * real.late
         radius, azimuth = np.hypot(x, y), np.arctan2(y, x)
-        own = None if not self.surface.in_pieces else self.surface.piece(x, y)
+        piece = None if not self.surface.in_pieces else self.surface.piece(x, y)
 
         def deviation() -> Floats:
             if not real.waviness.size:
@@ -290,7 +291,7 @@ class Swept:
             return np.tensordot(real.basis.values(held), real.waviness, (1, 0))
 
         at_x, at_y = np.empty(x.size), np.empty(x.size)
-        for _ in range(STEPS):
+        for _ in range(MAX_STEPS):
             more = deviation()
             kernel.places(
                 radius, azimuth, planned, edge, more, late, touch, cut, rho, psi, at_x, at_y
@@ -301,10 +302,10 @@ class Swept:
             longest = kernel.step(
                 radius, planned, edge, more, late, slope, rho, psi, *bent, touch, cut
             )  # fmt: skip
-            # A deviation that only the last step brought in has not been looked at.
-            if longest < FOUND:
+            # The deviation at the last step has not been evaluated yet: iterate until the step is small.
+            if longest < SWEEP_TOL_RAD:
                 break
-        # Beyond the arc the edge is another one, and beyond a seam the design.
+        # Results beyond the arc of the edge, or beyond a seam of the design, are not valid.
         with np.errstate(invalid="ignore"):
             lost = ~((touch >= planned.low) & (touch <= planned.high) & (cut >= planned.low) & (cut <= planned.high))
         touch[lost], cut[lost] = np.nan, np.nan
@@ -316,5 +317,5 @@ class Swept:
             radius, azimuth, planned, edge, more, late, *real.slide(rho), rho, psi, *bent, touch, cut, out
         )  # fmt: skip
         out[0] -= real.stiff * out[9]
-        if own is not None:
-            out[:, self.surface.piece(at_x, at_y) != own] = np.nan
+        if piece is not None:
+            out[:, self.surface.piece(at_x, at_y) != piece] = np.nan

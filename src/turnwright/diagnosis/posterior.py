@@ -1,13 +1,12 @@
-r"""The most probable numbers of a linear model with priors, how far they may be off, and draws of them.
+r"""Most probable values of a linear model with priors, their covariance, and random draws.
 
-Map m shows :math:`y_m = A_m o_m + B_m s + \varepsilon_m`: numbers o of its own, numbers s of all maps, each with a
-normal prior, and noise. All is solved by orthogonal triangles, the own numbers first:
+Map m measures :math:`y_m = A_m o_m + B_m s + \varepsilon_m`: unknowns o of the map, unknowns s shared by all maps, each
+with a normal prior, and noise. The system is solved by orthogonal triangularisation, the unknowns of the maps first:
 
 .. math:: Q^T \begin{pmatrix} A_m & B_m & y_m \\ I & 0 & \mu_m \end{pmatrix} =
    \begin{pmatrix} R_m & S_m & c_m \\ 0 & T_m & d_m \end{pmatrix}
 
-in units of noise and prior. The sizes of groups of terms are those under which the maps are most probable
-[MacKay1992]_.
+in units of noise and prior. The sizes of groups of terms are those for which the maps are most probable [MacKay1992]_.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ __all__ = ["Posterior", "Scaled", "posterior"]
 
 
 class Scaled(NamedTuple):
-    """A map in few rows, in units of its noise."""
+    """The reduced system of a map, in units of its noise."""
 
     own: Floats  # (r, o)
     shared: Floats  # (r, s)
@@ -32,7 +31,7 @@ class Scaled(NamedTuple):
 
 
 class _Own(NamedTuple):
-    """The numbers of one map, given those of all."""
+    """The unknowns of one map, conditional on the shared ones."""
 
     inverse: Floats  # of R (o, o)
     by_shared: Floats  # S (o, s)
@@ -41,20 +40,20 @@ class _Own(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Posterior:
-    """Numbers of all maps and of each, in units of their priors."""
+    """Shared unknowns and those of each map, in units of their priors."""
 
     shared: Floats  # (s,)
     root: Floats  # (s, s): the covariance is its product with its transpose
     owns: tuple[_Own, ...]
-    evidence: float  # logarithm of the probability of the maps, but for a constant
+    evidence: float  # logarithm of the probability of the maps, up to a constant
 
     def own(self, m: int) -> Floats:
-        """Return the numbers of a map. (o,)."""
+        """Return the unknowns of a map. (o,)."""
         one = self.owns[m]
         return np.asarray(one.inverse @ (one.right - one.by_shared @ self.shared))
 
     def roots(self, m: int) -> Floats:
-        """Return a root of the covariance of a map's numbers and, behind them, those of all maps. (o + s, *)."""
+        """Return a root of the covariance of a map's unknowns followed by the shared ones. (o + s, *)."""
         one = self.owns[m]
         size = one.inverse.shape[0]
         upper = np.hstack([one.inverse, -one.inverse @ (one.by_shared @ self.root)])
@@ -62,48 +61,48 @@ class Posterior:
         return np.vstack([upper, lower])
 
     def variances(self, m: int) -> Floats:
-        """Return the variances of a map's numbers and, behind them, of those of all maps: 1 where nothing is known."""
+        """Return the variances of a map's unknowns followed by the shared ones; 1 is the variance of the prior."""
         one = self.owns[m]
         by_shared = one.inverse @ (one.by_shared @ self.root)
-        own = np.einsum("ij,ij->i", one.inverse, one.inverse) + np.einsum("ij,ij->i", by_shared, by_shared)
-        return np.concatenate([own, np.einsum("ij,ij->i", self.root, self.root)])
+        map_variances = np.einsum("ij,ij->i", one.inverse, one.inverse) + np.einsum("ij,ij->i", by_shared, by_shared)
+        return np.concatenate([map_variances, np.einsum("ij,ij->i", self.root, self.root)])
 
     def draws(self, count: int, random: np.random.Generator) -> tuple[Floats, list[Floats]]:
-        """Return draws of the numbers of all maps (count, s), and of those of each. (count, o) each."""
+        """Return draws of the shared unknowns (count, s), and of those of each map. (count, o) each."""
         shared = self.shared + random.normal(size=(count, self.shared.size)) @ self.root.T
-        own = []
+        map_draws = []
         for one in self.owns:
             noise = random.normal(size=(count, one.right.size))
-            own.append((one.right - shared @ one.by_shared.T + noise) @ one.inverse.T)
-        return shared, own
+            map_draws.append((one.right - shared @ one.by_shared.T + noise) @ one.inverse.T)
+        return shared, map_draws
 
 
 def posterior(maps: Sequence[Scaled], begun: Sequence[Floats]) -> Posterior:
-    """Return the posterior of numbers of unit prior.
+    """Return the posterior of unknowns of unit prior.
 
     Parameters
     ----------
     maps
-        In columns of unit prior.
+        Systems with columns of unit prior.
     begun
-        Means of the priors of the own numbers of each map. (o,) each
+        Prior means of the unknowns of each map. (o,) each
     """
     from scipy.linalg import qr, solve_triangular  # noqa: PLC0415 - costly to import
 
     owns, below, right = [], [np.eye(maps[0].shared.shape[1])], [np.zeros(maps[0].shared.shape[1])]
     evidence = 0.0
     for one, mean in zip(maps, begun, strict=True):
-        size, rest = one.own.shape[1], one.shared.shape[1]
+        size, shared_size = one.own.shape[1], one.shared.shape[1]
         stack = np.vstack([
             np.hstack([one.own, one.shared, one.target[:, None]]),
-            np.hstack([np.eye(size), np.zeros((size, rest)), mean[:, None]]),
+            np.hstack([np.eye(size), np.zeros((size, shared_size)), mean[:, None]]),
         ])  # fmt: skip
         r = qr(stack, mode="r", overwrite_a=True, check_finite=False)[0]
         evidence -= float(np.log(np.abs(np.diag(r)[:size])).sum())
         inverse = solve_triangular(r[:size, :size], np.eye(size), check_finite=False)
         owns.append(_Own(inverse, r[:size, size:-1], r[:size, -1]))
-        below.append(r[size : size + rest + 1, size:-1])
-        right.append(r[size : size + rest + 1, -1])
+        below.append(r[size : size + shared_size + 1, size:-1])
+        right.append(r[size : size + shared_size + 1, -1])
     q, r = np.linalg.qr(np.vstack(below))
     root = solve_triangular(r, np.eye(r.shape[0]), check_finite=False)
     every = np.concatenate(right)

@@ -1,4 +1,4 @@
-"""Whether a correction makes the next part better, on draws of all that is not certain."""
+"""Whether a correction improves the next part, evaluated on random draws of all uncertain quantities."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from turnwright.diagnosis.findings import Draws
 
 __all__ = ["Proof", "prove"]
 
-REACHED = 0.05
-"""Share of the draws that need not reach the improvement that is claimed."""
+GAIN_QUANTILE = 0.05
+"""Fraction of the draws that may have less than the claimed improvement."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Proof:
-    """What a correction does to the next part, as far as is known.
+    """Predicted effect of a correction on the next part.
 
     Parameters
     ----------
     draws
-        How many cases of all that is not certain were looked at.
+        Number of random draws.
     before_nm, after_nm
-        Median root mean square of cut minus design beyond a change of pose, without noise and cusps.
+        Median rms of cut minus design beyond a change of pose, without noise and cusps.
     gain_nm
-        By how much 95 of 100 draws become better, at least.
+        Least improvement of 95 % of the draws.
     worst_nm
-        By how much the worst draw becomes worse; negative if it becomes better.
+        Degradation of the worst draw; negative if it improves.
     worth_nm
-        What the gain must exceed, and the worst draw must not.
+        Limit that the gain must exceed and the degradation must not.
     at_stake_nm
-        Root mean square of what is corrected although only a single map shows it: if none of it comes back, the next
-        part is off by so much more, at most.
+        Rms of the corrections that are based on a single map: if none of it repeats, the error of the next part grows
+        by this at most.
     """
 
     draws: int
@@ -47,7 +47,7 @@ class Proof:
 
     @property
     def if_not_repeated_nm(self) -> float:
-        """How far the next part may be off if what is at stake does not come back, but another of the same size."""
+        """Form error of the next part if the error at stake is replaced by another one of the same size."""
         return math.hypot(self.after_nm, math.sqrt(2) * self.at_stake_nm)
 
     @property
@@ -59,20 +59,20 @@ class Proof:
 def prove(
     draws: Draws, added: Floats, *, sources: bool = True, beyond: Floats | float = 0.0, worth_nm: float = 1.0
 ) -> Proof:  # fmt: skip
-    """Say what a correction does in all draws.
+    """Evaluate a correction on all draws.
 
     Parameters
     ----------
     draws
         See `Diagnosis`.
     added
-        What is added to the surface aimed at, at the places of the draws. (n,) or (draws, n) [mm]
+        Height added to the nominal surface, at the points of the draws. (n,) or (draws, n) [mm]
     sources
-        Whether tool and machine are planned as they were found.
+        Whether the plan uses the corrected tool and machine.
     beyond
-        What the part has at these places beyond all that was drawn. (n,) or (draws, n) [mm]
+        Form error at these points that the draws do not include. (n,) or (draws, n) [mm]
     worth_nm
-        By how much 95 of 100 draws must become better, and by how much none may become worse.
+        Improvement that 95 % of the draws must exceed, and degradation that none may exceed.
     """
     before = draws.rms_nm(draws.before + beyond)
     after = draws.rms_nm((draws.after if sources else draws.before) + beyond + added)
@@ -81,5 +81,6 @@ def prove(
     stake = float(draws.rms_nm(change.mean(axis=0, keepdims=True))[0]) if draws.single else 0.0
     return Proof(
         draws=before.size, before_nm=float(np.median(before)), after_nm=float(np.median(after)),
-        gain_nm=float(np.quantile(gain, REACHED)), worst_nm=float(-gain.min()), worth_nm=worth_nm, at_stake_nm=stake,
+        gain_nm=float(np.quantile(gain, GAIN_QUANTILE)), worst_nm=float(-gain.min()), worth_nm=worth_nm,
+        at_stake_nm=stake,
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What an estimate says of a part, in numbers, maps and words."""
+"""Results of an estimate: numbers, maps and sentences."""
 
 from __future__ import annotations
 
@@ -14,11 +14,21 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, frozen
-from turnwright.diagnosis.estimate import LOOSE, PLACES, TERMS, Estimate, Look
-from turnwright.diagnosis.findings import NM, Contribution, Diagnosis, DrawnCut, Draws, Finding, Said, around, judge
+from turnwright.diagnosis.estimate import PLACES, POSE_SIGMA, TERMS, Estimate, LinearSystem
+from turnwright.diagnosis.findings import (
+    NM,
+    Contribution,
+    Diagnosis,
+    DrawnCut,
+    Draws,
+    Finding,
+    VerdictInputs,
+    format_interval,
+    judge,
+)
 from turnwright.diagnosis.model import Deviations, Sweeps
-from turnwright.diagnosis.sight import Sight, mark, sights_of, valid
-from turnwright.diagnosis.terms import GROUPS, columns, described, tip_motion
+from turnwright.diagnosis.sight import Sight, add_signatures, prepare_maps, select_valid
+from turnwright.diagnosis.terms import GROUPS, columns, describe_group, tip_motion
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.part import evenly
@@ -29,36 +39,36 @@ if TYPE_CHECKING:
     from turnwright.machine import Machine
     from turnwright.part import Part
 
-__all__ = ["Asked", "reported"]
+__all__ = ["ReportRequest", "write_report"]
 
-MISSED = 0.05
-"""Chance that an interval misses the true value."""
+MISS_PROBABILITY = 0.05
+"""Probability that an interval does not contain the true value."""
 
-ALIKE = 0.95
-"""Correlation from which two findings are named as such."""
+MIN_NAMED_CORRELATION = 0.95
+"""Correlation from which two findings are reported as correlated."""
 
-TOLD = 0.5
-"""A number whose uncertainty is below this share of what was plausible is determined."""
+DETERMINED_RATIO = 0.5
+"""A value is determined if its uncertainty is below this fraction of the plausible size."""
 
-CERTAIN = 0.5
-"""What a cause makes of the form is known if its uncertainty is below this share of it."""
+CERTAIN_RATIO = 0.5
+"""The effect of a source is certain if its uncertainty is below this fraction of it."""
 
 DRAWS = 200
-DRAWN = 2_000
-"""Places at which a further part is drawn."""
+DRAW_POINTS = 2_000
+"""Number of draws, and of points at which a further part is drawn."""
 
-BACK = 3
-"""Steps back to what a map allows."""
+MAP_STEPS = 3
+"""Steps that make a draw consistent with its map."""
 
-CASES = 5
-"""Draws that can be simulated in full."""
+FULL_CASES = 5
+"""Draws for full simulation."""
 
-CERTIFICATE = 721
-"""Points over the arc of the edge that is found."""
+EDGE_POINTS = 721
+"""Points of the waviness table over the arc of the edge."""
 
 
 class _Numbers(NamedTuple):
-    """All that is known of the sources, in their units."""
+    """Values and covariance of the source parameters, in their units."""
 
     value: Floats  # (k,)
     covariance: Floats  # (k, k)
@@ -69,85 +79,89 @@ class _Numbers(NamedTuple):
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def half(self) -> Floats:
-        """Return half the widths of intervals that hold the numbers in 95 of 100 cases. (k,)."""
+        """Return half the widths of the 95 % confidence intervals. (k,)."""
         from scipy.special import stdtrit  # noqa: PLC0415 - costly to import
 
-        return float(stdtrit(self.dof, 1 - MISSED / 2)) * self.std
+        return float(stdtrit(self.dof, 1 - MISS_PROBABILITY / 2)) * self.std
 
 
-class Asked(NamedTuple):
-    """What was planned, and what is asked of the report."""
+class ReportRequest(NamedTuple):
+    """Plan and options of a report."""
 
     tool: Tool
     machine: Machine
     worth_nm: float
     repeats: bool
-    allowed: frozenset[str] | None  # causes that may be corrected by tool and machine; None if all may
+    allowed: frozenset[str] | None  # sources that may be corrected by tool and machine; None for all
 
 
-def reported(
-    estimate: Estimate, maps: Sequence[HeightMap], thin: Sequence[HeightMap], parts: Sequence[Part], asked: Asked
+def write_report(
+    estimate: Estimate,
+    maps: Sequence[HeightMap],
+    thin: Sequence[HeightMap],
+    parts: Sequence[Part],
+    request: ReportRequest,
 ) -> Diagnosis:
-    """Return all that an estimate says."""
-    numbers = _numbers(estimate)
-    findings = _findings(estimate, numbers, asked)
+    """Return the diagnosis from an estimate."""
+    numbers = _collect_numbers(estimate)
+    findings = _judge_findings(estimate, numbers, request)
     certain = np.array([one.verdict == "correct" for one in findings])
-    corrected = certain & np.array([one.cause in MOVING for one in findings])
+    corrected = certain & np.array([one.cause in PLANNABLE for one in findings])
     effect = [float(one.rms_nm) for one in findings]
     order = sorted(range(len(findings)), key=lambda k: (not certain[k], -effect[k], k))
-    likely = np.where(_of_the_cut(estimate), numbers.value, 0.0)
-    real_tool, real_machine = _as_found(estimate, np.where(corrected, numbers.value, 0.0), asked)
+    likely = np.where(_made_by_cut(estimate), numbers.value, 0.0)
+    real_tool, real_machine = _apply_deviations(estimate, np.where(corrected, numbers.value, 0.0), request)
     likely_tool, likely_machine = real_tool, real_machine
     with suppress(InputError):  # an edge that no tool can have
-        likely_tool, likely_machine = _as_found(estimate, likely, asked)
-    whole = [
-        _Whole.of(estimate, m, one, few, part, corrected, asked.repeats)
+        likely_tool, likely_machine = _apply_deviations(estimate, likely, request)
+    full_maps = [
+        _FullMap.of(estimate, m, one, few, part, corrected, request.repeats)
         for m, (one, few, part) in enumerate(zip(maps, thin, parts, strict=True))
     ]
-    measured, explained, left = _rms_nm(estimate)
+    measured, explained, unexplained = _evaluate_rms(estimate)
     std = np.where(numbers.std > 0, numbers.std, np.inf)
     return Diagnosis(
         findings=tuple(findings[k] for k in order),
-        contributions=_contributions(estimate),
+        contributions=_evaluate_contributions(estimate),
         names=tuple(column.name for column in estimate.names),
         correlation=frozen(numbers.covariance / np.outer(std, std), "correlation", ndim=2),
-        residuals=tuple(one.residual for one in whole),
-        remainders=tuple(one.remainder for one in whole),
-        fields=tuple(one.field for one in whole),
+        residuals=tuple(one.residual for one in full_maps),
+        remainders=tuple(one.remainder for one in full_maps),
+        fields=tuple(one.field for one in full_maps),
         poses=tuple(_pose(sight) for sight in estimate.sights),
-        measured_rms_nm=measured, explained_rms_nm=explained, unexplained_rms_nm=left,
+        measured_rms_nm=measured, explained_rms_nm=explained, unexplained_rms_nm=unexplained,
         noise_nm=tuple((np.maximum(estimate.scale / np.sqrt(estimate.together), estimate.stated) * NM).tolist()),
         together=tuple(estimate.together.tolist()),
-        repeatability_nm=_repeatability_nm(estimate),
+        repeatability_nm=_evaluate_repeatability(estimate),
         rejected=tuple(int(np.count_nonzero(sight.apart)) for sight in estimate.sights),
-        signatures=tuple(_signatures(estimate, m, one) for m, one in enumerate(thin)),
-        draws=lambda m: _draws(estimate, m, corrected, parts[m], asked),
+        signatures=tuple(_evaluate_signatures(estimate, m, one) for m, one in enumerate(thin)),
+        draws=lambda m: _draw_parts(estimate, m, corrected, parts[m], request),
         tool=real_tool, machine=real_machine, likely_tool=likely_tool, likely_machine=likely_machine,
-        on=partial(_elsewhere, estimate, asked),
+        on=partial(_draw_other_part, estimate, request),
     )  # fmt: skip
 
 
-def _numbers(estimate: Estimate) -> _Numbers:
+def _collect_numbers(estimate: Estimate) -> _Numbers:
     typical = estimate.typical
     k, posterior = typical.size, estimate.posterior
     root = posterior.root[:k] * typical[:, None]
-    points = sum(look.rows.shape[0] / one for look, one in zip(estimate.looks, estimate.together, strict=True))
+    points = sum(system.rows.shape[0] / one for system, one in zip(estimate.systems, estimate.together, strict=True))
     return _Numbers(posterior.shared[:k] * typical, root @ root.T, max(points - TERMS, 1.0))
 
 
-def _beyond_pose(estimate: Estimate, m: int) -> Floats:
-    """Return what every column of a map adds beyond a change of pose, with the same squares per point. (r, c) [mm]."""
-    look = estimate.looks[m]
-    return np.asarray(look.root[look.poses :, look.poses : -1] / np.sqrt(look.rows.shape[0]))
+def _remove_pose(estimate: Estimate, m: int) -> Floats:
+    """Return the effect of every column of a map beyond a change of pose, with equal mean squares. (r, c) [mm]."""
+    system = estimate.systems[m]
+    return np.asarray(system.root[system.poses :, system.poses : -1] / np.sqrt(system.rows.shape[0]))
 
 
-def _findings(estimate: Estimate, numbers: _Numbers, asked: Asked) -> list[Finding]:
-    worth_nm = asked.worth_nm
+def _judge_findings(estimate: Estimate, numbers: _Numbers, request: ReportRequest) -> list[Finding]:
+    worth_nm = request.worth_nm
     k, typical, many = estimate.typical.size, estimate.typical, len(estimate.sights)
     half, std = numbers.half(), numbers.std
-    marks = [_beyond_pose(estimate, m)[:, :k] / typical for m in range(many)]
-    pv = _pv(estimate, numbers.value)
-    by_cause = {cause: _cause(estimate, cause, marks, numbers) for cause in estimate.causes}
+    marks = [_remove_pose(estimate, m)[:, :k] / typical for m in range(many)]
+    pv = _evaluate_pv(estimate, numbers.value)
+    by_cause = {cause: _evaluate_cause(estimate, cause, marks, numbers) for cause in estimate.causes}
     findings = []
     for i, column in enumerate(estimate.names):
         value, seen = float(numbers.value[i]), bool(estimate.seen[i])
@@ -155,11 +169,11 @@ def _findings(estimate: Estimate, numbers: _Numbers, asked: Asked) -> list[Findi
         differs = many > 1 and between > worth_nm
         each = tuple(estimate.values[:, i].tolist()) if differs else ()
         verdict, why = judge(
-            Said(
-                column=column, value=value, whole=around(value, float(half[i]), column.unit), seen=seen,
-                determined=bool(std[i] < TOLD * typical[i]), significant=abs(value) > half[i],
-                certain=uncertain < CERTAIN * rms, rms_nm=rms, worth_nm=worth_nm, each=each,
-                allowed=asked.allowed is None or column.cause in asked.allowed, steady=between < rms,
+            VerdictInputs(
+                column=column, value=value, whole=format_interval(value, float(half[i]), column.unit), seen=seen,
+                determined=bool(std[i] < DETERMINED_RATIO * typical[i]), significant=abs(value) > half[i],
+                certain=uncertain < CERTAIN_RATIO * rms, rms_nm=rms, worth_nm=worth_nm, each=each,
+                allowed=request.allowed is None or column.cause in request.allowed, steady=between < rms,
             )
         )  # fmt: skip
         alike = [
@@ -167,50 +181,55 @@ def _findings(estimate: Estimate, numbers: _Numbers, asked: Asked) -> list[Findi
             for j, other in enumerate(estimate.names)
             if j != i and seen and estimate.seen[j]
         ]
-        own = np.sqrt(np.mean([np.sum((one[:, i] * value) ** 2) for one in marks])) * NM
+        number_rms = np.sqrt(np.mean([np.sum((one[:, i] * value) ** 2) for one in marks])) * NM
         findings.append(
             Finding(
                 name=column.name, cause=column.cause, value=value, unit=column.unit, plausible=column.typical,
                 standard_uncertainty=float(std[i]), interval=(value - float(half[i]), value + float(half[i])),
-                rms_nm=float(own), pv_nm=float(pv[i]) * NM,
+                rms_nm=float(number_rms), pv_nm=float(pv[i]) * NM,
                 correlated_with=tuple(
-                    sorted((pair for pair in alike if abs(pair[1]) > ALIKE), key=lambda pair: -abs(pair[1]))
+                    sorted(
+                        (pair for pair in alike if abs(pair[1]) > MIN_NAMED_CORRELATION),
+                        key=lambda pair: -abs(pair[1]),
+                    )
                 ),
-                determined=seen and bool(std[i] < TOLD * typical[i]), verdict=verdict, why=why,
+                determined=seen and bool(std[i] < DETERMINED_RATIO * typical[i]), verdict=verdict, why=why,
                 repeatable=None if many == 1 or not seen else not differs, each=each,
             )
         )  # fmt: skip
     return findings
 
 
-def _cause(estimate: Estimate, cause: str, marks: Sequence[Floats], numbers: _Numbers) -> tuple[float, float, float]:
-    """Return what a cause makes of the form, how uncertain that is, and how it differs between maps. rms [nm]."""
+def _evaluate_cause(
+    estimate: Estimate, cause: str, marks: Sequence[Floats], numbers: _Numbers
+) -> tuple[float, float, float]:
+    """Return the effect of a source on the form, its uncertainty and its difference between maps. rms [nm]."""
     at = estimate.of_cause(cause)
     squares = np.zeros(3)
     for one, values in zip(marks, estimate.values, strict=True):
-        own = one[:, at]
+        cause_columns = one[:, at]
         squares += [
-            np.sum((own @ numbers.value[at]) ** 2),
-            np.sum((own.T @ own) * numbers.covariance[np.ix_(at, at)]),
-            np.sum((own @ (values - numbers.value)[at]) ** 2),
+            np.sum((cause_columns @ numbers.value[at]) ** 2),
+            np.sum((cause_columns.T @ cause_columns) * numbers.covariance[np.ix_(at, at)]),
+            np.sum((cause_columns @ (values - numbers.value)[at]) ** 2),
         ]
     rms, uncertain, between = np.sqrt(squares / len(marks)) * NM
     return float(rms), float(uncertain), float(between)
 
 
-def _pv(estimate: Estimate, value: Floats) -> Floats:
-    """Return peak to valley of what each number makes beyond a change of pose. (k,) [mm]."""
+def _evaluate_pv(estimate: Estimate, value: Floats) -> Floats:
+    """Return the peak to valley of the effect of each value beyond a change of pose. (k,) [mm]."""
     tops = np.zeros(value.size)
-    for look in estimate.looks:
-        j = look.poses
-        marks = look.rows[:, j : j + value.size] / estimate.typical
-        pose = np.linalg.lstsq(look.rows[:, :j], marks, rcond=1e-12)[0] if j else np.zeros((0, value.size))
-        tops = np.maximum(tops, np.ptp((marks - look.rows[:, :j] @ pose) * value, axis=0))
+    for system in estimate.systems:
+        j = system.poses
+        marks = system.rows[:, j : j + value.size] / estimate.typical
+        pose = np.linalg.lstsq(system.rows[:, :j], marks, rcond=1e-12)[0] if j else np.zeros((0, value.size))
+        tops = np.maximum(tops, np.ptp((marks - system.rows[:, :j] @ pose) * value, axis=0))
     return tops
 
 
-def _contributions(estimate: Estimate) -> tuple[Contribution, ...]:
-    found = []
+def _evaluate_contributions(estimate: Estimate) -> tuple[Contribution, ...]:
+    contributions = []
     for name in dict.fromkeys(group.name for group in GROUPS):
         at = np.concatenate(
             [np.arange(TERMS)[place] for group, place in zip(GROUPS, PLACES, strict=True) if group.name == name]
@@ -218,7 +237,7 @@ def _contributions(estimate: Estimate) -> tuple[Contribution, ...]:
         squares, several = np.zeros(3), False
         for m in range(len(estimate.sights)):
             k = estimate.typical.size
-            rows = _beyond_pose(estimate, m)[:, k + at]
+            rows = _remove_pose(estimate, m)[:, k + at]
             split = estimate.split(m)
             spread = (np.hstack([split.own, split.shared]) @ estimate.posterior.roots(m))[-TERMS:][at]
             common = (split.shared @ estimate.posterior.shared)[-TERMS:][at]
@@ -228,236 +247,243 @@ def _contributions(estimate: Estimate) -> tuple[Contribution, ...]:
                 np.sum((rows @ common) ** 2),
             ]  # fmt: skip
         rms, uncertain, common_nm = (np.sqrt(squares / len(estimate.sights)) * NM).tolist()
-        text = described(name, np.mean([estimate.numbers(m)[-TERMS:] for m in range(len(estimate.sights))], axis=0))
-        found.append(
+        text = describe_group(
+            name, np.mean([estimate.numbers(m)[-TERMS:] for m in range(len(estimate.sights))], axis=0)
+        )
+        contributions.append(
             Contribution(
                 name=name, rms_nm=rms, uncertainty_nm=uncertain, common_nm=common_nm if several else None,
-                why=f"{name} makes {rms:.3g} nm rms, known within {uncertain:.2g} nm{text}",
+                why=f"{name} causes {rms:.3g} nm rms, known within {uncertain:.2g} nm{text}",
             )
         )  # fmt: skip
-    return tuple(sorted(found, key=lambda one: -one.rms_nm))
+    return tuple(sorted(contributions, key=lambda one: -one.rms_nm))
 
 
-def _rms_nm(estimate: Estimate) -> tuple[float, float, float]:
-    """Return root mean squares: of what was measured beyond a change of pose, of what explains it, of what is left.
+def _evaluate_rms(estimate: Estimate) -> tuple[float, float, float]:
+    """Return rms values beyond a change of pose: measured, explained and residual. [nm].
 
-    It was measured where the map was registered, which may be off what is found: errors of the part moved it there.
+    The measured value refers to the registered pose, which may differ from the fitted one, as errors of the part affect
+    the registration.
     """
     sums, count = np.zeros(3), 0
-    for m, look in enumerate(estimate.looks):
+    for m, system in enumerate(estimate.systems):
         sight = estimate.sights[m]
         registered = replace(sight, pose=sight.begun.copy(), sweeps=Sweeps(*(one.copy() for one in sight.sweeps)))
         measured = registered.cut(estimate.columns.deviations(np.zeros(estimate.typical.size)))[0]
-        measured, left = measured[look.good] * look.counts, estimate.left(m)
-        pose = look.rows[:, : look.poses]
-        known = np.isfinite(measured)
-        both = np.stack([measured, measured - left], axis=1)[known]
-        both -= pose[known] @ np.linalg.lstsq(pose[known], both, rcond=1e-12)[0]
-        sums += [*(both**2).sum(axis=0), float(left[known] @ left[known])]
-        count += int(np.count_nonzero(known))
+        measured, residual = measured[system.good] * system.counts, estimate.left(m)
+        pose = system.rows[:, : system.poses]
+        finite = np.isfinite(measured)
+        both = np.stack([measured, measured - residual], axis=1)[finite]
+        both -= pose[finite] @ np.linalg.lstsq(pose[finite], both, rcond=1e-12)[0]
+        sums += [*(both**2).sum(axis=0), float(residual[finite] @ residual[finite])]
+        count += int(np.count_nonzero(finite))
     measured_nm, explained_nm, left_nm = (np.sqrt(sums / count) * NM).tolist()
     return measured_nm, explained_nm, left_nm
 
 
-def _repeatability_nm(estimate: Estimate) -> float | None:
-    """Return root mean square of what differs from one map of a part to another, beyond a change of pose."""
+def _evaluate_repeatability(estimate: Estimate) -> float | None:
+    """Return the rms difference between the maps of a part, beyond a change of pose."""
     squares, freedom = 0.0, 0
     k = estimate.typical.size
     for kind in dict.fromkeys(estimate.kinds):
         alike = [m for m, one in enumerate(estimate.kinds) if one == kind]
         if kind is None or len(alike) < 2:
             continue
-        own = [(estimate.split(m).own @ estimate.posterior.own(m))[estimate.looks[m].poses :] for m in alike]
-        mean = np.mean(own, axis=0)
-        for m, one in zip(alike, own, strict=True):
-            squares += float(np.sum((_beyond_pose(estimate, m)[:, : k + TERMS] @ (one - mean)) ** 2))
+        deviations = [(estimate.split(m).own @ estimate.posterior.own(m))[estimate.systems[m].poses :] for m in alike]
+        mean = np.mean(deviations, axis=0)
+        for m, one in zip(alike, deviations, strict=True):
+            squares += float(np.sum((_remove_pose(estimate, m)[:, : k + TERMS] @ (one - mean)) ** 2))
         freedom += len(alike) - 1
     return math.sqrt(squares / freedom) * NM if freedom else None
 
 
-def _signatures(estimate: Estimate, m: int, heights: HeightMap) -> Mapping[str, HeightMap]:
-    """Return what every number and group of terms makes of a map beyond a change of pose."""
-    look, k = estimate.looks[m], estimate.typical.size
-    j, numbers = look.poses, estimate.numbers(m)
-    fields = {column.name: look.rows[:, j + i] * numbers[j + i] for i, column in enumerate(estimate.names)}
+def _evaluate_signatures(estimate: Estimate, m: int, heights: HeightMap) -> Mapping[str, HeightMap]:
+    """Return the effect of every value and group of terms on a map beyond a change of pose."""
+    system, k = estimate.systems[m], estimate.typical.size
+    j, numbers = system.poses, estimate.numbers(m)
+    fields = {column.name: system.rows[:, j + i] * numbers[j + i] for i, column in enumerate(estimate.names)}
     for group, place in zip(GROUPS, PLACES, strict=True):
-        own = look.rows[:, j + k : -1][:, place] @ numbers[j + k :][place]
-        fields[group.name] = fields.get(group.name, 0.0) + own
+        group_field = system.rows[:, j + k : -1][:, place] @ numbers[j + k :][place]
+        fields[group.name] = fields.get(group.name, 0.0) + group_field
     made = np.stack([*fields.values()], axis=1)
-    pose = look.rows[:, :j]
+    pose = system.rows[:, :j]
     made = made - pose @ np.linalg.lstsq(pose, made, rcond=1e-12)[0] if j else made
     out = {}
     for name, one in zip(fields, made.T, strict=True):
-        every = np.full(look.good.size, np.nan)
-        every[look.good] = one
-        out[name] = _on(heights, every, estimate.sights[m])
+        every = np.full(system.good.size, np.nan)
+        every[system.good] = one
+        out[name] = _put_on_grid(heights, every, estimate.sights[m])
     return MappingProxyType(out)
 
 
 class _Places(NamedTuple):
-    """Where a further part is drawn."""
+    """Points at which a further part is drawn."""
 
     sight: Sight
-    rows: Floats  # see `Look` (n, j + k + g) [mm]
+    rows: Floats  # see `LinearSystem` (n, j + k + g) [mm]
     turned: Floats  # (n,) [mm]
-    planned: Floats  # heights that are left as planned (n,) [mm]
-    taken: Floats  # and by the corrected sources beyond that (n,) [mm]
+    planned: Floats  # heights as planned (n,) [mm]
+    taken: Floats  # additional heights by the corrected sources (n,) [mm]
 
     @classmethod
     def of(
         cls, estimate: Estimate, m: int, sight: Sight, rows: Floats, turned: Floats, found: Floats
     ) -> _Places:  # fmt: skip
-        """Return those of some places that all tools cut."""
-        ends = [_made(estimate, sight, values) for values in (np.zeros(found.size), found, estimate.values[m])]
-        known = np.flatnonzero(np.isfinite(ends).all(axis=0) & np.isfinite(rows).all(axis=1))
-        planned, taken = ends[0][known], ends[1][known]
-        return cls(_some_of(sight, known), rows[known], turned[known], planned, taken - planned)
+        """Return the points that all tools cut."""
+        ends = [
+            _simulate_heights(estimate, sight, values) for values in (np.zeros(found.size), found, estimate.values[m])
+        ]
+        finite = np.flatnonzero(np.isfinite(ends).all(axis=0) & np.isfinite(rows).all(axis=1))
+        planned, taken = ends[0][finite], ends[1][finite]
+        return cls(_select_points(sight, finite), rows[finite], turned[finite], planned, taken - planned)
 
     def off(self, estimate: Estimate, m: int, numbers: Floats) -> Floats:
-        """Return cut minus design of draws: what moves the edge in full, all else in proportion. (draws, n) [mm]."""
-        poses, k = estimate.looks[m].poses, estimate.typical.size
-        moving = np.array([column.cause in MOVING for column in estimate.names])
+        """Return cut minus design of draws: motions of the edge exactly, all else linearly. (draws, n) [mm]."""
+        poses, k = estimate.systems[m].poses, estimate.typical.size
+        moving = np.array([column.cause in PLANNABLE for column in estimate.names])
         others = np.append(
-            poses + np.flatnonzero(_of_the_cut(estimate) & ~moving), np.arange(poses + k, len(numbers.T))
+            poses + np.flatnonzero(_made_by_cut(estimate) & ~moving), np.arange(poses + k, len(numbers.T))
         )
         values = numbers[:, poses : poses + k] * np.where(moving, estimate.typical, 0.0)
-        made = np.stack([_made(estimate, self.sight, one) for one in values]) - self.planned
-        for i in estimate.of_cause("offset y"):  # only what differs from that at which the lobes were found turns them
+        made = np.stack([_simulate_heights(estimate, self.sight, one) for one in values]) - self.planned
+        for i in estimate.of_cause("offset y"):  # the lobes are rotated by the difference from the fit
             turn = numbers[:, poses + i, None] - estimate.values[m][i] / estimate.typical[i]
             made += turn * self.turned
         return np.asarray(made + numbers[:, others] @ self.rows[:, others].T)
 
 
-def _draws(estimate: Estimate, m: int, corrected: Bools, part: Part, asked: Asked) -> Draws:
-    """Return how a further part, cut like that of a map, may be off."""
-    look, k = estimate.looks[m], estimate.typical.size
+def _draw_parts(estimate: Estimate, m: int, corrected: Bools, part: Part, request: ReportRequest) -> Draws:
+    """Return draws of the form error of a further part, cut like that of a map."""
+    system, k = estimate.systems[m], estimate.typical.size
     random = np.random.default_rng(1)
-    found = np.where(corrected, estimate.posterior.shared[:k] * estimate.typical, 0.0)
-    beyond = _unmeasured(estimate, m, part, asked.tool)
-    most = DRAWN - (0 if beyond is None else beyond.x.size)
-    some = np.arange(0, look.rows.shape[0], -(-look.rows.shape[0] // most))
-    sight = _some_of(estimate.sights[m], np.flatnonzero(look.good)[some])
-    shown = _Places.of(estimate, m, sight, look.rows[some, :-1], look.turned[some], found)
-    numbers, lacking, moved = _drawn(estimate, m, shown, random)
+    corrected_values = np.where(corrected, estimate.posterior.shared[:k] * estimate.typical, 0.0)
+    beyond = _find_unmeasured(estimate, m, part, request.tool)
+    most = DRAW_POINTS - (0 if beyond is None else beyond.x.size)
+    some = np.arange(0, system.rows.shape[0], -(-system.rows.shape[0] // most))
+    sight = _select_points(estimate.sights[m], np.flatnonzero(system.good)[some])
+    shown = _Places.of(estimate, m, sight, system.rows[some, :-1], system.turned[some], corrected_values)
+    numbers, lacking, moved = _draw_numbers(estimate, m, shown, random)
     single = estimate.kinds[m] is None
-    if single and not asked.repeats:  # the next part has another drift and form of the same size
-        sources = np.flatnonzero(~corrected & _of_the_cut(estimate))
-        at = np.append(look.poses + sources, look.poses + k + np.flatnonzero(~LASTING))
+    if single and not request.repeats:  # the next part has another drift and form of the same size
+        sources = np.flatnonzero(~corrected & _made_by_cut(estimate))
+        at = np.append(system.poses + sources, system.poses + k + np.flatnonzero(~LASTING))
         numbers[:, at] *= random.normal(size=(DRAWS, 1))
     places = [shown]
     if beyond is not None:
         _, cutting = beyond.cut(estimate.columns.deviations(estimate.values[m]))
         rows, turned, _ = estimate.marks(m, beyond, cutting)
-        places.append(_Places.of(estimate, m, beyond, rows, turned, found))
+        places.append(_Places.of(estimate, m, beyond, rows, turned, corrected_values))
     rows = np.concatenate([one.rows for one in places])
-    # The tool of a draw may leave a point out.
+    # The tool of a draw may not cut every point.
     before = np.nan_to_num(np.hstack([one.off(estimate, m, numbers) for one in places]))
     before[:, : lacking.shape[1]] += lacking
     x, y = (np.concatenate(one) for one in zip(*(one.sight.moved()[:2] for one in places), strict=True))
-    shift, turn = _aside(look, moved)
+    shift, turn = _split_pose(system, moved)
     return Draws(
         x=x, y=y, before=before, after=before - np.concatenate([one.taken for one in places]), single=single,
-        pose=rows[:, : look.poses], places=np.stack([x + shift[:, :1] - turn * y, y + shift[:, 1:] + turn * x], axis=1),
-        unmeasured=0.0 if beyond is None else beyond.x.size / DRAWN,
-        cases=tuple(itertools.islice(_cases(estimate, m, numbers, lacking, rows, asked), CASES)),
+        pose=rows[:, : system.poses],
+        places=np.stack([x + shift[:, :1] - turn * y, y + shift[:, 1:] + turn * x], axis=1),
+        unmeasured=0.0 if beyond is None else beyond.x.size / DRAW_POINTS,
+        cases=tuple(itertools.islice(_yield_cases(estimate, m, numbers, lacking, rows, request), FULL_CASES)),
     )  # fmt: skip
 
 
-def _unmeasured(estimate: Estimate, m: int, part: Part, tool: Tool) -> Sight | None:
-    """Return places of a part that a map leaves out, out of `DRAWN` evenly over it; ``None`` if there are few."""
+def _find_unmeasured(estimate: Estimate, m: int, part: Part, tool: Tool) -> Sight | None:
+    """Return the points, of `DRAW_POINTS` evenly over a part, that a map does not cover; ``None`` if there are few."""
     from scipy.spatial import KDTree  # noqa: PLC0415 - costly to import
 
     sight = estimate.sights[m]
     if sight.sphere is not None:
         return None
     x, y, _ = sight.moved()
-    places = _nominal(part, DRAWN)
+    places = _sample_design(part, DRAW_POINTS)
     apart = KDTree(np.stack([x, y], axis=1)[sight.good]).query(np.stack(places.points(), axis=1))[0]
-    out = apart > AWAY * part.radius / math.sqrt(DRAWN)
-    if np.count_nonzero(out) < LEFT_OUT * DRAWN:
+    out = apart > UNMEASURED_SPACINGS * part.radius / math.sqrt(DRAW_POINTS)
+    if np.count_nonzero(out) < MIN_UNMEASURED_FRACTION * DRAW_POINTS:
         return None
     x, y = (one[out] for one in places.points())
     places = HeightMap(x=x, y=y, z=places.z[out], name=part.name)
     with suppress(InputError):  # where the tool does not cut
-        (beyond,), _ = sights_of([places], [part], tool, sight.free, "true form", estimate.sense, 0.0)
+        (beyond,), _ = prepare_maps([places], [part], tool, sight.free, "true form", estimate.sense, 0.0)
         beyond.cusp = sight.cusp
-        mark(beyond, estimate.columns)
+        add_signatures(beyond, estimate.columns)
         return beyond
     return None
 
 
-AWAY, LEFT_OUT = 4.0, 0.02
-"""Places so many spacings of the draws away from all points of a map are not measured; this share of them is few."""
+UNMEASURED_SPACINGS, MIN_UNMEASURED_FRACTION = 4.0, 0.02
+"""Points further than this many spacings from all points of a map are unmeasured; a smaller fraction is ignored."""
 
 
-def _nominal(part: Part, count: int) -> HeightMap:
-    """Return the design at places evenly over a part."""
+def _sample_design(part: Part, count: int) -> HeightMap:
+    """Return the design at points evenly over a part."""
     x, y = evenly(part, count)
     return HeightMap(x=x, y=y, z=part.surface.sag(x, y), name=part.name)
 
 
-def _aside(look: Look, poses: Floats) -> tuple[Floats, Floats]:
-    """Return how far some changes of pose lead along x and y (draws, 2) [mm], and around z (draws, 1) [rad]."""
-    every = np.zeros((poses.shape[0], LOOSE.size))
-    every[:, look.numbers] = poses * LOOSE[look.numbers]
+def _split_pose(system: LinearSystem, poses: Floats) -> tuple[Floats, Floats]:
+    """Return shift along x and y (draws, 2) [mm] and rotation about z (draws, 1) [rad] of some changes of pose."""
+    every = np.zeros((poses.shape[0], POSE_SIGMA.size))
+    every[:, system.numbers] = poses * POSE_SIGMA[system.numbers]
     return every[:, :2], every[:, 3:4]
 
 
-def _cases(
-    estimate: Estimate, m: int, numbers: Floats, lacking: Floats, rows: Floats, asked: Asked
+def _yield_cases(
+    estimate: Estimate, m: int, numbers: Floats, lacking: Floats, rows: Floats, request: ReportRequest
 ) -> Iterator[DrawnCut]:
-    """Yield draws that can be simulated in full: of those that lack the least."""
+    """Yield draws for full simulation, from the half with the smallest deficit."""
     size = (lacking**2).sum(axis=1)
     for number in np.flatnonzero(size <= np.median(size)).tolist():
         with suppress(InputError):  # an edge that no tool can have
-            yield _case(estimate, m, number, numbers[number], rows, asked)
+            yield _make_case(estimate, m, number, numbers[number], rows, request)
 
 
-def _drawn(estimate: Estimate, m: int, places: _Places, random: np.random.Generator) -> tuple[Floats, Floats, Floats]:
-    """Return draws of the numbers of a further part that is cut like that of a map, what these lack, and poses.
+def _draw_numbers(
+    estimate: Estimate, m: int, places: _Places, random: np.random.Generator
+) -> tuple[Floats, Floats, Floats]:
+    """Return draws of the unknowns of a further part that is cut like that of a map, their deficits, and poses.
 
     Each (draws, *).
 
-    Where sources may be large, their heights bend away from their marks, and by that much a draw would miss the map.
-    Steps of least squares, from what it misses, take it back to what the map allows. What they cannot take back is what
-    the draw lacks: heights at the places of the rows. [mm] The poses are those of the map, beyond that which was found,
-    in units of `LOOSE`.
+    The heights of large sources are nonlinear, so that a linear draw would not agree with the map. Least-squares steps
+    from the disagreement make the draw consistent with the map. The remaining disagreement is the deficit: heights at
+    the points of the rows. [mm] The poses are those of the map relative to the fitted pose, in units of `POSE_SIGMA`.
     """
-    look, split, k = estimate.looks[m], estimate.split(m), estimate.typical.size
+    system, split, k = estimate.systems[m], estimate.split(m), estimate.typical.size
     off, rows = partial(places.off, estimate, m), places.rows
     shared, owns = estimate.posterior.draws(DRAWS, random)
-    own = owns[m]
-    found, first = estimate.numbers(m), look.poses + k
-    found[look.poses : first] = estimate.values[m] / estimate.typical
-    cut = np.r_[np.zeros(look.poses, dtype=np.bool_), _of_the_cut(estimate), np.ones(TERMS, dtype=np.bool_)]
-    drawn = own @ split.own.T + shared @ split.shared.T
-    wanted = off(found[None]) + ((drawn - found) * cut) @ rows.T
+    map_draws = owns[m]
+    best_numbers, first = estimate.numbers(m), system.poses + k
+    best_numbers[system.poses : first] = estimate.values[m] / estimate.typical
+    cut = np.r_[np.zeros(system.poses, dtype=np.bool_), _made_by_cut(estimate), np.ones(TERMS, dtype=np.bool_)]
+    drawn = map_draws @ split.own.T + shared @ split.shared.T
+    wanted = off(best_numbers[None]) + ((drawn - best_numbers) * cut) @ rows.T
     columns = rows @ np.hstack([split.own, split.shared]) / estimate.scale[m]
-    root, weight = estimate.posterior.roots(m), look.rows.shape[0] / rows.shape[0]
+    root, weight = estimate.posterior.roots(m), system.rows.shape[0] / rows.shape[0]
     alike = sum(kind is not None and kind == estimate.kinds[m] for kind in estimate.kinds)
-    pose = np.linalg.qr(rows[:, : look.poses])[0]
-    best, lacking, uncut = (own, shared), np.full(wanted.shape, np.inf), np.full(len(own), wanted.shape[1])
-    for _ in range(BACK + 1):
-        lack = wanted - off(own @ split.own.T + shared @ split.shared.T)
+    pose = np.linalg.qr(rows[:, : system.poses])[0]
+    best, lacking, uncut = (map_draws, shared), np.full(wanted.shape, np.inf), np.full(len(map_draws), wanted.shape[1])
+    for _ in range(MAP_STEPS + 1):
+        lack = wanted - off(map_draws @ split.own.T + shared @ split.shared.T)
         missing = np.count_nonzero(~np.isfinite(lack), axis=1)
         lack = np.where(np.isfinite(lack), lack, wanted)
         lack -= (lack @ pose) @ pose.T
-        # A tool that cuts nothing lacks all that is wanted, which may be less than what a draw lacks.
+        # The deficit of a tool that cuts nothing is the whole target, which may be less than that of another draw.
         nearer = (missing <= uncut) & ((lack**2).sum(axis=1) < (lacking**2).sum(axis=1))
         uncut = np.where(nearer, missing, uncut)
-        best = np.where(nearer[:, None], own, best[0]), np.where(nearer[:, None], shared, best[1])
+        best = np.where(nearer[:, None], map_draws, best[0]), np.where(nearer[:, None], shared, best[1])
         lacking = np.where(nearer[:, None], lack, lacking)
         back = (lack / estimate.scale[m] * weight) @ columns @ root @ root.T
         if not alike:
-            own = own + back[:, : own.shape[1]]
-        shared = shared + max(alike, 1) * back[:, own.shape[1] :]  # maps of one part bend alike
-    own, shared = best
-    moved = (own @ split.own.T)[:, : look.poses] - found[: look.poses]
-    return _further(estimate, m, own, random) @ split.own.T + shared @ split.shared.T, lacking, moved
+            map_draws = map_draws + back[:, : map_draws.shape[1]]
+        shared = shared + max(alike, 1) * back[:, map_draws.shape[1] :]  # maps of one part have the same nonlinearity
+    map_draws, shared = best
+    moved = (map_draws @ split.own.T)[:, : system.poses] - best_numbers[: system.poses]
+    return _draw_further_cut(estimate, m, map_draws, random) @ split.own.T + shared @ split.shared.T, lacking, moved
 
 
-def _some_of(sight: Sight, some: Ints) -> Sight:
-    """Return a map with some of its points."""
+def _select_points(sight: Sight, some: Ints) -> Sight:
+    """Return some points of a map."""
     return replace(
         sight, x=sight.x[some], y=sight.y[some], z=sight.z[some], sweeps=Sweeps(*(one[some] for one in sight.sweeps)),
         added={cause: one[:, some] for cause, one in sight.added.items()}, usable=sight.usable[some],
@@ -468,105 +494,107 @@ def _some_of(sight: Sight, some: Ints) -> Sight:
 LASTING = np.concatenate([np.full(group.relative.size, group.lasting) for group in GROUPS])
 
 
-def _of_the_cut(estimate: Estimate) -> Bools:
-    """Return which numbers belong to the cut, not to the mount. (k,)."""
+def _made_by_cut(estimate: Estimate) -> Bools:
+    """Return which unknowns belong to the cut, not to the mount. (k,)."""
     return np.array([column.cause not in MOUNT for column in estimate.names])
 
 
-def _elsewhere(estimate: Estimate, asked: Asked, part: Part) -> Draws:
-    """Return how another part may be off by the sources, and the residual if all are planned with.
+def _draw_other_part(estimate: Estimate, request: ReportRequest, part: Part) -> Draws:
+    """Return draws of the form error of another part by the sources, without and with correction of all of them.
 
-    What the spindle does comes along, and stays.
+    Error motions of the spindle are included in both.
     """
     thin, k = estimate.sights[0], estimate.typical.size
-    (sight,), _ = sights_of(
-        [_nominal(part, ELSEWHERE)], [part], asked.tool, thin.free, "true form", estimate.sense, 0.0
+    (sight,), _ = prepare_maps(
+        [_sample_design(part, OTHER_PART_POINTS)], [part], request.tool, thin.free, "true form", estimate.sense, 0.0
     )
-    mark(sight, estimate.columns)
-    found = estimate.posterior.shared[:k]
-    _, cutting = sight.cut(estimate.columns.deviations(found * estimate.typical))
+    add_signatures(sight, estimate.columns)
+    best_values = estimate.posterior.shared[:k]
+    _, cutting = sight.cut(estimate.columns.deviations(best_values * estimate.typical))
     marks = estimate.columns.slopes(cutting, sight.added, estimate.sense, 0.0) * estimate.typical
     nuisances, _ = sight.nuisances(cutting, np.zeros(cutting.x.size))
-    known = sight.usable & np.isfinite(marks).all(axis=1) & np.isfinite(nuisances).all(axis=1)
-    marks = marks[known] * _of_the_cut(estimate)
+    finite = sight.usable & np.isfinite(marks).all(axis=1) & np.isfinite(nuisances).all(axis=1)
+    marks = marks[finite] * _made_by_cut(estimate)
     random = np.random.default_rng(1)
     shared, owns = estimate.posterior.draws(DRAWS, random)
     values = shared[:, :k]
     if len(estimate.sights) > 1:
-        between = _further(estimate, 0, owns[0], random)[:, estimate.looks[0].poses : -TERMS]
+        between = _draw_further_cut(estimate, 0, owns[0], random)[:, estimate.systems[0].poses : -TERMS]
         values = values + between * np.sqrt(estimate.between_numbers())
     split = estimate.split(0)
     terms = (owns[0] @ split.own.T + shared @ split.shared.T)[:, -TERMS:]
-    lasting = terms[:, LASTING] @ columns(cutting, estimate.radius[0])[np.ix_(known, LASTING)].T
-    ends = (found * estimate.typical * _of_the_cut(estimate), np.zeros(k))
-    every, planned = (_made(estimate, sight, one)[known] for one in ends)
-    after = (values - found) @ marks.T + lasting
+    lasting = terms[:, LASTING] @ columns(cutting, estimate.radius[0])[np.ix_(finite, LASTING)].T
+    ends = (best_values * estimate.typical * _made_by_cut(estimate), np.zeros(k))
+    every, planned = (_simulate_heights(estimate, sight, one)[finite] for one in ends)
+    after = (values - best_values) @ marks.T + lasting
     before = after + every - planned
-    x, y = sight.x[known], sight.y[known]
+    x, y = sight.x[finite], sight.y[finite]
     return Draws(
         x=x, y=y, before=before, after=after, single=len(estimate.sights) == 1,
-        pose=nuisances[known], places=np.stack([x, y])[None], unmeasured=0.0, cases=(),
+        pose=nuisances[finite], places=np.stack([x, y])[None], unmeasured=0.0, cases=(),
     )  # fmt: skip
 
 
-ELSEWHERE = 3_000
-"""Places on another part."""
+OTHER_PART_POINTS = 3_000
+"""Points on another part."""
 
 
-def _case(estimate: Estimate, m: int, number: int, numbers: Floats, rows: Floats, asked: Asked) -> DrawnCut:
-    """Return one draw as it can be simulated."""
-    k, j = estimate.typical.size, estimate.looks[m].poses
+def _make_case(
+    estimate: Estimate, m: int, number: int, numbers: Floats, rows: Floats, request: ReportRequest
+) -> DrawnCut:
+    """Return one draw for full simulation."""
+    k, j = estimate.typical.size, estimate.systems[m].poses
     values = numbers[j : j + k] * estimate.typical
-    moving = np.array([column.cause in MOVING for column in estimate.names])
-    tool, machine = _as_found(estimate, np.where(moving, values, 0.0), asked)
-    rest = numbers.copy()
-    rest[j : j + k][moving] = 0.0
-    terms = rest[j + k :].copy()
+    moving = np.array([column.cause in PLANNABLE for column in estimate.names])
+    tool, machine = _apply_deviations(estimate, np.where(moving, values, 0.0), request)
+    remaining = numbers.copy()
+    remaining[j : j + k][moving] = 0.0
+    terms = remaining[j + k :].copy()
     form = PLACES[-1]
     across = slice(PLACES[-2].start + 1, PLACES[-2].stop)  # the tilts that move the tip along Y
-    rest[j + k :][: across.start] = 0.0
+    remaining[j + k :][: across.start] = 0.0
     terms[form], terms[across] = 0.0, 0.0
     return DrawnCut(
-        number=number, tool=tool, machine=machine, rest=rows @ rest,
+        number=number, tool=tool, machine=machine, rest=rows @ remaining,
         tip_motion=lambda radius, angle, z: tip_motion(terms, radius, angle, z, estimate.radius[m]),
     )  # fmt: skip
 
 
-MOVING = frozenset({"offset x", "offset y", "offset z", "radius error", "waviness", "squareness", "straightness"})
-"""Causes that planning with the real tool and machine takes care of. What others make is left to the form."""
+PLANNABLE = frozenset({"offset x", "offset y", "offset z", "radius error", "waviness", "squareness", "straightness"})
+"""Sources that planning with the real tool and machine corrects. The others are left to a compensation of the form."""
 
 
-def _further(estimate: Estimate, m: int, own: Floats, random: np.random.Generator) -> Floats:
-    """Return draws of what a further cut has of its own, of those of a map. (draws, o).
+def _draw_further_cut(estimate: Estimate, m: int, cut_numbers: Floats, random: np.random.Generator) -> Floats:
+    """Return draws of the unknowns of a further cut from those of a map. (draws, o).
 
-    Sources differ anew from part to part, and so do the terms where several cuts of a part say by how much.
+    Sources are drawn again for each part, and so are the terms if several cuts of a part determine their size.
     """
-    look = estimate.looks[m]
-    own = own.copy()
-    own[:, : look.poses] = 0.0
-    between, terms = own[:, look.poses : -TERMS], own[:, -TERMS:]
-    between[:] = _anew(between.shape, between.shape[1] * (len(estimate.sights) - 1), random)
+    system = estimate.systems[m]
+    cut_numbers = cut_numbers.copy()
+    cut_numbers[:, : system.poses] = 0.0
+    between, terms = cut_numbers[:, system.poses : -TERMS], cut_numbers[:, -TERMS:]
+    between[:] = _draw_student(between.shape, between.shape[1] * (len(estimate.sights) - 1), random)
     alike = sum(kind is not None and kind == estimate.kinds[m] for kind in estimate.kinds)
     if alike < 2:
-        return own
+        return cut_numbers
     for name in dict.fromkeys(group.name for group in GROUPS):
         places = [place for group, place in zip(GROUPS, PLACES, strict=True) if group.name == name]
-        whole = slice(places[0].start, places[-1].stop)
-        # The size of the differences is known from few, and may be far larger.
-        shape = own.shape[0], whole.stop - whole.start
-        terms[:, whole] = _anew(shape, (alike - 1) * shape[1], random)
-    return own
+        group_slice = slice(places[0].start, places[-1].stop)
+        # The size of the differences is estimated from few cuts, and may be much larger.
+        shape = cut_numbers.shape[0], group_slice.stop - group_slice.start
+        terms[:, group_slice] = _draw_student(shape, (alike - 1) * shape[1], random)
+    return cut_numbers
 
 
-def _anew(shape: tuple[int, ...], freedom: int, random: np.random.Generator) -> Floats:
-    """Return numbers of unit size, where that is known with so many degrees of freedom."""
+def _draw_student(shape: tuple[int, ...], freedom: int, random: np.random.Generator) -> Floats:
+    """Return draws of unit size, where the size is known with some degrees of freedom."""
     if not np.prod(shape):
         return np.zeros(shape)
     return np.asarray(random.normal(size=shape) * np.sqrt(freedom / random.chisquare(freedom, size=(shape[0], 1))))
 
 
-class _Whole(NamedTuple):
-    """What is left of all points of a map."""
+class _FullMap(NamedTuple):
+    """Residual, remainder and field at all points of a map."""
 
     residual: HeightMap
     remainder: HeightMap
@@ -576,40 +604,41 @@ class _Whole(NamedTuple):
     def of(
         cls, estimate: Estimate, m: int, heights: HeightMap, thinned: HeightMap, part: Part, corrected: Bools,
         repeats: bool,
-    ) -> _Whole:  # fmt: skip
-        """Return what neither sources nor terms explain, and what corrected sources, and none, leave to the form."""
-        thin, look, k = estimate.sights[m], estimate.looks[m], estimate.typical.size
-        sight = thin if heights is thinned else _every_point(thin, thinned, heights, part, estimate)
+    ) -> _FullMap:  # fmt: skip
+        """Return the residual, and the repeatable form error with and without correction of the sources."""
+        thin, system, k = estimate.sights[m], estimate.systems[m], estimate.typical.size
+        sight = thin if heights is thinned else _expand_map(thin, thinned, heights, part, estimate)
         residual, cutting = sight.cut(estimate.columns.deviations(estimate.values[m]))
         for cause, one in sight.added.items():
             residual = residual - estimate.values[m][estimate.of_cause(cause)] @ one
         residual[~(sight.good | sight.apart)] = np.nan
         terms = columns(cutting, estimate.radius[m])
-        numbers = estimate.numbers(m)[look.poses + k :]
-        left = residual - terms @ numbers
-        # What differs from cut to cut, from its mean over them, does not come back.
+        numbers = estimate.numbers(m)[system.poses + k :]
+        residual_form = residual - terms @ numbers
+        # The differences of the cuts from their mean do not repeat.
         common = numbers
         if estimate.kinds[m] is not None:
             common = (estimate.split(m).shared @ estimate.posterior.shared)[-TERMS:]
         steady = repeats or estimate.kinds[m] is not None
-        repeated = terms @ np.where(LASTING | steady, common, 0.0) + 0.0 * left
-        found = np.where(_of_the_cut(estimate), estimate.posterior.shared[:k] * estimate.typical, 0.0)
+        repeated = terms @ np.where(LASTING | steady, common, 0.0) + 0.0 * residual_form
+        cut_values = np.where(_made_by_cut(estimate), estimate.posterior.shared[:k] * estimate.typical, 0.0)
         planned, certain, every = (
-            _made(estimate, sight, values) for values in (np.zeros(k), np.where(corrected, found, 0.0), found)
+            _simulate_heights(estimate, sight, values)
+            for values in (np.zeros(k), np.where(corrected, cut_values, 0.0), cut_values)
         )
 
         def shown(z: Floats, name: str) -> HeightMap:
-            return replace(_on(heights, z, sight), name=f"{heights.name} {name}".strip())
+            return replace(_put_on_grid(heights, z, sight), name=f"{heights.name} {name}".strip())
 
         return cls(
-            shown(left, "residual"),
+            shown(residual_form, "residual"),
             shown(repeated + (every - certain if steady else 0.0), "remainder"),
             shown(repeated + (every if steady else certain) - planned, "field"),
         )
 
 
-def _made(estimate: Estimate, sight: Sight, values: Floats) -> Floats:
-    """Return the heights that some values of the sources leave at the points of a map, in full. (n,) [mm]."""
+def _simulate_heights(estimate: Estimate, sight: Sight, values: Floats) -> Floats:
+    """Return the exact heights at the points of a map for some values of the sources. (n,) [mm]."""
     stands = sight.stands
     _, cutting = sight.cut(estimate.columns.deviations(values))
     sight.stands = stands
@@ -620,21 +649,21 @@ def _made(estimate: Estimate, sight: Sight, values: Floats) -> Floats:
 
 
 MOUNT = frozenset({"astigmatism", "trefoil"})
-"""Causes that are not in the cut."""
+"""Sources of the mount, not of the cut."""
 
 
 def _pose(sight: Sight) -> Pose:
     return Pose.within_a_turn(sight.pose[:3].tolist(), sight.pose[3], sight.pose[4:6])
 
 
-def _on(heights: HeightMap, mark: Floats, sight: Sight) -> HeightMap:
-    """Return a mark on the grid of a map."""
+def _put_on_grid(heights: HeightMap, mark: Floats, sight: Sight) -> HeightMap:
+    """Return a signature on the grid of a map."""
     z = np.full(heights.z.shape, np.nan)
     z[sight.where] = mark
     return replace(heights, z=z)
 
 
-def _axes(heights: HeightMap) -> tuple[Floats, Floats]:
+def _grid_axes(heights: HeightMap) -> tuple[Floats, Floats]:
     """Return rows and columns of a grid."""
     rows, columns = (heights.angle, heights.radius) if heights.polar else (heights.y, heights.x)
     assert rows is not None  # noqa: S101 - a grid has both
@@ -642,9 +671,9 @@ def _axes(heights: HeightMap) -> tuple[Floats, Floats]:
     return rows, columns
 
 
-def _every_point(thin: Sight, thinned: HeightMap, heights: HeightMap, part: Part, estimate: Estimate) -> Sight:
-    """Return a map with all its points, where it was thinned for the fit: what held there holds around it."""
-    where, x, y, z = valid(heights, part)
+def _expand_map(thin: Sight, thinned: HeightMap, heights: HeightMap, part: Part, estimate: Estimate) -> Sight:
+    """Return a map with all its points; each takes the state of the nearest point of the thinned map."""
+    where, x, y, z = select_valid(heights, part)
     sight = replace(
         thin,
         x=x,
@@ -660,44 +689,44 @@ def _every_point(thin: Sight, thinned: HeightMap, heights: HeightMap, part: Part
     if not heights.scattered:
         held = np.zeros(thin.where.shape, dtype=np.bool_)
         held[thin.where] = thin.good | thin.apart
-        near = [_nearest(full, few) for full, few in zip(_axes(heights), _axes(thinned), strict=True)]
+        near = [_find_nearest(full, few) for full, few in zip(_grid_axes(heights), _grid_axes(thinned), strict=True)]
         sight.good = held[np.ix_(*near)][where]
     if thin.stands is not None:
         sight.stands = z
-    mark(sight, estimate.columns)
+    add_signatures(sight, estimate.columns)
     return sight
 
 
-def _nearest(full: Floats, few: Floats) -> Ints:
-    """Return which of few positions along an axis, which may fall, is about the nearest to each of all. (n,)."""
+def _find_nearest(full: Floats, few: Floats) -> Ints:
+    """Return the index of the nearest of few positions for each of all, along an ascending or descending axis. (n,)."""
     order = np.argsort(few)
     return np.asarray(np.rint(np.interp(full, few[order], order)).astype(np.int64))
 
 
-def _as_found(estimate: Estimate, values: Floats, asked: Asked) -> tuple[Tool, Machine]:
-    """Return the planned tool and machine with deviations of some values, none where they are 0. (k,) in."""
-    tool, machine = asked.tool, asked.machine
+def _apply_deviations(estimate: Estimate, values: Floats, request: ReportRequest) -> tuple[Tool, Machine]:
+    """Return the planned tool and machine with the deviations of some values. (k,) in."""
+    tool, machine = request.tool, request.machine
     real = estimate.columns.deviations(values)
-    x, y, z = (own + more for own, more in zip(tool.offset, real.offset, strict=True))
+    x, y, z = (planned + more for planned, more in zip(tool.offset, real.offset, strict=True))
     most = tool.nose_radius * LARGEST_ERROR
-    radius_error = float(np.clip(tool.radius_error + real.radius, -most, most))  # beyond it is another tool
+    radius_error = float(np.clip(tool.radius_error + real.radius, -most, most))  # more would be another tool
     tool = replace(tool, offset=(x, y, z), radius_error=radius_error)
     if real.waviness.any():
-        tool = replace(tool, waviness=_certificate(estimate, real, tool))
+        tool = replace(tool, waviness=_make_waviness_table(estimate, real, tool))
     machine = replace(machine, squareness=machine.squareness + real.squareness)
     if real.straightness.any():
         at, error = machine.straightness or (real.knots, np.zeros_like(real.knots))
         both = np.union1d(at, real.knots)
-        found = np.interp(both, real.knots, real.straightness)
-        machine = replace(machine, straightness=(both, np.interp(both, at, error) + found))
+        straightness_error = np.interp(both, real.knots, real.straightness)
+        machine = replace(machine, straightness=(both, np.interp(both, at, error) + straightness_error))
     return tool, machine
 
 
-def _certificate(estimate: Estimate, real: Deviations, tool: Tool) -> WavinessTable:
-    """Return the waviness of the planned edge and that found, over the whole arc: beyond the sweeps used it runs on."""
+def _make_waviness_table(estimate: Estimate, real: Deviations, tool: Tool) -> WavinessTable:
+    """Return the waviness of the planned edge plus the fit, over the whole arc, extrapolated beyond the sweeps used."""
     used = np.concatenate([sight.sweeps.cut[sight.good] for sight in estimate.sights])
     low, high = float(np.nanmin(used)), float(np.nanmax(used))
-    sweep = np.linspace(*tool.arc, CERTIFICATE)
+    sweep = np.linspace(*tool.arc, EDGE_POINTS)
     held = np.clip(sweep, low, high)
     height, slope, _ = np.tensordot(real.basis.values(held), real.waviness, (1, 0))
     return WavinessTable(sweep=sweep, deviation=tool.deviation(sweep) + height + slope * (sweep - held))

@@ -1,4 +1,4 @@
-"""A measured map as the estimate sees it: its points, where they were cut, and how the map may have been moved."""
+"""A measured map in the fit: its points, where they were cut, and its pose."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ if TYPE_CHECKING:
     from turnwright.part import Part
     from turnwright.tool import Tool
 
-__all__ = ["CENTRE", "FREE", "Sight", "mark", "sights_of", "valid"]
+__all__ = ["CENTRE_ZONE_MM", "FREE", "Sight", "add_signatures", "prepare_maps", "select_valid"]
 
-CENTRE = 0.05
-"""Nearer to the axis than this the real tool may cut on the far side of it. [mm]"""
+CENTRE_ZONE_MM = 0.05
+"""Closer to the axis than this, the real tool may cut on its far side."""
 
-CUSP = 0.01
-"""Half the arc of a nose that a feed uses on a plane, about: of the edge at least so much cuts. [rad]"""
+MIN_SWEEP_RAD = 0.01
+"""Least sweep that cuts: about half the arc of a nose that a feed uses on a plane."""
 
 FREE = ("piston", "tilt", "decentre", "clocking")
-"""What registration leaves open, a little."""
+"""Degrees of freedom that registration determines only approximately."""
 
-NUDGE = (1e-6, 1e-6, 1e-7)
-"""Slopes and curvature by which a sphere is changed to see what that does."""
+SPHERE_STEPS = (1e-6, 1e-6, 1e-7)
+"""Steps in slopes and curvature of a sphere for numerical derivatives."""
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Sight:
-    """One measured map as the fit sees it: its points, and where on the nose they were cut.
+    """One measured map in the fit: its points, and the places on the nose that cut them.
 
-    ``x``, ``y``, ``z`` are the valid points; of a departure from a sphere, ``sphere`` has that of the design: slopes at
+    ``x``, ``y``, ``z`` are the valid points. For a deviation from a sphere, ``sphere`` is that of the design: slopes at
     the axis and curvature (p, q, k).
     """
 
@@ -49,33 +49,33 @@ class Sight:
     sweeps: Sweeps
     added: dict[str, Floats]
     usable: Bools  # points that the planned tool cuts
-    good: Bools  # those of them that the fit takes
-    apart: Bools  # points that stand out of the rest by so much that the fit leaves them
+    good: Bools  # points in the fit
+    apart: Bools  # outliers
     free: tuple[str, ...]
     reference: str
-    where: Bools  # which points of the map these are
+    where: Bools  # mask of these points in the map
     sphere: Floats | None
-    stands: Floats | None  # departure along the normal that the points should have, as far as the fit knows it [mm]
+    stands: Floats | None  # current estimate of the deviation along the normal of the points [mm]
     cusp: float  # mean height of the cusps per curvature between the passes [mm²]
     pose: Floats  # shift x, y, z, rotation, tilts [mm, rad]; and (p, q, k) beyond those of the design's sphere
-    begun: Floats  # where the pose began
+    begun: Floats  # start value of the pose
 
     def moved(self) -> tuple[Floats, Floats, Floats]:
-        """Return the points in the frame of the part, as far as the fit knows it."""
+        """Return the points in the frame of the part, by the current pose."""
         x, y, z = self.x, self.y, self.z
         if self.sphere is not None:
-            x, y, z = on_sphere(self.sphere + self.pose[6:], x, y, z, self.stands)
+            x, y, z = put_on_sphere(self.sphere + self.pose[6:], x, y, z, self.stands)
         shift, rotation, tilt = self.pose[:3], self.pose[3], self.pose[4:6]
         return Pose.within_a_turn(shift, rotation, tilt).apply(x, y, z)
 
     def cut(self, deviations: Deviations) -> tuple[Floats, Cutting]:
-        """Return what is measured beyond the height that the deviations leave, and how the points were cut."""
+        """Return the measured minus the predicted height for some deviations, and how the points were cut."""
         x, y, z = self.moved()
-        # Where the last deviations left no contact, these may have one again.
+        # Points without a contact for the previous deviations may have one for these.
         lost = self.usable & np.isnan(self.sweeps.cut)
         if lost.any():
-            for own, again in zip(self.sweeps, self.swept.guess(x[lost], y[lost]), strict=True):
-                own[lost] = again
+            for cached, again in zip(self.sweeps, self.swept.guess(x[lost], y[lost]), strict=True):
+                cached[lost] = again
         cutting = self.swept.heights(x, y, self.sweeps, deviations)
         residual = z - cutting.z - self.cusp * cutting.between
         if self.stands is not None:
@@ -83,13 +83,13 @@ class Sight:
         return residual, cutting
 
     def nuisances(self, cutting: Cutting, by_angle: Floats) -> tuple[Floats, list[int]]:
-        """Return the derivative of the residual by each free number of the pose (n, j), and which they are.
+        """Return the derivative of the residual by each free unknown of the pose (n, j), and their indices.
 
         ``by_angle`` is that of the lobes by the azimuth. (n,) [mm/rad]
         """
         x, y, z = cutting.x, cutting.y, cutting.z
-        # Slopes of what was cut, errors and lobes included: they too show where the axis of turning is.
-        away = np.maximum(x * x + y * y, CENTRE**2)
+        # Slopes of the cut surface, errors and lobes included, as these too locate the axis of turning.
+        away = np.maximum(x * x + y * y, CENTRE_ZONE_MM**2)
         zx, zy = cutting.zx - by_angle * y / away, cutting.zy + by_angle * x / away
         rows = {
             0: -zx, 1: -zy, 2: np.ones_like(x), 3: y * zx - x * zy,
@@ -99,17 +99,17 @@ class Sight:
         numbers = [number for name in FREE if name in self.free for number in names[name]]
         if self.sphere is not None and "sphere" in self.free:
             shape = self.sphere + self.pose[6:]
-            off = self.z if self.stands is None else self.stands  # no noise in the marks
+            off = self.z if self.stands is None else self.stands  # no noise in the signatures
             for k in range(3):
-                step = NUDGE[k] * np.eye(3)[k]
-                ends = [on_sphere(shape + side * step, self.x, self.y, off, self.stands) for side in (1, -1)]
-                by_x, by_y, by_z = ((high - low) / (2 * NUDGE[k]) for high, low in zip(*ends, strict=True))
+                step = SPHERE_STEPS[k] * np.eye(3)[k]
+                ends = [put_on_sphere(shape + side * step, self.x, self.y, off, self.stands) for side in (1, -1)]
+                by_x, by_y, by_z = ((high - low) / (2 * SPHERE_STEPS[k]) for high, low in zip(*ends, strict=True))
                 rows[6 + k] = by_z - zx * by_x - zy * by_y
             numbers += [6, 7, 8]
         return np.stack([rows[number] for number in numbers], axis=1) if numbers else np.zeros((x.size, 0)), numbers
 
 
-def sphere_at(shape: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+def evaluate_sphere(shape: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Return the root and the height of the sphere through the origin with slopes and curvature (p, q, k)."""
     p, q, k = shape
     squares = k / 2 * (x * x + y * y) + p * x + q * y
@@ -118,14 +118,17 @@ def sphere_at(shape: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return root, 2 * squares / (1 + root)
 
 
-def on_sphere(shape: Floats, x: Floats, y: Floats, off: Floats, stands: Floats | None) -> tuple[Floats, Floats, Floats]:
-    """Return the points that stand ``off`` a sphere: along z, or along its normal if it is said where they should.
+def put_on_sphere(
+    shape: Floats, x: Floats, y: Floats, off: Floats, stands: Floats | None
+) -> tuple[Floats, Floats, Floats]:
+    """Return the points at the deviation ``off`` from a sphere: along z, or with ``stands`` along its normal.
 
-    Along the normal a point moves aside with its height. It is moved by what it should have, and the rest, mostly
-    noise, is taken along z: noise that moved points aside would be found again in the marks.
+    Along the normal, the lateral position of a point depends on its deviation. It is computed from the expected
+    deviation ``stands``; the difference, mostly noise, is taken along z. Otherwise noise in the lateral position would
+    bias the signatures.
     """
     p, q, k = shape
-    root, height = sphere_at(shape, x, y)
+    root, height = evaluate_sphere(shape, x, y)
     if stands is None:
         return x, y, height + off
     zx, zy = (k * x + p) / root, (k * y + q) / root
@@ -133,12 +136,12 @@ def on_sphere(shape: Floats, x: Floats, y: Floats, off: Floats, stands: Floats |
     return x - stands / lean * zx, y - stands / lean * zy, height + stands / lean + (off - stands) * lean
 
 
-def sphere_of(x: Floats, y: Floats, z: Floats) -> Floats:
+def fit_sphere(x: Floats, y: Floats, z: Floats) -> Floats:
     """Return slopes and curvature (p, q, k) of the sphere of best fit in z."""
     shape: Floats = np.zeros(3)
     size = float(np.hypot(x, y).max())
     for _ in range(50):
-        root, height = sphere_at(shape, x, y)
+        root, height = evaluate_sphere(shape, x, y)
         if np.isnan(root).any():
             shape = 0.5 * shape
             continue
@@ -151,34 +154,34 @@ def sphere_of(x: Floats, y: Floats, z: Floats) -> Floats:
     return shape
 
 
-def sights_of(
+def prepare_maps(
     maps: Sequence[HeightMap], parts: Sequence[Part], tool: Tool, free: tuple[str, ...], reference: str, sense: int,
     feed: float,
 ) -> tuple[list[Sight], float]:  # fmt: skip
-    """Return the maps as the fit sees them, and the largest sweep that cuts them, cusps included. [rad]."""
+    """Return the maps prepared for the fit, and the largest sweep that cuts them, cusps included. [rad]."""
     sights, reach = [], 0.0
     for heights, part in zip(maps, parts, strict=True):
-        sight = _sight(heights, part, tool, free, reference, sense, feed)
+        sight = _prepare_map(heights, part, tool, free, reference, sense, feed)
         if not sight.good.any():
             raise InputError(
                 f"0 of {sight.x.size} points of the map {heights.name!r} lie where the planned tool cuts {part.name!r} "
-                f"within {part.radius:g} mm: register the map first, and give the tool of the plan"
+                f"within {part.radius:g} mm: register the map first, and use the tool of the plan"
             )
         reach = max(reach, float(np.abs(sight.sweeps.cut[sight.good]).max()))
         sights.append(sight)
-    return sights, max(reach, CUSP)
+    return sights, max(reach, MIN_SWEEP_RAD)
 
 
-def _sight(
+def _prepare_map(
     heights: HeightMap, part: Part, tool: Tool, free: tuple[str, ...], reference: str, sense: int, feed: float
 ) -> Sight:
-    """Return one map as the fit sees it."""
-    where, x, y, z = valid(heights, part)
+    """Return one map prepared for the fit."""
+    where, x, y, z = select_valid(heights, part)
     swept = Swept(surface=part.surface, tool=tool, sense=sense, rim=part.radius)
     sphere, pose, opened = None, np.zeros(9), free
     if reference != "true form" and x.size > 4:
         design = part.surface.sag(x, y)
-        sphere = sphere_of(x, y, design)
+        sphere = fit_sphere(x, y, design)
         pose[2] = float(np.mean(design - z - _sphere_height(sphere, x, y)))
         opened = (*dict.fromkeys((*free, "piston", "sphere")),)
     sight = Sight(
@@ -190,19 +193,19 @@ def _sight(
     )  # fmt: skip
     at = swept.heights(x, y, sight.sweeps, Deviations())
     with np.errstate(invalid="ignore"):
-        sight.usable &= np.isfinite(at.z) & (at.tip_radius > min(CENTRE, 0.02 * part.radius))
+        sight.usable &= np.isfinite(at.z) & (at.tip_radius > min(CENTRE_ZONE_MM, 0.02 * part.radius))
     sight.good = sight.usable.copy()
     return sight
 
 
-def mark(sight: Sight, columns: Columns) -> None:
-    """Find the marks that add in proportion."""
+def add_signatures(sight: Sight, columns: Columns) -> None:
+    """Compute the signatures that add in proportion."""
     x, y, _ = sight.moved()
     sight.added = columns.added(x, y, lambda: sight.swept.heights(x, y, sight.sweeps, Deviations()))
 
 
-def valid(heights: HeightMap, part: Part) -> tuple[Bools, Floats, Floats, Floats]:
-    """Return which heights are valid and on the part, and those points. The shape of the map, and each (n,) [mm]."""
+def select_valid(heights: HeightMap, part: Part) -> tuple[Bools, Floats, Floats, Floats]:
+    """Return the mask of heights that are valid and on the part (shape of the map), and those points. (n,) [mm]."""
     x, y = heights.points()
     where = np.isfinite(heights.z) & (np.hypot(x, y) <= part.radius)
     inside = part.surface.inside(np.ascontiguousarray(x), np.ascontiguousarray(y))
@@ -212,4 +215,4 @@ def valid(heights: HeightMap, part: Part) -> tuple[Bools, Floats, Floats, Floats
 
 
 def _sphere_height(sphere: Floats, x: Floats, y: Floats) -> Floats:
-    return on_sphere(sphere, x, y, np.zeros_like(x), None)[2]
+    return put_on_sphere(sphere, x, y, np.zeros_like(x), None)[2]

@@ -1,8 +1,8 @@
 """Where a surface has no tangent: its steps, valleys and lips between smooth pieces, and the ends of its domain.
 
-Along a line under the edge they are found to the last bit, by bisection between two samples of different pieces: a
-piece cuts a line in one interval. Beyond an end of the domain, or the rim, the height is -inf. How steep a surface is
-anywhere, infinitely at a step, settles whether the arc is enough to look along or the flanks are needed.
+Along a line under the edge these places are located to rounding, by bisection between two samples of different pieces.
+A piece is assumed to meet a line in one interval. Outside the domain, or outside the rim, the height is -inf. The
+greatest slope of the surface (infinite at a step) decides whether the search covers the arc alone or the flanks too.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ from turnwright.edge import Edge
 from turnwright.placing.tangent import SAMPLES_PER_PERIOD, Contact, Tips
 from turnwright.surface import Surface
 
-__all__ = ["BESIDE", "Breaks", "Ground", "find_breaks", "ground_of", "heights_at"]
+__all__ = ["SLOPE_OFFSET_MM", "Breaks", "SurfaceExtremes", "evaluate_heights", "find_breaks", "find_extremes"]
 
-MOST_ON_GROUND = 500_000
-"""Samples of the grid that settles whether the surface is steeper than the flanks anywhere."""
-FEWEST_ON_GROUND = 96
-"""Fewest samples on a radius of that grid."""
-STEP = 1e-11
-"""A height that jumps by less than this between two pieces is rounding. [mm]"""
-BESIDE = 1e-9
-"""How far from a kink or step its slopes are looked at, which only say to which side it rises. [mm]"""
+MAX_GRID_SAMPLES = 500_000
+"""Most samples of the grid that decides whether the surface is steeper than the flanks anywhere."""
+MIN_RADIAL_SAMPLES = 96
+"""Least number of samples on a radius of that grid."""
+STEP_TOL_MM = 1e-11
+"""A smaller jump of the height between two pieces is rounding. [mm]"""
+SLOPE_OFFSET_MM = 1e-9
+"""Distance from a slope discontinuity or step at which the slopes on both sides are evaluated. [mm]"""
 
 
-class Ground(NamedTuple):
-    """How steep the surface is where the edge may come."""
+class SurfaceExtremes(NamedTuple):
+    """Greatest slope and height of the surface where the edge may touch it."""
 
-    steepest: float  # along the radius, or in any direction; infinite at a step
+    steepest: float  # slope along the radius, or in any direction; infinite at a step
     top: float  # greatest height [mm]
 
 
 class Breaks(NamedTuple):
-    """Kinks and steps of sampled lines, row by row, see `candidates` in the kernels."""
+    """Slope discontinuities and steps of sampled lines, row by row, see `candidates` in the kernels."""
 
     offsets: Ints
     after: Ints
@@ -48,48 +48,49 @@ class Breaks(NamedTuple):
     slope: Floats
 
 
-class _Between(NamedTuple):
-    """Places of lines, in pairs between which something changes. Each (n,)."""
+class _Intervals(NamedTuple):
+    """Intervals of lines in which a label changes. Each (n,)."""
 
-    row: Ints  # of which line
-    after: Ints  # the sample before them
-    a: Floats  # as distances from the tip [mm]
+    row: Ints  # index of the line
+    after: Ints  # index of the sample before the interval
+    a: Floats  # ends, as distances from the tip [mm]
     b: Floats
 
-    def some(self, which: Bools) -> _Between:
-        """Return some of them."""
-        return _Between(self.row[which], self.after[which], self.a[which], self.b[which])
+    def select(self, which: Bools) -> _Intervals:
+        return _Intervals(self.row[which], self.after[which], self.a[which], self.b[which])
 
 
-class _Same:
-    """A surface, equal to itself alone, so that looking it up costs nothing."""
+class _SurfaceKey:
+    """Key of a cache: a surface that is compared by identity, which is fast."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and self.surface is other.surface
+        return isinstance(other, _SurfaceKey) and self.surface is other.surface
 
     def __hash__(self) -> int:
         return id(self.surface)
 
 
-def ground_of(surface: Surface, radius: float, *, radial: bool) -> Ground:
-    """Look at a surface on whole diameters, a quarter of its feature size apart if that is not too many samples.
+def find_extremes(surface: Surface, radius: float, *, radial: bool) -> SurfaceExtremes:
+    """Return the extremes of a surface, sampled along diameters.
 
-    ``radial`` says that an edge in the radial plane feels its slopes; another one passes beside the axis.
+    The samples are a quarter of the feature size apart, or further where that is more than `MAX_GRID_SAMPLES`. With
+    ``radial`` the edge lies in the radial plane and only slopes along the radius count; otherwise the edge passes the
+    axis at a distance and slopes in every direction count.
     """
-    return _ground(_Same(surface), radius, radial=radial)
+    return _find_extremes_cached(_SurfaceKey(surface), radius, radial=radial)
 
 
 @lru_cache(maxsize=8)
-def _ground(same: _Same, radius: float, *, radial: bool) -> Ground:
-    """Look at a surface as `ground_of` describes it; the last surfaces are kept."""
+def _find_extremes_cached(same: _SurfaceKey, radius: float, *, radial: bool) -> SurfaceExtremes:
+    """Compute `find_extremes`; the results of the last surfaces are cached."""
     surface = same.surface
-    spacing = min(surface.feature_size / SAMPLES_PER_PERIOD, radius / FEWEST_ON_GROUND)
-    spacing = max(spacing, radius * float(np.sqrt(2 * np.pi / MOST_ON_GROUND)))
+    spacing = min(surface.feature_size / SAMPLES_PER_PERIOD, radius / MIN_RADIAL_SAMPLES)
+    spacing = max(spacing, radius * float(np.sqrt(2 * np.pi / MAX_GRID_SAMPLES)))
     rows, samples = int(np.ceil(np.pi * radius / spacing)), int(np.ceil(2 * radius / spacing)) + 1
-    # Not on the axis, nor on lines where pieces may meet.
+    # The samples avoid the axis, and lines along which pieces may meet.
     along = np.linspace(-radius, radius, samples) * (1 - 1e-9) + 0.1 * spacing * np.linspace(1, 0, samples)
     across = 0.0 if radial else 0.381966 * spacing
     steepest, top, bend = 0.0, -np.inf, 0.0
@@ -109,20 +110,22 @@ def _ground(same: _Same, radius: float, *, radial: bool) -> Ground:
         if pieces is not None:
             smooth = pieces[:, 1:] == pieces[:, :-1]
             row, before = np.nonzero(~smooth)
-            jump, high = _jumps(surface, c[row, 0], s[row, 0], across, along[before], along[before + 1])
-            steepest = np.inf if jump > STEP else steepest
+            jump, high = _find_largest_jump(surface, c[row, 0], s[row, 0], across, along[before], along[before + 1])
+            steepest = np.inf if jump > STEP_TOL_MM else steepest
             top = max(top, high)
-        for values, known in ((slope, np.isfinite(z)), (rise / np.diff(along), smooth)):
-            steepest = max(steepest, float(np.max(values, where=known & np.isfinite(values), initial=0.0)))
-        known = np.isfinite(second) & smooth[:, 1:] & smooth[:, :-1]
-        bend = max(bend, float(np.max(second, where=known, initial=0.0)))
+        for values, valid in ((slope, np.isfinite(z)), (rise / np.diff(along), smooth)):
+            steepest = max(steepest, float(np.max(values, where=valid & np.isfinite(values), initial=0.0)))
+        valid = np.isfinite(second) & smooth[:, 1:] & smooth[:, :-1]
+        bend = max(bend, float(np.max(second, where=valid, initial=0.0)))
         top = max(top, float(np.max(z, where=np.isfinite(z), initial=-np.inf)))
-    # Between the samples the surface may stand higher by about what it bends from one to the next.
-    return Ground(steepest, top + bend)
+    # Between the samples the surface may be higher by about the second difference of its heights.
+    return SurfaceExtremes(steepest, top + bend)
 
 
-def _jumps(surface: Surface, c: Floats, s: Floats, across: float, a: Floats, b: Floats) -> tuple[float, float]:
-    """Return the greatest jump where the piece changes between a and b on some lines, and the greatest height there."""
+def _find_largest_jump(
+    surface: Surface, c: Floats, s: Floats, across: float, a: Floats, b: Floats
+) -> tuple[float, float]:
+    """Return the greatest jump at the changes of piece between a and b on some lines, and the greatest height there."""
     if not c.size:
         return 0.0, -np.inf
 
@@ -143,89 +146,93 @@ def _jumps(surface: Surface, c: Floats, s: Floats, across: float, a: Floats, b: 
     )
 
 
-def heights_at(contact: Contact, x: Floats, y: Floats) -> Floats:
-    """Return the surface's heights, -inf where it is not defined or does not count."""
+def evaluate_heights(contact: Contact, x: Floats, y: Floats) -> Floats:
+    """Return the surface's heights, -inf outside its domain and outside the rim."""
     with np.errstate(all="ignore"):
         heights = contact.surface.evaluate(x, y, 0)[0]
     inside = contact.surface.inside(x, y)
     missing = np.isnan(heights) if inside is None else ~inside | np.isnan(heights)
     if contact.rim < np.inf:
-        missing |= _beyond(contact.rim, x, y) > 0
+        missing |= _label_outside_rim(contact.rim, x, y) > 0
     heights[missing] = -np.inf
     return heights
 
 
-def _beyond(rim: float, x: Floats, y: Floats) -> Ints:
-    """Return 1 outside the rim, else 0."""
+def _label_outside_rim(rim: float, x: Floats, y: Floats) -> Ints:
     return np.where(x * x + y * y > rim**2, 1, 0)
 
 
-def _place(edge: Edge, tips: Tips, u: Floats) -> tuple[Floats, Floats]:
-    """Return where on the part the edges of some tips stand at distances from them. Each (n,) [mm]."""
+def _locate_edge(edge: Edge, tips: Tips, u: Floats) -> tuple[Floats, Floats]:
+    """Return x and y on the part of the edge at distances ``u`` from some tips. Each (n,) [mm]."""
     x, y = np.empty((2, u.size, 1))
     kernel.places(edge, *tips, u[:, None], x, y)
     return x[:, 0], y[:, 0]
 
 
 def find_breaks(contact: Contact, tips: Tips, u: Floats, x: Floats, y: Floats, heights: Floats) -> Breaks:
-    """Return every kink or step between samples of different pieces, and every end of the domain, to the last bit.
+    """Locate every slope discontinuity or step between samples of different pieces, and every end of the domain.
 
-    Each of the ``tips`` has a line of samples: where they stand from the tip and on the part, and how high the surface
-    is there. Each (rows, n) [mm]
+    They are located to rounding. Each of the ``tips`` has a line of samples: ``u`` is their distance from the tip,
+    ``x`` and ``y`` their position on the part, ``heights`` the surface there. Each (rows, n) [mm]
     """
     surface, edge = contact.surface, contact.edge
-    beyond = _beyond(contact.rim, x, y) if contact.rim < np.inf else None
+    beyond = _label_outside_rim(contact.rim, x, y) if contact.rim < np.inf else None
     missing = heights == -np.inf if beyond is None else (heights == -np.inf) & (beyond == 0)
-    found = []
+    intervals = []
     for labels, label in (
         (surface.piece(x, y), surface.piece),
-        (beyond, lambda x, y: _beyond(contact.rim, x, y)),
-        (missing if missing.any() else None, lambda x, y: np.where(heights_at(contact, x, y) == -np.inf, 1, 0)),
+        (beyond, lambda x, y: _label_outside_rim(contact.rim, x, y)),
+        (missing if missing.any() else None, lambda x, y: np.where(evaluate_heights(contact, x, y) == -np.inf, 1, 0)),
     ):
         if labels is not None:
             row, after = np.nonzero(labels[:, 1:] != labels[:, :-1])
-            between = _Between(row, after, u[row, after], u[row, after + 1])
-            found.append(_split(label, edge, tips, between, 4e-16 * contact.farthest, 4))
-    if not found:
+            between = _Intervals(row, after, u[row, after], u[row, after + 1])
+            intervals.append(_split_intervals(label, edge, tips, between, 4e-16 * contact.farthest, 4))
+    if not intervals:
         none = np.empty(0, dtype=np.int64)
         return Breaks(np.zeros(x.shape[0] + 1, dtype=np.int64), none, np.empty(0), *np.empty((2, 2, 0)))
-    row, after, before_at, behind_at = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    row, after, before_at, behind_at = (np.concatenate(parts) for parts in zip(*intervals, strict=True))
     order = np.lexsort((before_at, after, row))
     row, after = row[order], after[order]
     sides = np.stack([before_at[order], behind_at[order]])
     height, slope = np.empty(sides.shape), np.empty(sides.shape)
-    own = tips.some(row)
+    row_tips = tips.select(row)
     for side in range(2):
-        height[side] = heights_at(contact, *_place(edge, own, sides[side]))
-        # A little inside the piece: right on the axis, a slope is the difference of infinities.
-        beside = sides[side] + (2 * side - 1) * BESIDE
-        x, y = _place(edge, own, beside)
+        height[side] = evaluate_heights(contact, *_locate_edge(edge, row_tips, sides[side]))
+        # Slopes are evaluated slightly inside the piece: right on the axis they may be differences of infinities.
+        inner = sides[side] + (2 * side - 1) * SLOPE_OFFSET_MM
+        x, y = _locate_edge(edge, row_tips, inner)
         with np.errstate(all="ignore"):
             _, zx, zy = surface.evaluate(x, y, 1)
-        kernel.slopes_along(edge, own.angle, beside, zx, zy, slope[side])
+        kernel.slopes_along(edge, row_tips.angle, inner, zx, zy, slope[side])
     offsets = np.searchsorted(row, np.arange(heights.shape[0] + 1))
     return Breaks(offsets, after, 0.5 * (sides[0] + sides[1]), height, slope)
 
 
-def _split(
-    label: Callable[[Floats, Floats], Ints | None], edge: Edge, tips: Tips, between: _Between, close: float, depth: int
-) -> _Between:
-    """Return the two sides, no further apart than ``close``, of each change of the label, a piece, between two places.
+def _split_intervals(
+    label: Callable[[Floats, Floats], Ints | None],
+    edge: Edge,
+    tips: Tips,
+    between: _Intervals,
+    close: float,
+    depth: int,
+) -> _Intervals:
+    """Return both sides, at most ``close`` apart, of each change of the label (a piece number) in some intervals.
 
-    A piece cuts a line in one interval. So where the piece of one end stops, and where that of the other begins, are
-    found by bisection; what lies between them, if anything, is other pieces and is split again.
+    A piece is assumed to meet a line in one interval. Bisection locates where the first piece ends and where the last
+    one begins. If other pieces lie between these two places, that interval is split again.
     """
-    own = tips.some(between.row)
+    row_tips = tips.select(between.row)
 
     def piece(place: Floats) -> Ints:
-        pieces = label(*_place(edge, own, place))
+        pieces = label(*_locate_edge(edge, row_tips, place))
         assert pieces is not None  # noqa: S101 - only called for a surface in pieces
         return pieces
 
     row, after, a, b = between
     first, last = piece(a), piece(b)
-    low, over = a.copy(), b.copy()  # last known in the first piece, first known out of it
-    under, high = a.copy(), b.copy()  # last known out of the last piece, first known in it
+    low, over = a.copy(), b.copy()  # last place inside the first piece, first place outside it
+    under, high = a.copy(), b.copy()  # last place outside the last piece, first place inside it
     for _ in range(64):
         middle = 0.5 * (low + over)
         mine = piece(middle) == first
@@ -237,14 +244,14 @@ def _split(
             break
     sliver = (under - over > 1e-13) & (depth > 0)
     if not sliver.any():
-        return _Between(row, after, low, high)
-    # One piece in between has no change in it.
+        return _Intervals(row, after, low, high)
+    # A single piece in between contains no change.
     more = sliver.copy()
     more[sliver] = piece(over)[sliver] != piece(under)[sliver]
     parts = (
-        _Between(row, after, low, high).some(~sliver),
-        _Between(row, after, low, over).some(sliver),
-        _Between(row, after, under, high).some(sliver),
-        _split(label, edge, tips, _Between(row, after, over, under).some(more), close, depth - 1),
+        _Intervals(row, after, low, high).select(~sliver),
+        _Intervals(row, after, low, over).select(sliver),
+        _Intervals(row, after, under, high).select(sliver),
+        _split_intervals(label, edge, tips, _Intervals(row, after, over, under).select(more), close, depth - 1),
     )
-    return _Between(*(np.concatenate(one) for one in zip(*parts, strict=True)))
+    return _Intervals(*(np.concatenate(one) for one in zip(*parts, strict=True)))

@@ -1,24 +1,24 @@
-r"""The exact maximum: how high the real edge touches a surface that may have many tangents, or none.
+r"""The exact maximum: the height at which the real edge touches a surface with many tangents, or none.
 
 For the commanded tip at distance :math:`\rho` from the axis at azimuth :math:`\theta`, moving along Z only,
 
 .. math:: Z(\rho, \theta) = \max_u \; [\, f(\rho + u, \theta) - e(u) \,]
 
-a grey-scale dilation of the surface by the edge: free of gouges by construction, whatever the surface and the edge.
+a grey-scale dilation of the surface by the edge, free of gouges by construction for any surface and edge.
 
-f - e is sampled along the edge well below the surface's `feature_size`; every sampled maximum that may be the greatest
-within the sampling error is refined, on either side of each kink or step, and the greatest is taken. Points that share
-an azimuth share one sampled line, so that this costs a few evaluations a point. The arc is enough where the surface is
-nowhere steeper than the flanks. Where it is, or has a step, each point's window widens until no summit of the surface
-reaches over its ends, also across the axis.
+f - e is sampled along the edge at steps well below the surface's `feature_size`. Every sampled maximum that may be the
+greatest within the sampling error is refined, on both sides of each slope discontinuity or step, and the greatest is
+taken. Points that share an azimuth share one sampled line, which costs a few evaluations per point. The arc is
+sufficient where the surface is nowhere steeper than the flanks. Where it is steeper, or has a step, the window of each
+point is widened until no summit of the surface rises above its ends, also across the axis.
 
-*The rim.* The nose hangs over the outermost turn. A surface with one tangent as far as the arc reaches from there is
-continued so far; of any other nothing counts outside the rim, where a formula may run away, step or end and nothing is
-to be left. Either rule is the same for all tips, so that neighbours agree, and neither lifts a tip off the part.
+*The rim.* At the outermost revolution the nose projects beyond the part. A surface whose tangent is unique as far as
+the arc reaches is continued that far. Any other surface is ignored outside the rim, where its formula may diverge, step
+or end. The rule is the same for all tips, so that neighbours agree, and neither rule lifts a tip off the part.
 
 Sources
 -------
-Oracles: brute-force dilation, and closed forms on spheres.
+Reference solutions of the tests: brute-force dilation, and closed forms on spheres.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ import numpy as np
 from turnwright._arrays import Bools, Floats, Ints
 from turnwright._kernels import dilation as kernel
 from turnwright.errors import DomainError, GougeError, InputError
-from turnwright.placing.breaks import Breaks, find_breaks, ground_of, heights_at
-from turnwright.placing.tangent import CONCAVITY, Contact, Tips, Touch
+from turnwright.placing.breaks import Breaks, evaluate_heights, find_breaks, find_extremes
+from turnwright.placing.tangent import MAX_CURVATURE_RATIO, Contact, Tips, Touch
 from turnwright.progress import Progress, run_chunks
 from turnwright.surface import Surface
 
@@ -39,48 +39,47 @@ __all__ = ["CHUNK", "search"]
 
 SAMPLES_PER_FEATURE = 16
 SAMPLES_PER_EDGE = 128
-MOST_SAMPLES = 2_000_000
-"""Samples of the tracks under the edge that are held at once."""
+MAX_SAMPLES = 2_000_000
+"""Most samples of the tracks under the edge that are in memory together."""
 CHUNK = 8192
-LONGEST = 20_000_000
-"""Samples of one line or track beyond which a search is refused."""
-WIDEST = 32
-"""How far up the flanks a contact is looked for, in half widths of the arc, where the surface goes on without a rim."""
+MAX_LINE_SAMPLES = 20_000_000
+"""Most samples of one line or track."""
+MAX_WINDOW_RATIO = 32
+"""Without a rim, contacts are searched for up the flanks as far as this many half widths of the arc."""
 
 
 class _Candidates(NamedTuple):
     """Short intervals of the edge in which a point may have its contact. Each (n,)."""
 
     point: Ints
-    start: Floats  # ends and a first guess, as distances from the tip [mm]
+    start: Floats  # both ends and a first guess, as distances from the tip [mm]
     stop: Floats
     guess: Floats
 
     def first(self, count: int) -> _Candidates:
-        """Return so many of them, from the beginning."""
         return _Candidates(self.point[:count], self.start[:count], self.stop[:count], self.guess[:count])
 
 
-class _Direct(NamedTuple):
-    """What is known of each tip before any candidate is refined. Each (n,)."""
+class _TipState(NamedTuple):
+    """State of each tip before the candidates are refined. Each (n,)."""
 
-    height: Floats  # greatest f - e of those that stand exactly on a break [mm]
-    at: Floats  # and where, from the tip [mm]
+    height: Floats  # greatest f - e at the breaks themselves [mm]
+    at: Floats  # its distance from the tip [mm]
     ended: Bools  # whether the domain ends there
-    narrow: Bools  # whether the edge may touch beyond the window, so that nothing else is known
+    narrow: Bools  # whether the edge may touch outside the window; the other fields are then void
 
 
 class _Window(NamedTuple):
-    """Which part of the edge is looked along, and how closely."""
+    """Range of the edge that is sampled, and the step."""
 
-    low: float  # from its tip [mm]
+    low: float  # distance from the tip [mm]
     high: float
     step: float
-    top: float  # height that the surface reaches elsewhere, -inf where it is less steep than the flanks [mm]
+    top: float  # greatest height of the surface, -inf if it is less steep than the flanks [mm]
 
 
 class _Lines(NamedTuple):
-    """Places where the surface is looked at: a row for each of some tips, and on it one or more places of the tip."""
+    """Samples of the surface: a row for each of some tips, and on each row one or more positions of the tip."""
 
     tips: Tips
     offsets: Ints  # row i holds the positions offsets[i] to offsets[i + 1]
@@ -89,46 +88,46 @@ class _Lines(NamedTuple):
 
 
 def search(contact: Contact, tips: Tips, out: Touch, progress: Progress | None) -> None:
-    """Fill ``out`` by sampling along the edge and refining every maximum that may be the greatest.
+    """Fill ``out``: sample along the edge and refine every maximum that may be the greatest.
 
-    Points of one azimuth share one sampled line through the axis. Points that share nothing, or whose edge leaves the
-    radial plane, get a sampled track under the edge each.
+    Points of one azimuth share one sampled line through the axis. Points with an azimuth of their own, or with an edge
+    that leaves the radial plane, get a sampled track under the edge each.
     """
     edge, count = contact.edge, tips.angle.size
-    turn = _turn_length(tips.angle) if contact.upright else None
+    per_rev = _count_points_per_rev(tips.angle) if contact.upright else None
     width = edge.high_u - edge.low_u
     step = min(contact.feature / SAMPLES_PER_FEATURE, width / SAMPLES_PER_EDGE)
-    ground = ground_of(contact.surface, contact.extent, radial=contact.upright)
-    steep = ground.steepest * (1 + abs(edge.rake_sin)) >= CONCAVITY * contact.flank
+    ground = find_extremes(contact.surface, contact.extent, radial=contact.upright)
+    steep = ground.steepest * (1 + abs(edge.rake_sin)) >= MAX_CURVATURE_RATIO * contact.flank
     window = _Window(edge.low_u, edge.high_u, step, ground.top if steep else -np.inf)
 
     def lines(start: int, stop: int) -> None:
-        points = np.arange(start, count, turn)[:, None] + np.arange(stop - start)
+        points = np.arange(start, count, per_rev)[:, None] + np.arange(stop - start)
         points = np.minimum(points, count).T
         used = points < count
-        _widen(contact, window, tips, points[used], np.nonzero(used)[0], out)
+        _search_widening(contact, window, tips, points[used], np.nonzero(used)[0], out)
 
     def tracks(start: int, stop: int) -> None:
-        _widen(contact, window, tips, np.arange(start, stop), None, out)
+        _search_widening(contact, window, tips, np.arange(start, stop), None, out)
 
     samples = width / step
-    if turn is not None:
+    if per_rev is not None:
         samples += (2 * contact.extent if steep else contact.farthest - contact.nearest) / step
-    if samples > LONGEST:
+    if samples > MAX_LINE_SAMPLES:
         raise InputError(
             f"{type(contact.surface).__name__} has features of {contact.surface.feature_size:.3g} mm, which take "
-            f"{samples:.3g} samples a line, the limit is {LONGEST:.3g}: state a larger feature_size, or cut the "
-            "features in a part of their own"
+            f"{samples:.3g} samples a line, the limit is {MAX_LINE_SAMPLES:.3g}: set a larger feature_size, or cut "
+            "the features as a separate part"
         )
-    if turn is not None:
-        together = min(turn // 8, 4 * CHUNK * turn // count, int(MOST_SAMPLES / samples))
-        run_chunks(lines, turn, max(1, together), progress)
+    if per_rev is not None:
+        together = min(per_rev // 8, 4 * CHUNK * per_rev // count, int(MAX_SAMPLES / samples))
+        run_chunks(lines, per_rev, max(1, together), progress)
     else:
-        run_chunks(tracks, count, int(np.clip(MOST_SAMPLES // 4 * step / width, 1, CHUNK)), progress)
+        run_chunks(tracks, count, int(np.clip(MAX_SAMPLES // 4 * step / width, 1, CHUNK)), progress)
 
 
-def _turn_length(angle: Floats) -> int | None:
-    """Return the number of points a turn if every turn has the same azimuths, else ``None``."""
+def _count_points_per_rev(angle: Floats) -> int | None:
+    """Return the number of points per revolution if every revolution has the same azimuths, else ``None``."""
     n = int(np.searchsorted(np.abs(angle - angle[0]), 2 * np.pi - 1e-9))
     if n < 1 or n >= angle.size:
         return None
@@ -136,21 +135,23 @@ def _turn_length(angle: Floats) -> int | None:
     return n if np.abs(lag - 2 * np.pi).max() < 1e-9 else None
 
 
-def _widen(contact: Contact, window: _Window, tips: Tips, points: Ints, line: Ints | None, out: Touch) -> None:
+def _search_widening(
+    contact: Contact, window: _Window, tips: Tips, points: Ints, line: Ints | None, out: Touch
+) -> None:
     """Find the contacts of ``points`` on the arc, or further up the flanks where the arc does not touch.
 
-    ``line`` says, ascending, which of them share an azimuth; ``None`` where none do.
+    ``line`` numbers the azimuth of each point, ascending; ``None`` if no two points share one.
     """
     waiting = [(points, line, window)]
     while waiting:
         some, line, window = waiting.pop()
-        part, narrow = _bring_down(contact, window, tips.some(some), line)
+        part, narrow = _find_contacts(contact, window, tips.select(some), line)
         for target, values in zip(out, part, strict=True):
             target[some[~narrow]] = values[~narrow]
         if not narrow.any():
             continue
         some = some[narrow]
-        if window.high > max(WIDEST * contact.edge.high_u, 4 * contact.extent):
+        if window.high > max(MAX_WINDOW_RATIO * contact.edge.high_u, 4 * contact.extent):
             raise GougeError(
                 f"with the tip {tips.radius[some[0]]:.6g} mm from the axis the surface stands above the edge "
                 f"even {window.high:.3g} mm up its flanks: take a tool with a larger included angle, or a surface "
@@ -160,31 +161,33 @@ def _widen(contact: Contact, window: _Window, tips: Tips, points: Ints, line: In
         if line is not None:
             waiting.append((some, line[narrow], window))
             continue
-        # A wider window takes more room: where every point has its own, fewer points at a time.
+        # A wider window takes more memory: where each point has its own track, fewer points are done together.
         wide = min(window.high - window.low, 2 * contact.extent) / window.step
-        pieces = int(np.ceil(some.size * wide / (MOST_SAMPLES // 4)))
+        pieces = int(np.ceil(some.size * wide / (MAX_SAMPLES // 4)))
         waiting += [(piece, None, window) for piece in np.array_split(some, min(max(pieces, 1), some.size))]
 
 
-def _bring_down(contact: Contact, window: _Window, tips: Tips, line: Ints | None) -> tuple[Touch, Bools]:
-    """Find the contacts of points on lines, or (without) on tracks of their own, and which need a wider window."""
+def _find_contacts(contact: Contact, window: _Window, tips: Tips, line: Ints | None) -> tuple[Touch, Bools]:
+    """Find the contacts of points on shared lines, or else on separate tracks, and which need a wider window."""
     edge, size = contact.edge, tips.angle.size
-    whole = line is not None and window.top > -np.inf
-    lines = _lines_under(contact, window, tips, line, whole=whole)
+    spans_part = line is not None and window.top > -np.inf
+    lines = _lay_out_lines(contact, window, tips, line, spans_part=spans_part)
     x, y = np.empty(lines.u.shape), np.empty(lines.u.shape)
     kernel.places(edge, *lines.tips, lines.u, x, y)
-    heights = heights_at(contact, x, y)
+    heights = evaluate_heights(contact, x, y)
     breaks = find_breaks(contact, lines.tips, lines.u, x, y, heights)
-    found, direct = _candidates(contact, window, lines, heights, breaks, -np.inf if whole else window.top)
-    if not isinstance(found, _Candidates):
-        _refuse_outside(contact.surface, tips, found)
+    candidates, direct = _find_candidates(
+        contact, window, lines, heights, breaks, -np.inf if spans_part else window.top
+    )
+    if not isinstance(candidates, _Candidates):
+        _refuse_outside(contact.surface, tips, candidates)
     narrow, ended = direct.narrow, direct.ended
     best, z = np.zeros(size), np.zeros(size)
-    if found.point.size or not narrow.all():
-        top, sweep = _maxima(contact, tips.some(found.point), found)
+    if candidates.point.size or not narrow.all():
+        top, sweep = _refine_maxima(contact, tips.select(candidates.point), candidates)
         best = edge.sweeps(direct.at)
         z = direct.height - edge.dz
-        kernel.keep_highest(found.point, top, sweep, z, best, ended)
+        kernel.keep_highest(candidates.point, top, sweep, z, best, ended)
     if not (np.isfinite(z) | narrow).all():
         k = int(np.argmin(np.isfinite(z) | narrow))
         raise GougeError(
@@ -194,29 +197,29 @@ def _bring_down(contact: Contact, window: _Window, tips: Tips, line: Ints | None
     part = Touch(z, best, *contact.under_edge(tips, best), z + edge.points(best)[2])
     ended &= ~narrow
     if ended.any():
-        _judge_ends(contact, tips.some(ended), part.some(ended))
+        _check_ends(contact, tips.select(ended), part.select(ended))
     return part, narrow
 
 
-def _lines_under(contact: Contact, window: _Window, tips: Tips, line: Ints | None, *, whole: bool) -> _Lines:
-    """Return places of tips on lines that they share, over all of the part with ``whole``, or each on its own track."""
+def _lay_out_lines(contact: Contact, window: _Window, tips: Tips, line: Ints | None, *, spans_part: bool) -> _Lines:
+    """Return lines that tips share, across all of the part with ``spans_part``, or a separate track for each tip."""
     along = tips.radius + contact.edge.dx
     if line is None:
         rows, offsets, position = tips, np.arange(tips.angle.size + 1), np.zeros(tips.angle.size)
     else:
-        # The line itself is the track of an edge whose tip stands on the axis.
+        # The line is the track of an edge whose tip is on the axis.
         offsets = np.append(np.flatnonzero(np.diff(line, prepend=-1)), line.size)
         count, position = offsets.size - 1, along
         rows = Tips(tips.angle[offsets[:-1]], np.full(count, -contact.edge.dx), np.zeros(count))
     first, last = float(position.min()) + window.low, float(position.max()) + window.high
-    if whole:
+    if spans_part:
         first, last = min(first, -contact.extent), max(last, contact.extent)
     if contact.rim < np.inf:
         # Nothing counts outside the rim.
         centre = along if line is None else np.zeros(1)
         first = max(first, -contact.rim - float(centre.max()))
         last = min(last, contact.rim - float(centre.min()))
-    # Not on the axis, nor on any other round place where a prescription may be special.
+    # The samples avoid the axis and round coordinates, where a surface may be singular.
     step = window.step
     origin = first - 2.381966 * step
     samples = int(np.ceil((last - origin) / step)) + 4
@@ -224,43 +227,43 @@ def _lines_under(contact: Contact, window: _Window, tips: Tips, line: Ints | Non
     return _Lines(rows, offsets, position, u)
 
 
-def _candidates(
+def _find_candidates(
     contact: Contact, window: _Window, lines: _Lines, heights: Floats, breaks: Breaks, elsewhere: float
-) -> tuple[_Candidates | int, _Direct]:
-    """Run the kernel of this name with as much room as it needs; an int is the tip that nothing is under."""
+) -> tuple[_Candidates | int, _TipState]:
+    """Run the kernel of this name with as much memory as it needs; an int is the tip without a surface under it."""
     count = lines.position.size
-    direct = _Direct(np.empty(count), np.zeros(count), *np.empty((2, count), np.bool_))
+    direct = _TipState(np.empty(count), np.zeros(count), *np.empty((2, count), np.bool_))
     low, high = window.low, window.high
-    whole = bool(contact.rim < np.inf and min(-low, high) > contact.rim + contact.farthest)
+    beyond_rim = bool(contact.rim < np.inf and min(-low, high) > contact.rim + contact.farthest)
     size = 4 * count + 4 * heights.shape[1]
     while True:
-        found = _Candidates(np.empty(size, dtype=np.int64), *np.empty((3, size)))
+        candidates = _Candidates(np.empty(size, dtype=np.int64), *np.empty((3, size)))
         answer = kernel.candidates(
             heights, float(lines.u[0, 0]), window.step, lines.offsets, lines.position, *breaks, contact.edge, low, high,
-            elsewhere, whole, *found, *direct,
+            elsewhere, beyond_rim, *candidates, *direct,
         )  # fmt: skip
         if answer >= 0:
-            return found.first(answer), direct
+            return candidates.first(answer), direct
         if answer <= kernel.OUTSIDE:
             return kernel.OUTSIDE - answer, direct
         size *= 4
 
 
-def _maxima(contact: Contact, tips: Tips, found: _Candidates) -> tuple[Floats, Floats]:
-    """Return the greatest f - e in each short smooth interval of the nose, and where it is."""
+def _refine_maxima(contact: Contact, tips: Tips, found: _Candidates) -> tuple[Floats, Floats]:
+    """Return the greatest f - e in each short smooth interval of the nose, and its place."""
     edge = contact.edge
     begin, end, sweep = (edge.sweeps(u) for u in (found.start, found.stop, found.guess))
     best, place = np.full(sweep.size, -np.inf), sweep.copy()
     index = np.arange(sweep.size)
-    state = np.stack([begin, end, begin, end, sweep])  # interval, bracket, where to look next
+    state = np.stack([begin, end, begin, end, sweep])  # interval, bracket, next place to evaluate
     done = np.zeros(sweep.size, dtype=np.bool_)
-    left, b, p = tips, best, place
+    open_tips, b, p = tips, best, place
     for _ in range(100):
         x, y, value, first, top, step, bend = np.empty((7, done.size))
-        kernel.under_edge(edge, *left, state[4], x, y)
+        kernel.under_edge(edge, *open_tips, state[4], x, y)
         with np.errstate(all="ignore"):
             jet = contact.surface.evaluate(x, y, 2)
-        kernel.newton_step(edge, left.angle, state[4], *jet, value, first, top, step, bend)
+        kernel.newton_step(edge, open_tips.angle, state[4], *jet, value, first, top, step, bend)
         kernel.bracket(*state, value, first, top, step, b, p, done)
         if done.all():
             best[index], place[index] = b, p
@@ -268,13 +271,13 @@ def _maxima(contact: Contact, tips: Tips, found: _Candidates) -> tuple[Floats, F
         if 4 * np.count_nonzero(done) > done.size:
             best[index], place[index] = b, p
             keep = np.flatnonzero(~done)
-            index, left, b, p = index[keep], left.some(keep), b[keep], p[keep]
+            index, open_tips, b, p = index[keep], open_tips.select(keep), b[keep], p[keep]
             state, done = np.ascontiguousarray(state[:, keep]), done[keep]
     return best, place
 
 
-def _judge_ends(contact: Contact, tips: Tips, at: Touch) -> None:
-    """Refuse contacts at an end of the surface, unless it is the rim and the arc that touches."""
+def _check_ends(contact: Contact, tips: Tips, at: Touch) -> None:
+    """Raise if a contact is at an end of the surface, unless the arc touches at the rim."""
     inside = np.hypot(at.x, at.y) < contact.rim * (1 - 1e-9)
     if inside.any():
         _refuse_outside(contact.surface, tips, int(np.argmax(inside)))
@@ -282,19 +285,19 @@ def _judge_ends(contact: Contact, tips: Tips, at: Touch) -> None:
     on_flank = np.flatnonzero((at.sweep < edge.low) | (at.sweep > edge.high))
     if not on_flank.size:
         return
-    # A wall that the rim happens to cut is touched like any other; a surface that climbs all the way is not met.
-    tips, sweep, lift = tips.some(on_flank), at.sweep[on_flank], []
+    # A flank may touch a wall that the rim cuts; it never meets a surface that rises all the way along the flank.
+    tips, sweep, lift = tips.select(on_flank), at.sweep[on_flank], []
     for part in np.linspace(0.0, 0.99, 9):
         place = np.clip(sweep, edge.low, edge.high) * (1 - part) + sweep * part
-        lift.append(heights_at(contact, *contact.under_edge(tips, place)) - edge.points(place)[2])
+        lift.append(evaluate_heights(contact, *contact.under_edge(tips, place)) - edge.points(place)[2])
     climbs = (np.diff(lift, axis=0) > 0).all(axis=0)
     if climbs.any():
         k = int(np.argmax(climbs))
         raise GougeError(
             f"with the tip {tips.radius[k]:.6g} mm from the axis at azimuth "
-            f"{np.rad2deg(tips.angle[k]) % 360:.4g} deg a flank of the tool stands on the rim of the path, "
+            f"{np.rad2deg(tips.angle[k]) % 360:.4g} deg a flank of the tool touches the rim of the path, "
             f"{contact.rim:.6g} mm from the axis, where the surface is steeper than the flank: take a tool with a "
-            "larger included angle, or reduce the clear radius or the lead-in"
+            "larger included angle, or reduce the clear aperture or the lead-in"
         )
 
 
@@ -302,5 +305,5 @@ def _refuse_outside(surface: Surface, tips: Tips, which: int) -> NoReturn:
     raise DomainError(
         f"with the tip {tips.radius[which]:.6g} mm from the axis at azimuth "
         f"{np.rad2deg(tips.angle[which]) % 360:.4g} deg the edge touches where {type(surface).__name__} is not "
-        f"defined, its domain is {surface.domain}: extend the surface, or reduce the clear radius or the lead-in"
+        f"defined, its domain is {surface.domain}: extend the surface, or reduce the clear aperture or the lead-in"
     )

@@ -1,14 +1,14 @@
-r"""The one tangent: where a surface curves up less than the edge everywhere, it touches at one place.
+r"""The unique tangent: a surface that curves up less than the edge everywhere is touched at one place.
 
-There f - e is strictly concave and has one maximum, the tangent solution, which Newton finds from the tip. The
-condition is tested beforehand on a grid over the whole part and again at every point that Newton visits, that is at the
-density of the program itself. A perfect nose in the radial plane is moved in the distance from its tip, any other edge
-in its sweep.
+There the height f - e of surface above edge is strictly concave. It has one maximum, the tangent solution, which
+Newton's method finds from the tip. The curvature is checked beforehand on a grid over the whole part, and again at
+every point that Newton's method visits, so at the density of the program itself. The unknown is the distance from the
+tip for a perfect nose in the radial plane, and the sweep for any other edge.
 
 Sources
 -------
-[Li2018]_ Eq. 8 takes the normal at the tip, exact only on a straight profile; [Troutman2016]_ ch. 6 has the tangent
-solution and the error of a wavy edge. Oracles: closed forms on spheres.
+[Li2018]_ Eq. 8 takes the normal at the tip, which is exact only on a straight profile; [Troutman2016]_ ch. 6 gives the
+tangent solution and the error of a wavy edge. Reference solutions of the tests: closed forms on spheres.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from turnwright.surface import Surface
 from turnwright.tool import Tool
 
 __all__ = [
-    "CONCAVITY", "SAMPLES_PER_PERIOD", "Contact", "Tips", "Touch", "bend_limit", "find_tangents", "follow",
-    "set_contact", "tangents_through",
+    "MAX_CURVATURE_RATIO", "SAMPLES_PER_PERIOD", "Contact", "Tips", "Touch", "find_curvature_limit", "find_tangents",
+    "find_tangents_through", "follow", "set_up_contact",
 ]  # fmt: skip
 
-CONCAVITY = 0.9
-"""Largest share of the edge's own curvature that the surface may have where a single tangent is taken for granted."""
+MAX_CURVATURE_RATIO = 0.9
+"""A single tangent is assumed where the surface has at most this fraction of the edge's curvature."""
 SAMPLES_PER_PERIOD = 4
-"""Samples per feature size of the grid that settles whether there is one tangent."""
-MOST_SAMPLES = 2_000_000
-"""Samples of that grid at most."""
-FINEST = 1e-4
-"""Least feature that is looked for, as a share of the nose radius."""
+"""Samples per feature size of the grid that decides whether there is a single tangent."""
+MAX_GRID_SAMPLES = 2_000_000
+"""Most samples of that grid."""
+MIN_FEATURE_RATIO = 1e-4
+"""Smallest feature size that the samples resolve, as a fraction of the nose radius."""
 
 
 class Tips(NamedTuple):
@@ -45,128 +45,131 @@ class Tips(NamedTuple):
 
     angle: Floats  # of the rake plane [rad]
     radius: Floats  # along it [mm]
-    aside: Floats  # across it, toward growing azimuth [mm]
+    lateral: Floats  # across it, toward growing azimuth [mm]
 
-    def some(self, which: Bools | Ints | slice) -> Tips:
-        """Return some of them."""
-        return Tips(self.angle[which], self.radius[which], self.aside[which])
+    def select(self, which: Bools | Ints | slice) -> Tips:
+        """Return some of the tips."""
+        return Tips(self.angle[which], self.radius[which], self.lateral[which])
 
 
 class Touch(NamedTuple):
-    """Where and how high the edge touches. Each (n,)."""
+    """Contacts of an edge and a surface. Each (n,)."""
 
-    z: Floats  # commanded tip [mm]
+    z: Floats  # height of the commanded tip [mm]
     sweep: Floats  # place on the nose [rad]
     x: Floats  # contact point in the part frame [mm]
     y: Floats
     surface_z: Floats
 
-    def some(self, which: Bools | Ints | slice) -> Touch:
-        """Return some of them; of a slice, to be filled."""
+    def select(self, which: Bools | Ints | slice) -> Touch:
+        """Return some of the contacts; with a slice, views that can be filled."""
         return Touch(*(one[which] for one in self))
 
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """One surface and one edge, and how far a plan goes with them."""
+    """One surface and one edge, and the range that a plan covers."""
 
     surface: Surface
     edge: Edge
     upright: bool  # whether the edge stays in the plane through the axis
-    nearest: float  # least and greatest place of the real tip along the rake plane [mm]
+    nearest: float  # least and greatest position of the real tip along the rake plane [mm]
     farthest: float
-    rim: float  # from the axis, outside of which nothing counts; infinite if all does [mm]
-    extent: float  # from the axis, that the plan covers [mm]
-    feature: float  # least size of what is looked for on the surface [mm]
+    rim: float  # radius outside of which the surface is ignored; infinite for none [mm]
+    extent: float  # radius that the plan covers [mm]
+    feature: float  # smallest feature size that the samples resolve [mm]
 
     @property
     def flank(self) -> float:
-        """Slope of the less steep of the flanks, as height over distance."""
+        """Slope of the less steep flank, height over distance."""
         return self.edge.rake_cos * self.edge.flank_slope
 
     def under_edge(self, tips: Tips, sweep: Floats) -> tuple[Floats, Floats]:
-        """Return where on the part the places ``sweep`` of the edge stand. Each (n,) [mm]."""
+        """Return x and y on the part of the edge at ``sweep``. Each (n,) [mm]."""
         x, y = np.empty((2, sweep.size))
         kernel.under_edge(self.edge, *tips, np.ascontiguousarray(sweep), x, y)
         return x, y
 
 
-def set_contact(surface: Surface, edge: Edge, tips: Tips, rim: float) -> Contact:
-    """Return what is asked once for all tips of a plan."""
-    outermost = float(np.hypot(tips.radius + edge.dx, tips.aside).max())
+def set_up_contact(surface: Surface, edge: Edge, tips: Tips, rim: float) -> Contact:
+    """Return the data that all tips of a plan share."""
+    outermost = float(np.hypot(tips.radius + edge.dx, tips.lateral).max())
     rim = max(rim, outermost)
     return Contact(
         surface,
         edge,
-        upright=edge.upright and not tips.aside.any(),
+        upright=edge.upright and not tips.lateral.any(),
         nearest=float(tips.radius.min() + edge.dx),
         farthest=float(tips.radius.max() + edge.dx),
         rim=rim,
         extent=rim if rim < np.inf else outermost,
-        # A curvature that vanishes may change by its own size over no distance at all; the nose does not feel it.
-        feature=max(surface.feature_size, FINEST * edge.radius),
+        # Where the curvature is zero the feature size may be zero too; features far below the nose radius have no
+        # effect.
+        feature=max(surface.feature_size, MIN_FEATURE_RATIO * edge.radius),
     )
 
 
-def bend_limit(contact: Contact) -> float | None:
-    """Return the curvature that the surface must stay below, or ``None`` if it does not on a grid over the part."""
+def find_curvature_limit(contact: Contact) -> float | None:
+    """Return the limit of the surface's curvature, or ``None`` if a grid over the part exceeds it."""
     if not contact.edge.convex or contact.surface.in_pieces:
         return None
-    limit = CONCAVITY * contact.edge.least_curvature()
-    # The grid is finer than the surface's features; where that is too fine, the search is as quick.
+    limit = MAX_CURVATURE_RATIO * contact.edge.least_curvature()
+    # The grid resolves the surface's features; where that takes too many samples, the search is as fast.
     reach, fine = contact.extent + contact.edge.half_width, contact.feature / SAMPLES_PER_PERIOD
-    rings = max(97, int(np.ceil(reach / fine))) if fine > 0 else MOST_SAMPLES
-    spokes = max(120, int(np.ceil(2 * np.pi * reach / fine))) if fine > 0 else MOST_SAMPLES
-    if rings * spokes > MOST_SAMPLES:
+    rings = max(97, int(np.ceil(reach / fine))) if fine > 0 else MAX_GRID_SAMPLES
+    spokes = max(120, int(np.ceil(2 * np.pi * reach / fine))) if fine > 0 else MAX_GRID_SAMPLES
+    if rings * spokes > MAX_GRID_SAMPLES:
         return None
     ring = np.linspace(0, reach, rings)
     steepest, sharpest, change = 0.0, -np.inf, 0.0
     for angle in np.array_split(np.linspace(0, 2 * np.pi, spokes, endpoint=False), -(-rings * spokes // 65536)):
         c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-        slope, bend = _steepness(contact, ring * c, ring * s, c, s)
+        slope, bend = _evaluate_slope_and_curvature(contact, ring * c, ring * s, c, s)
         steepest = max(steepest, float(slope.max(initial=0.0)))
         sharpest = max(sharpest, float(bend.max(initial=-np.inf)))
-        # Between the rings the curvature may be greater by about what it changes from ring to ring.
+        # Between the rings the curvature may be greater by about its change from ring to ring.
         with np.errstate(invalid="ignore"):
             steps = np.abs(np.diff(bend, axis=1))
         change = max(change, float(steps[np.isfinite(steps)].max(initial=0.0)))
-    # On the flanks, which are straight, the surface may come up again unless it is nowhere as steep as they are.
-    return limit if steepest < CONCAVITY * contact.flank and sharpest + change < limit else None
+    # The flanks are straight: the surface cannot reach them only if it is nowhere as steep as they are.
+    return limit if steepest < MAX_CURVATURE_RATIO * contact.flank and sharpest + change < limit else None
 
 
-def _steepness(contact: Contact, x: Floats, y: Floats, c: Floats, s: Floats) -> tuple[Floats, Floats]:
-    """Return the greatest slope, and the curvature upward, that an edge at azimuth (c, s) may meet at (x, y)."""
+def _evaluate_slope_and_curvature(
+    contact: Contact, x: Floats, y: Floats, c: Floats, s: Floats
+) -> tuple[Floats, Floats]:
+    """Return the greatest slope and upward curvature at (x, y) that count for an edge at azimuth (c, s)."""
     inside = contact.surface.inside(x, y)
     with np.errstate(all="ignore"):
         _, zx, zy, zxx, zxy, zyy = contact.surface.evaluate(x, y, 2)
     slope, bend = np.abs(zx * c + zy * s), zxx * c * c + 2 * zxy * c * s + zyy * s * s
     if not contact.upright:
-        # Out of the radial plane any direction counts, and the slope across lifts a leaning edge.
+        # Out of the radial plane every direction counts, and the slope across the plane adds to that of a raked edge.
         slope, lean = np.hypot(zx, zy), abs(contact.edge.rake_sin)
         mean, half = 0.5 * (zxx + zyy), np.hypot(0.5 * (zxx - zyy), zxy)
         bend = (mean + half) * (1 + lean) ** 2 + slope * lean / contact.edge.radius
         slope = slope * (1 + lean)
-    there = np.isfinite(bend) & np.isfinite(slope)
+    valid = np.isfinite(bend) & np.isfinite(slope)
     if inside is not None:
-        there &= inside
-    # With a rim there must be one tangent as far as the arc reaches, or all tips are searched for.
+        valid &= inside
+    # With a rim, the tangent must be unique as far as the arc reaches; otherwise every tip is searched for.
     elsewhere = np.inf if contact.rim < np.inf else -np.inf
-    return np.where(there, slope, 0.0), np.where(there, bend, elsewhere)
+    return np.where(valid, slope, 0.0), np.where(valid, bend, elsewhere)
 
 
 def find_tangents(contact: Contact, limit: float, tips: Tips, out: Touch) -> bool:
-    """Fill ``out`` with the tangent solution; return whether it is certain to be the only one, see `bend_limit`."""
-    find = _round_tangents if contact.upright and contact.edge.perfect else _edge_tangents
+    """Fill ``out`` with the tangent solution; return whether it is certainly unique, see `find_curvature_limit`."""
+    find = _solve_round_tangents if contact.upright and contact.edge.perfect else _solve_edge_tangents
     if not find(contact, limit, tips, out):
         return False
     inside = contact.surface.inside(out.x, out.y)
-    # Nothing is said of the flanks beyond the arc.
+    # The condition holds on the arc only, not on the flanks.
     on_arc = (out.sweep >= contact.edge.low) & (out.sweep <= contact.edge.high)
     return bool(on_arc.all()) and (inside is None or bool(inside.all()))
 
 
-def _round_tangents(contact: Contact, limit: float, tips: Tips, out: Touch) -> bool:
-    """Newton for a perfect nose in the radial plane, with loops that vectorise."""
+def _solve_round_tangents(contact: Contact, limit: float, tips: Tips, out: Touch) -> bool:
+    """Solve for a perfect nose in the radial plane by Newton's method, with loops that vectorise."""
     edge, angle, radius = contact.edge, tips.angle, tips.radius
     cosine, sine = np.empty((2, angle.size))
     u = np.zeros(angle.size)
@@ -187,29 +190,29 @@ def _round_tangents(contact: Contact, limit: float, tips: Tips, out: Touch) -> b
     return True
 
 
-def _edge_tangents(contact: Contact, limit: float, tips: Tips, out: Touch) -> bool:
-    """Newton for any convex edge, in the sweep; points that have arrived drop out."""
+def _solve_edge_tangents(contact: Contact, limit: float, tips: Tips, out: Touch) -> bool:
+    """Solve for any convex edge by Newton's method in the sweep; converged points drop out."""
     sweep = np.zeros(tips.angle.size)
     active: Ints | slice = slice(None)
-    left, s = tips, sweep
+    active_tips, s = tips, sweep
     for _ in range(12):
         x, y, value, first, top, step, bend = np.empty((7, s.size))
-        kernel.under_edge(contact.edge, *left, s, x, y)
+        kernel.under_edge(contact.edge, *active_tips, s, x, y)
         with np.errstate(all="ignore"):
             jet = contact.surface.evaluate(x, y, 2)
-        kernel.newton_step(contact.edge, left.angle, s, *jet, value, first, top, step, bend)
+        kernel.newton_step(contact.edge, active_tips.angle, s, *jet, value, first, top, step, bend)
         if not (bend < limit).all():
             return False
-        # Newton from the tip could leave the arc on a steep place: walk there.
+        # On a steep surface a full step from the tip could leave the arc: the step is limited.
         s = s + np.clip(step, -0.3, 0.3)
         out.z[active], sweep[active] = top, s
-        far = (np.abs(step) > kernel.CLOSE) | (np.abs(top - value) > kernel.LITTLE)
+        far = (np.abs(step) > kernel.STEP_TOL_RAD) | (np.abs(top - value) > kernel.RISE_TOL_MM)
         if not far.any():
             break
         if 2 * np.count_nonzero(far) < far.size:
             keep = np.flatnonzero(far)
             active = keep if isinstance(active, slice) else active[keep]
-            left, s = left.some(keep), s[keep]
+            active_tips, s = active_tips.select(keep), s[keep]
     else:
         return False
     out.sweep[:] = sweep
@@ -218,14 +221,14 @@ def _edge_tangents(contact: Contact, limit: float, tips: Tips, out: Touch) -> bo
     return True
 
 
-def tangents_through(surface: Surface, edge: Edge, contacts: Tips) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return sweep, x, y and height where the edge's tangent is the surface's, at contacts along the rake plane.
+def find_tangents_through(surface: Surface, edge: Edge, contacts: Tips) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return sweep, x, y and height at which the edge is tangent to the surface, at given radii of the contacts.
 
-    The tip stands as far aside of the plane as ``contacts`` say; along it, it is wherever it has to be.
+    The distance of the tip from the rake plane is that of ``contacts``; its radius follows from the contact.
     """
     cosine, sine = np.cos(contacts.angle), np.sin(contacts.angle)
     sweep = np.zeros(cosine.size)
-    contact, across = contacts.radius, contacts.aside + edge.dy
+    contact, across = contacts.radius, contacts.lateral + edge.dy
     for _ in range(20):
         x, y = contact * cosine - across * sine, contact * sine + across * cosine
         surface_z = surface.sag(x, y)
@@ -236,11 +239,11 @@ def tangents_through(surface: Surface, edge: Edge, contacts: Tips) -> tuple[Floa
             low, high = np.rad2deg((edge.low, edge.high))
             raise GougeError(
                 f"the surface slopes {np.rad2deg(np.arctan(np.hypot(zx[k], zy[k]))):.4g} deg at x = {x[k]:.6g} mm, "
-                f"y = {y[k]:.6g} mm, the arc of the tool holds tangents from {low:.4g} to {high:.4g} deg: "
+                f"y = {y[k]:.6g} mm, the arc of the tool covers slopes from {low:.4g} to {high:.4g} deg: "
                 "take a tool with a larger included angle"
             )
-        moved = contacts.aside + edge.points(sweep)[1]
-        # An upright edge stays in the radial plane; a leaning one moves aside with its place on the nose.
+        moved = contacts.lateral + edge.points(sweep)[1]
+        # An edge without rake stays in the radial plane; with rake, its lateral position depends on the sweep.
         if np.abs(moved - across).max() < 1e-15:
             break
         across = moved
@@ -250,11 +253,11 @@ def tangents_through(surface: Surface, edge: Edge, contacts: Tips) -> tuple[Floa
 def follow(
     surface: Surface, tool: Tool, *, angle: Floats, radius: Floats, y: Floats, sweep: Floats, sense: int
 ) -> Touch:
-    """Return the tangents near those places on the nose, whether or not the edge touches somewhere else: no search.
+    """Return the tangent solutions near given places on the nose, without a search for other contacts.
 
-    Near a valley of the path two lenslets touch in turn; either one's own tangent is what it would be without the
-    other. Heights are nan where Newton's method finds none. For the arguments see `touch`; ``sweep`` is where on the
-    nose to start. (n,) [rad]
+    Next to a valley between two lenslets the edge touches one, then the other; this gives the contact with one of them
+    as if the other were absent. Heights are nan where Newton's method does not converge. For the arguments see `touch`;
+    ``sweep`` is the place on the nose to start from. (n,) [rad]
     """
     edge = tool.cutting_edge(sense)
     s, tilt = sweep.copy(), 0.5 * min(-edge.low, edge.high)
@@ -267,7 +270,7 @@ def follow(
         kernel.newton_step(edge, angle, s, *jet, value, first, top, step, bend)
         lost |= ~(np.abs(step) < tilt)
         s += np.where(lost, 0.0, step)
-        far = ~lost & ((np.abs(step) > kernel.CLOSE) | (np.abs(top - value) > kernel.LITTLE))
+        far = ~lost & ((np.abs(step) > kernel.STEP_TOL_RAD) | (np.abs(top - value) > kernel.RISE_TOL_MM))
         if not far.any():
             break
     lost |= far | (s < edge.low) | (s > edge.high)

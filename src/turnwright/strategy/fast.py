@@ -1,4 +1,4 @@
-"""The fast tool servo: spindle and slides in steady motion, the tool on a short axis of its own."""
+"""The fast tool servo: spindle and slides in steady motion, the tool on a separate axis of short stroke."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
 __all__ = ["FastToolServo", "OverPlan"]
 
-STEADY = 1e-9
-"""How far the radius may be from a steady advance. [mm]"""
+STEADY_TOL_MM = 1e-9
+"""Largest deviation of the radius from a steady advance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OverPlan(Strategy):
-    """A fast tool over the plan of another strategy, which says where it is sent and how fast the spindle turns.
+    """A fast tool on the plan of another strategy, which sets the spiral and the spindle speed.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class OverPlan(Strategy):
     def __post_init__(self) -> None:
         check_numbers(self)
         if not isinstance(self.plan, Strategy):
-            raise InputError(f"the plan is {self.plan!r}, which is not a strategy: give a SlowToolServo for instance")
+            raise InputError(f"plan is {self.plan!r}, it must be a strategy, such as a SlowToolServo")
 
     @property
     def spindle_rpm(self) -> float | None:  # type: ignore[override] # a field of the plan
@@ -59,7 +59,7 @@ class OverPlan(Strategy):
 
     @property
     def sense(self) -> int:  # type: ignore[override]
-        """Sense of the plan."""
+        """Sense of rotation of the plan."""
         return self.plan.sense
 
     @property
@@ -69,12 +69,12 @@ class OverPlan(Strategy):
 
     @property
     def along(self) -> Literal["z", "normal"]:  # type: ignore[override]
-        """How the tool is placed on the plan."""
+        """Direction in which the tool of the plan is placed."""
         return self.plan.along
 
     @property
     def moves_fast_tool(self) -> bool:
-        """Whether a fast tool takes its own table of heights."""
+        """Whether a fast tool is driven by a separate table of heights."""
         return True
 
     @property
@@ -83,10 +83,10 @@ class OverPlan(Strategy):
         return self.plan.lays_out
 
     def stating(self, **stated: Any) -> Strategy:
-        """Return the strategy with some fields of its own, or of its plan, as a pass states them."""
-        own = {one.name for one in fields(self)}
-        plan = self.plan.stating(**{name: value for name, value in stated.items() if name not in own})
-        return replace(self, plan=plan, **{name: value for name, value in stated.items() if name in own})
+        """Return the strategy with some fields replaced, its own or those of its plan, as a pass states them."""
+        own_fields = {one.name for one in fields(self)}
+        plan = self.plan.stating(**{name: value for name, value in stated.items() if name not in own_fields})
+        return replace(self, plan=plan, **{name: value for name, value in stated.items() if name in own_fields})
 
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
         """Return the spiral of the plan."""
@@ -97,31 +97,29 @@ class OverPlan(Strategy):
         return self.plan.glimpse(part, tool, turns=turns, per_turn=per_turn)
 
     def extent(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> tuple[int, Spiral]:
-        """Return the size of the spiral of the plan, and its ends."""
+        """Return the number of points of the spiral of the plan, and its ends."""
         return self.plan.extent(part, tool, progress=progress)
 
-    def _planned(self, path: Path) -> dict[str, Floats]:
+    def _plan_axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes of the plan.
 
         Raises
         ------
         InputError
-            If it moves a fast tool itself.
+            If the plan moves a fast tool itself.
         """
         axes = self.plan.axes(path)
         if "W" in axes:
-            raise InputError(
-                f"the plan is a {type(self.plan).__name__}, which moves W itself: give the plan that it has"
-            )
+            raise InputError(f"the plan is a {type(self.plan).__name__}, which moves W itself: use its plan")
         return axes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FastToolServo(OverPlan):
-    """Spindle and X in steady motion, Z standing still, all height made by a fast tool on the axis W.
+    """Fast tool servo: spindle and X in steady motion, Z at rest, the whole height on a fast tool, the axis W.
 
-    Z stands so that W uses the middle of its stroke; W adds to Z. The lathe then needs a few blocks a turn however
-    dense the points of the tool are, see `Motion.lathe` and `write_fast_tool`.
+    Z is set so that W uses the middle of its stroke; W adds to Z. The lathe then needs only a few blocks per
+    revolution, however dense the points of the tool are, see `Motion.lathe` and `write_fast_tool`.
 
     Parameters
     ----------
@@ -131,13 +129,13 @@ class FastToolServo(OverPlan):
     Raises
     ------
     InputError
-        If the plan is not a strategy; of `axes`, if its X does not advance steadily, as along the normal, or it moves a
-        fast tool itself.
+        If the plan is not a strategy. From `axes`: if X of the plan does not advance steadily (as along the normal), or
+        the plan moves a fast tool itself.
 
     Sources
     -------
-    The arrangement of the fast tools that lathe makers offer, see the machine files. Between two points the tool goes
-    straight, so that a plan by a chord is one for linear interpolation.
+    The arrangement is that of the fast tools that lathe makers offer, see the machine files. The tool moves in straight
+    lines between points, so that a plan by chord is one for linear interpolation.
 
     >>> from turnwright.strategy.slow import SlowToolServo
     >>> servo = FastToolServo(plan=SlowToolServo(feed=0.01, spindle_rpm=200, points_per_rev=3600))
@@ -153,21 +151,21 @@ class FastToolServo(OverPlan):
         return replace(self, plan=self.plan.on(tool, machine))
 
     def axes(self, path: Path) -> dict[str, Floats]:
-        """Return the axes at the points of a path: those of the plan with Z at rest [mm], and W all the rest [mm]."""
-        axes = self._planned(path)
+        """Return the axes at the points of a path: those of the plan, with Z at rest and the height on W. [mm]."""
+        axes = self._plan_axes(path)
         ends = axes["C"][[0, -1]]
         steady = np.interp(axes["C"] * path.sense, ends * path.sense, axes["X"][[0, -1]])
         off = float(np.abs(axes["X"] - steady).max())
-        if off > STEADY:
+        if off > STEADY_TOL_MM:
             raise InputError(
-                f"X is up to {off:.3g} mm from a steady advance, the limit is {STEADY:g} mm, since beside a fast tool "
-                "the slides do not follow the part: place along z a spiral of constant feed"
+                f"X is up to {off:.3g} mm from a steady advance, the limit is {STEADY_TOL_MM:g} mm, since with a fast "
+                "tool the slides do not follow the part: place a spiral of constant feed along z"
             )
         tip = axes["Z"]
         z = np.full(tip.size, (tip.min() + tip.max()) / 2)
         return {**axes, "Z": z, "W": tip - z}
 
     def rates(self, path: Path) -> dict[str, Floats] | None:
-        """Return the derivatives by the angle of these axes, or ``None`` if the path states none."""
+        """Return the derivatives by the angle of these axes, or ``None`` if the path has none."""
         rates = self.plan.rates(path)
         return None if rates is None else {**rates, "Z": np.zeros(path.z.size), "W": rates["Z"]}

@@ -17,7 +17,7 @@ from turnwright.path import Spiral
 from turnwright.placing import tip_height
 from turnwright.progress import require_memory
 from turnwright.speed_profile import Speeds
-from turnwright.strategy.base import Strategy, glimpsed
+from turnwright.strategy.base import Strategy, sample_turns
 from turnwright.units import Count, Feed, Flag, Size, Speed, Step, Thickness
 
 if TYPE_CHECKING:
@@ -33,60 +33,60 @@ __all__ = ["SlowToolServo"]
 
 TURN = 2 * math.pi
 
-MOST_POINTS = 300_000_000
-"""Beyond this a spiral is a slip of the unit: no controller takes such a program, and no memory holds it."""
+MAX_POINTS = 300_000_000
+"""Most points of a spiral. More are a wrong unit: no controller takes such a program, and no memory holds it."""
 
 BYTES_PER_POINT = 160
-"""Of a path with its contacts and the motion along it, 20 numbers."""
+"""Memory for a point of a path with its contact and motion, 20 numbers."""
 
 BYTES_PER_SAMPLE = 24
-"""Of a path that is looked at piece by piece, to place its points."""
+"""Memory for a sample of a path from which the points are selected."""
 
-MOST_SAMPLES = 1 << 24
-"""Samples of a piece of a path by chord, beyond which it is rougher than memory holds."""
+MAX_SAMPLES = 1 << 24
+"""Most samples of a piece of a path by chord; a rougher path does not fit into memory."""
 
 WIDEST_STEP = TURN / 12
-"""Largest angle between two points of a path by chord tolerance, so that no move of C is ambiguous. [rad]"""
+"""Largest angle between two points by chord, so that the direction of each move of C is unambiguous. [rad]"""
 
-FINENESS = 36
-"""A sampled path is fine enough where its possible bulge between samples is below the tolerance over this: samples are
-then at least 12 times as dense as program points, since a bulge falls with the square of the step."""
+SAMPLING_FACTOR = 36
+"""A path is sampled finely enough where its possible bulge between samples is below the tolerance over this factor. The
+samples are then at least 12 times as dense as program points, since a bulge falls with the square of the step."""
 
-SURENESS = 300
-"""A path is smooth enough for cubics where they may miss it by the tolerance over this."""
+CUBIC_FACTOR = 300
+"""A path is interpolated by cubics where their error is below the tolerance over this factor."""
 
-MOST_PARTS = 8
-"""Parts of an interval that are filled in by a cubic: at least two samples to a program point are placed."""
+MAX_CUBIC_PARTS = 8
+"""Most parts of an interval that a cubic interpolates, so that at least two samples per program point are placed."""
 
-FEW = 8
-"""Where more than one in so many intervals of a path is not smooth enough, all its samples are set closer together."""
+REFINEMENT_RATIO = 8
+"""If more than one in this many intervals of a path is not smooth, the whole path is sampled more closely."""
 
-FINEST = 1e-9
-"""A path that is not straight over this angle jumps. [rad]"""
+MIN_INTERVAL_RAD = 1e-9
+"""A path that is not straight over this angle has a jump. [rad]"""
 
-BLOCK = 1 << 17
-"""Samples of the path that are thinned together."""
+BLOCK_SAMPLES = 1 << 17
+"""Samples of the path from which points are selected together."""
 
-RIM = 3600
-"""Azimuths at which the rim is looked at."""
+RIM_AZIMUTHS = 3600
+"""Azimuths at which the slope at the rim is evaluated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlowToolServo(Strategy):
-    r"""Slow tool servo: C turns steadily, X advances by the feed in each turn, Z follows the surface.
+    r"""Slow tool servo (slow slide servo): C turns steadily, X advances by the feed per turn, Z follows the surface.
 
     The tip runs along an Archimedean spiral between the rim and the axis. Its inner end is exact: the commanded radius
-    there is ``-tool.offset[0]``, where the real tip stands on the axis, less the overrun. Its outer end is the clear
-    radius plus the lead-in, moved outward by less than one step where that keeps every step regular.
+    there is ``-tool.offset[0]``, at which the real tip is on the axis, less the overrun. Its outer end is the radius of
+    the clear aperture plus the lead-in, moved outward by less than one step if this makes every step equal.
 
     The points are set in one of four ways:
 
-    * ``points_per_rev``: constant angle, the same azimuths in every turn, starting at azimuth 0.
+    * ``points_per_rev``: constant angle, the same azimuths in every revolution, starting at azimuth 0.
     * ``arc_length``: constant length along the spiral. Near the centre the angle between points grows without bound.
-    * ``arc_length`` and ``max_step``: constant arc outside, and inside, where its angle would exceed ``max_step``,
-      constant angle (the largest whole fraction of a turn that does not).
-    * ``chord``: the fewest points that keep a straight line in machine axes between them within ``chord`` of the exact
-      path. X and C are linear along the spiral, so the error is that of Z alone.
+    * ``arc_length`` and ``max_step``: constant arc length outside. Inside, where the angle would exceed ``max_step``,
+      constant angle (the largest fraction of a revolution that does not).
+    * ``chord``: the fewest points for which straight lines in machine axes between them keep within ``chord`` of the
+      exact path. X and C are linear along the spiral, so the error is that of Z alone.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class SlowToolServo(Strategy):
     spindle_speeds
         Spindle speed over the radius, in place of one speed: each with the radius at which it is reached.
     along
-        How the tool is brought into contact: by moving its height alone, "z", or along the "normal" of the surface.
+        How the tool is placed on the surface: along "z" or along the "normal" of the surface.
     points_per_rev
         Program points per revolution.
     arc_length
@@ -111,19 +111,20 @@ class SlowToolServo(Strategy):
     sense
         +1 where the azimuth of the part under the tool grows, -1 where it falls.
     lead_in
-        How far beyond the clear radius the tip starts. ``None`` for just as far as the rim needs: half a feed, so
-        that its cusp is no higher than the others, and where the surface falls towards the rim as far again as the edge
-        touches on the inner side of its tip. Given, it is kept exactly, unless a band would stay uncut. [mm]
+        Distance outside the clear aperture at which the tip starts. ``None`` for the least distance that cuts the rim:
+        half a feed, so that the outermost cusp is no higher than the others, plus, where the surface falls towards the
+        rim, the distance by which the edge touches inside its tip. A value that is set is used exactly; an error is
+        raised if it would leave a band uncut. [mm]
     overrun
-        How far the tip runs on beyond the axis, or starts beyond it. An Archimedean spiral that ends on the axis leaves
-        up to 1.5 feeds between its innermost passes, so a cusp up to 2.25 times as high as the others, within a feed of
-        the axis. A quarter of a feed closes it: no gap is then wider than one. Not taken unasked, since the part
-        moves against the back of the edge there. [mm]
+        Distance beyond the axis at which the tip ends, or starts. An Archimedean spiral that ends on the axis leaves up
+        to 1.5 feeds between its innermost passes, so that a cusp within a feed of the axis is up to 2.25 times as high
+        as the others. With an overrun of a quarter of a feed no gap is wider than a feed. It is 0 by default, since the
+        part moves against the back of the edge beyond the axis. [mm]
 
     Raises
     ------
     InputError
-        If a length is not positive, or the points are set in no way or in two.
+        If a length is not positive, or the points are not set in exactly one way.
 
     Sources
     -------
@@ -176,26 +177,24 @@ class SlowToolServo(Strategy):
         if self.max_step is not None:
             if self.points_per_rev is not None:
                 raise InputError(
-                    "max_step goes with arc_length or chord, points_per_rev sets the step itself: drop one"
+                    "max_step is set with points_per_rev, it goes with arc_length or chord alone: remove one"
                 )
             if self.max_step > TURN / 8:
-                raise InputError(
-                    f"max_step is {math.degrees(self.max_step):g} deg, the limit is 45 deg: give a smaller step"
-                )
+                raise InputError(f"max_step is {math.degrees(self.max_step):g} deg, the limit is 45 deg")
         if self.sense not in (-1, 1):
-            raise InputError(f"sense is {self.sense!r}, it must be 1 or -1: give the way the azimuth runs")
+            raise InputError(f"sense is {self.sense!r}, it must be 1 or -1")
         self._check_ends()
 
     def _check_ends(self) -> None:
-        """Raise if the spiral would begin within the rim, or end far from the axis."""
+        """Raise if the spiral would begin inside the clear aperture, or end far from the axis."""
         if self.lead_in is not None and self.lead_in < 0:
             raise InputError(
-                f"lead_in is {self.lead_in:g} mm, it cannot be below 0 mm: start at or beyond the clear radius"
+                f"lead_in is {self.lead_in:g} mm, it must be at least 0 mm (the edge of the clear aperture)"
             )
         if not 0 <= self.overrun <= self.feed:
             raise InputError(
                 f"overrun is {self.overrun:g} mm, the limits are 0 mm and one feed, {self.feed:g} mm: a quarter of a "
-                f"feed, {self.feed / 4:g} mm, leaves no cusp at the axis above the others"
+                f"feed, {self.feed / 4:g} mm, is enough to keep the cusp at the axis as low as the others"
             )
 
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
@@ -212,16 +211,16 @@ class SlowToolServo(Strategy):
         """
         self._require_overlap(tool)
         if self.points_per_rev is not None:
-            last = self._last(part, tool, self.points_per_rev)
+            last = self._find_last_point(part, tool, self.points_per_rev)
             if progress is not None:
                 progress(0, last + 1)
-            spiral = self._some(_steps(last), last, self.points_per_rev, tool)
+            spiral = self._select_points(_number_points(last), last, self.points_per_rev, tool)
         else:
-            end, start = self._ends(part, tool)
+            end, start = self._find_ends(part, tool)
             if self.chord is not None:
-                turned = self._by_chord(part, tool, end, start, progress)
+                turned = self._set_points_by_chord(part, tool, end, start, progress)
             else:
-                turned = self._by_arc(end, start, progress)
+                turned = self._set_points_by_arc(end, start, progress)
             angle = turned if self.inside_out else turned[-1] - turned[::-1]
             radius = end + self.feed / TURN * (turned if self.inside_out else turned[::-1])
             spiral = Spiral(angle=self.sense * angle, radius=radius)
@@ -229,25 +228,25 @@ class SlowToolServo(Strategy):
         return replace(spiral, radius_rate=np.full(spiral.radius.size, outward * self.feed / TURN))
 
     def glimpse(self, part: Part, tool: Tool, *, turns: int, per_turn: int) -> Spiral:
-        """Return some of the points of `spiral`; where the same azimuths return in every turn, without making all."""
+        """Return some of the points of `spiral`; with ``points_per_rev``, without computing all of them."""
         if self.points_per_rev is None:
             return super(SlowToolServo, self).glimpse(part, tool, turns=turns, per_turn=per_turn)
-        last = self._last(part, tool, self.points_per_rev)
-        wanted = glimpsed(last / self.points_per_rev, turns, per_turn)
-        return self._some(np.unique(np.round(wanted * self.points_per_rev)), last, self.points_per_rev, tool)
+        last = self._find_last_point(part, tool, self.points_per_rev)
+        wanted = sample_turns(last / self.points_per_rev, turns, per_turn)
+        return self._select_points(np.unique(np.round(wanted * self.points_per_rev)), last, self.points_per_rev, tool)
 
     def extent(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> tuple[int, Spiral]:
-        """Return the size of `spiral` and its ends; where the same azimuths return in every turn, without the rest."""
+        """Return the size of `spiral` and its ends; with ``points_per_rev``, without computing the other points."""
         if self.points_per_rev is None:
             return super(SlowToolServo, self).extent(part, tool, progress=progress)
         self._require_overlap(tool)
-        last = self._last(part, tool, self.points_per_rev)
+        last = self._find_last_point(part, tool, self.points_per_rev)
         turn = np.arange(min(self.points_per_rev, last) + 1.0)
         at = np.unique(np.append(last - turn, 0) if self.inside_out else np.append(turn, last))
-        return last + 1, self._some(at, last, self.points_per_rev, tool)
+        return last + 1, self._select_points(at, last, self.points_per_rev, tool)
 
     def _require_overlap(self, tool: Tool) -> None:
-        """Raise unless neighbouring turns meet."""
+        """Raise unless neighbouring revolutions overlap."""
         low, high = tool.arc
         width = tool.actual_radius * (math.sin(high) - math.sin(low))
         if self.feed >= width:
@@ -256,48 +255,48 @@ class SlowToolServo(Strategy):
                 "overlap: use a smaller feed, or a tool with a larger nose_radius or included angle"
             )
 
-    def _last(self, part: Part, tool: Tool, per_turn: int) -> int:
-        """Return the number of the last point, from 0, where every turn has as many."""
-        end, start = self._ends(part, tool)
-        return _count((start - end) / self.feed * per_turn)
+    def _find_last_point(self, part: Part, tool: Tool, per_turn: int) -> int:
+        """Return the index of the last point for a constant number of points per revolution."""
+        end, start = self._find_ends(part, tool)
+        return _count_steps((start - end) / self.feed * per_turn)
 
-    def _some(self, at: Floats, last: int, per_turn: int, tool: Tool) -> Spiral:
-        """Return points of `spiral` by their numbers. (n,)."""
+    def _select_points(self, at: Floats, last: int, per_turn: int, tool: Tool) -> Spiral:
+        """Return points of `spiral` by their indices. (n,)."""
         step = TURN / per_turn
         turned = (at if self.inside_out else last - at) * step
-        return Spiral(angle=self.sense * (at * step), radius=self._end(tool) + self.feed / TURN * turned)
+        return Spiral(angle=self.sense * (at * step), radius=self._inner_end(tool) + self.feed / TURN * turned)
 
-    def _end(self, tool: Tool) -> float:
+    def _inner_end(self, tool: Tool) -> float:
         """Return the commanded radius of the inner end. [mm]."""
         return -tool.offset[0] - self.overrun
 
-    def _ends(self, part: Part, tool: Tool) -> tuple[float, float]:
-        """Return the commanded radius of the inner end and, if no step were to be kept, of the outer one. [mm]."""
-        return self._end(tool), part.radius + self._lead(part, tool)
+    def _find_ends(self, part: Part, tool: Tool) -> tuple[float, float]:
+        """Return the commanded radii of the inner end and of the outer end, before the steps are made equal. [mm]."""
+        return self._inner_end(tool), part.radius + self._find_lead_in(part, tool)
 
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes at the points of a path: C the azimuth [rad], X the radius, Z the height [mm]."""
         return {"C": path.angle, "X": path.radius, "Z": path.z}
 
-    def _lead(self, part: Part, tool: Tool) -> float:
-        """Return how far beyond the clear radius the tip starts. [mm]."""
-        azimuth = np.linspace(0, TURN, RIM, endpoint=False)
+    def _find_lead_in(self, part: Part, tool: Tool) -> float:
+        """Return the distance outside the clear aperture at which the tip starts. [mm]."""
+        azimuth = np.linspace(0, TURN, RIM_AZIMUTHS, endpoint=False)
         cosine, sine = np.cos(azimuth), np.sin(azimuth)
         zx, zy = part.surface.gradient(part.radius * cosine, part.radius * sine)
         sweep = np.clip(np.arctan(zx * cosine + zy * sine), *tool.arc)
         needed = max(0.0, float(np.max(-tool.actual_radius * np.sin(sweep))) - tool.offset[0])
         if self.lead_in is None:
             return needed + self.feed / 2
-        # The outermost turn reaches as far as its neighbours would: a feed less is still cut.
+        # The outermost revolution cuts as far inward as its neighbours: a lead-in shorter by a feed still cuts the rim.
         if self.lead_in < needed - self.feed:
             raise GougeError(
                 f"lead_in is {self.lead_in:g} mm but the edge touches the rim {needed:.4g} mm inside its tip, so a "
-                f"band would stay uncut: give a lead_in of at least {needed:.4g} mm, or none to have it found"
+                f"band would stay uncut: set lead_in to at least {needed:.4g} mm, or leave it out"
             )
         return self.lead_in
 
-    def _by_arc(self, end: float, start: float, progress: Progress | None) -> Floats:
-        """Return the angle turned from the inner end at constant arc, inside at constant angle. (n,) [rad]."""
+    def _set_points_by_arc(self, end: float, start: float, progress: Progress | None) -> Floats:
+        """Return the angle turned from the inner end: constant arc outside, constant angle inside. (n,) [rad]."""
         pitch = self.feed / TURN
         inner, outer = end / pitch, start / pitch
         arc = self.arc_length / pitch  # type: ignore[operator]
@@ -306,142 +305,147 @@ class SlowToolServo(Strategy):
             step = TURN / math.ceil(TURN / self.max_step * (1 - 1e-12))
             # Along the spiral r = pitch * psi an angle step is sqrt(1 + psi²) * step long, in units of the pitch.
             border = math.sqrt(max((arc / step) ** 2 - 1, 0.0))
-            inside = _steps((min(border, outer) - inner) / step) * step
-        first, last = _arc(np.array([inner + inside[-1], outer])).tolist()
+            inside = _number_points((min(border, outer) - inner) / step) * step
+        first, last = _spiral_length(np.array([inner + inside[-1], outer])).tolist()
         steps = (last - first) / arc
         if progress is not None:
-            progress(0, inside.size + _count(steps))
-        outside = first + arc * _steps(steps)[1:]
-        return np.concatenate([inside, _invert_arc(outside) - inner])
+            progress(0, inside.size + _count_steps(steps))
+        outside = first + arc * _number_points(steps)[1:]
+        return np.concatenate([inside, _invert_spiral_length(outside) - inner])
 
-    def _by_chord(self, part: Part, tool: Tool, end: float, start: float, progress: Progress | None) -> Floats:
-        """Return the angle turned from the inner end with the fewest points for the chord. (n,) [rad]."""
+    def _set_points_by_chord(
+        self, part: Part, tool: Tool, end: float, start: float, progress: Progress | None
+    ) -> Floats:
+        """Return the angles turned from the inner end of the fewest points for the chord. (n,) [rad]."""
         pitch = self.feed / TURN
         widest = self.max_step or WIDEST_STEP
         tolerance = float(self.chord)  # type: ignore[arg-type]
         steps = math.ceil(TURN / widest * (1 - 1e-12))
         finest = max(256, 12 * steps, 8 * TURN * part.radius / part.surface.feature_size)
         per_turn = steps * math.ceil(finest / steps)
-        samples = _steps((start - end) / self.feed * per_turn, BYTES_PER_SAMPLE)
-        whole = float(samples[-1]) * TURN / per_turn
+        samples = _number_points((start - end) / self.feed * per_turn, BYTES_PER_SAMPLE)
+        total = float(samples[-1]) * TURN / per_turn
 
         def height(turned: Floats) -> Floats:
-            angle = turned if self.inside_out else whole - turned
+            angle = turned if self.inside_out else total - turned
             return tip_height(
                 part.surface,
                 tool,
                 angle=self.sense * angle,
                 radius=end + pitch * turned,
                 sense=self.sense,
-                rim=max(part.radius, pitch * whole - self.overrun),
+                rim=max(part.radius, pitch * total - self.overrun),
             )
 
-        kept = [np.zeros(1)]
-        # The last two steps of a piece share what is left at its border: they are thinned again with the next piece, or
-        # their shortness would bind the block rate of the whole cut.
-        rest = np.empty((3, 0))
+        pieces = [np.zeros(1)]
+        # The last two steps of a block may be short, as they end at its border, and would limit the block rate of the
+        # whole cut. Their points are selected again with the next block.
+        carried = np.empty((3, 0))
         if progress is not None:
-            progress(0, max(round(whole / TURN), 1))
-        borders = np.linspace(0, samples.size - 1, math.ceil((samples.size - 1) / BLOCK) + 1).astype(np.int64)
-        for low, high in pairwise(borders):  # neighbours share their end
-            turned, z, bulge = _refined(samples[low : high + 1] * (TURN / per_turn), height, tolerance)
+            progress(0, max(round(total / TURN), 1))
+        borders = np.linspace(0, samples.size - 1, math.ceil((samples.size - 1) / BLOCK_SAMPLES) + 1).astype(np.int64)
+        for low, high in pairwise(borders):  # neighbouring blocks share their border
+            turned, z, bulge = _refine_samples(samples[low : high + 1] * (TURN / per_turn), height, tolerance)
             piece = np.stack([turned, z, tolerance - bulge])
-            if rest.size:
-                piece[2, 0] = min(piece[2, 0], rest[2, -1])
-                piece = np.concatenate([rest[:, :-1], piece], axis=1)
+            if carried.size:
+                piece[2, 0] = min(piece[2, 0], carried[2, -1])
+                piece = np.concatenate([carried[:, :-1], piece], axis=1)
             keep = np.empty(piece.shape[1], dtype=np.int64)
             count = kernel.fewest(*piece, widest, keep)
             if high < samples.size - 1:
                 count = max(count - 2, 1)
-                rest = piece[:, keep[count - 1] :]
-            kept.append(piece[0, keep[1:count]])
+                carried = piece[:, keep[count - 1] :]
+            pieces.append(piece[0, keep[1:count]])
             if progress is not None:
-                progress(round(float(turned[-1]) / TURN), round(whole / TURN))
-        _check_count(sum(part.size for part in kept))
-        _require_room(sum(part.size for part in kept))
-        return np.concatenate(kept)
+                progress(round(float(turned[-1]) / TURN), round(total / TURN))
+        _check_count(sum(part.size for part in pieces))
+        _require_room(sum(part.size for part in pieces))
+        return np.concatenate(pieces)
 
 
 def _check_count(count: float) -> None:
     """Raise if a spiral has more points than any controller takes."""
-    if count > MOST_POINTS:
+    if count > MAX_POINTS:
         raise LimitError(
-            f"the spiral has {count:.3g} points, the limit is {MOST_POINTS:.0e}: check the units of the feed and of "
-            "the step, and make one larger"
+            f"the spiral has {count:.3g} points, the limit is {MAX_POINTS:.0e}: check the units of the feed and of "
+            "the step"
         )
 
 
 def _require_room(count: float, bytes_each: int = BYTES_PER_POINT) -> None:
-    """Raise if there is no memory for a path of as many points, and the motion along it."""
+    """Raise if there is too little memory for a path of this many points and its motion."""
     require_memory(
         bytes_each * count, f"a path of {count:.3g} points", "take a larger feed, fewer points, or another computer"
     )
 
 
 def _check_samples(count: int, tolerance: float) -> None:
-    """Raise if a path is so rough that no sampling of it fits into memory."""
-    if count > MOST_SAMPLES:
+    """Raise if the samples of a rough path do not fit into memory."""
+    if count > MAX_SAMPLES:
         raise LimitError(
-            f"a piece of the path takes {count:.3g} samples to keep within the chord {tolerance:g} mm, the limit is "
-            f"{MOST_SAMPLES:.3g}: allow a larger chord, or set points_per_rev or arc_length"
+            f"a piece of the path takes {count:.3g} samples for a chord of {tolerance:g} mm, the limit is "
+            f"{MAX_SAMPLES:.3g}: allow a larger chord, or set points_per_rev or arc_length"
         )
 
 
-def _steps(count: float, bytes_each: int = BYTES_PER_POINT) -> Floats:
-    """Return 0, 1, 2 and so on up to ``count``, rounded up but for what is rounding itself. (n,)."""
-    whole = _count(count)
-    _require_room(whole, bytes_each)
-    return np.arange(whole + 1, dtype=np.float64)
+def _number_points(count: float, bytes_each: int = BYTES_PER_POINT) -> Floats:
+    """Return 0, 1, 2 and so on up to ``count``, rounded up (except for rounding errors). (n,)."""
+    last = _count_steps(count)
+    _require_room(last, bytes_each)
+    return np.arange(last + 1, dtype=np.float64)
 
 
-def _count(steps: float) -> int:
-    """Return how many steps there are, rounded up but for what is rounding itself."""
+def _count_steps(steps: float) -> int:
+    """Return the number of steps, rounded up (except for rounding errors)."""
     _check_count(steps)
     return max(math.ceil(steps - 1e-6), 0)
 
 
-def _arc(psi: Floats) -> Floats:
+def _spiral_length(psi: Floats) -> Floats:
     """Return the length of the spiral r = psi from its centre. (n,)."""
     return (psi * np.sqrt(1 + psi**2) + np.arcsinh(psi)) / 2
 
 
-def _invert_arc(length: Floats) -> Floats:
+def _invert_spiral_length(length: Floats) -> Floats:
     """Return psi where the spiral r = psi has a given length from its centre. (n,) [rad]."""
     psi = np.empty_like(length)
-    for first in range(0, length.size, BLOCK):
-        goal = np.abs(length[first : first + BLOCK])
-        # Both bounds lie above the root of a convex function, so Newton comes down to it without overshoot.
+    for first in range(0, length.size, BLOCK_SAMPLES):
+        goal = np.abs(length[first : first + BLOCK_SAMPLES])
+        # Both bounds lie above the root of a convex function, so Newton's method converges without overshoot.
         guess = np.minimum(goal, np.sqrt(2 * goal))
         for _ in range(6):
-            guess = guess - (_arc(guess) - goal) / np.sqrt(1 + guess**2)
-        psi[first : first + BLOCK] = np.copysign(guess, length[first : first + BLOCK])
+            guess = guess - (_spiral_length(guess) - goal) / np.sqrt(1 + guess**2)
+        psi[first : first + BLOCK_SAMPLES] = np.copysign(guess, length[first : first + BLOCK_SAMPLES])
     return psi
 
 
-def _interpolated(turned: Floats, height: Callable[[Floats], Floats], tolerance: float) -> tuple[Floats, Floats, float]:
-    """Sample a path evenly, and closer together by cubics wherever it is smooth enough for them.
+def _sample_with_cubics(
+    turned: Floats, height: Callable[[Floats], Floats], tolerance: float
+) -> tuple[Floats, Floats, float]:
+    """Sample a path evenly, and interpolate it by cubics wherever it is smooth enough.
 
-    A cubic through four even samples about an interval or on either side of it misses a smooth path by at most 1/24 of
-    its fourth difference, and one with a kink by less than the greater of two neighbouring ones: that is what counts.
-    The same azimuths in every turn are placed at a fraction of the cost of as many scattered ones.
+    The error of a cubic through four even samples, around an interval or on one side of it, is at most 1/24 of the
+    fourth difference on a smooth path. At a slope discontinuity it is less than the greater of two neighbouring fourth
+    differences, which is used as the bound. Samples at the same azimuths in every revolution are placed at a fraction
+    of the cost of scattered ones.
 
     Returns
     -------
     turned, z, doubt
-        Angles [rad], heights (n,) [mm] and how far any of those may be wrong [mm].
+        Angles [rad], heights (n,) [mm] and the largest error of the heights [mm].
     """
     while True:
         z = height(turned)
         fourth = np.nan_to_num(np.abs(np.diff(np.pad(z, 2, constant_values=np.nan), 4)), nan=np.inf)
         pairs = np.pad(np.maximum(fourth[1:], fourth[:-1]), 2, constant_values=np.inf)
-        sides = np.stack([pairs[2:-2], pairs[:-4], pairs[4:]])  # samples about the interval, before it, behind it
+        sides = np.stack([pairs[2:-2], pairs[:-4], pairs[4:]])  # samples around the interval, before it, behind it
         side = sides.argmin(axis=0)
         doubt = sides.min(axis=0)
-        # Beside a kink the bulge is that of the other side.
+        # Next to a slope discontinuity the bulge is that of the smooth side.
         bend = np.abs(np.diff(np.pad(z, 1, mode="edge"), 2))
-        parts = np.sqrt(FINENESS / tolerance * np.minimum(bend[1:], bend[:-1]))
-        smooth = (doubt <= tolerance / SURENESS) & (parts <= MOST_PARTS)
-        if np.count_nonzero(~smooth) <= max(smooth.size // FEW, 4):
+        parts = np.sqrt(SAMPLING_FACTOR / tolerance * np.minimum(bend[1:], bend[:-1]))
+        smooth = (doubt <= tolerance / CUBIC_FACTOR) & (parts <= MAX_CUBIC_PARTS)
+        if np.count_nonzero(~smooth) <= max(smooth.size // REFINEMENT_RATIO, 4):
             break
         _check_samples(2 * turned.size, tolerance)
         turned = np.linspace(turned[0], turned[-1], 2 * smooth.size + 1)
@@ -461,34 +465,37 @@ def _interpolated(turned: Floats, height: Callable[[Floats], Floats], tolerance:
     return turned, np.append(fine, z[-1]), float(doubt[smooth].max(initial=0.0))
 
 
-def _refined(turned: Floats, height: Callable[[Floats], Floats], tolerance: float) -> tuple[Floats, Floats, Floats]:
-    """Sample a path until nothing between the samples matters.
+def _refine_samples(
+    turned: Floats, height: Callable[[Floats], Floats], tolerance: float
+) -> tuple[Floats, Floats, Floats]:
+    """Sample a path until its bulge between the samples is negligible.
 
-    Between two samples the path may bulge from the straight line by at most half the step times the change of slope to
-    either neighbour: four times the bulge of a smooth path, and at least that of a kink anywhere inside.
+    The bound of the bulge from the straight line between two samples is half the step times the change of slope to
+    either neighbour. It is four times the bulge of a smooth path, and at least that of a slope discontinuity inside.
 
     Returns
     -------
     turned, z, bulge
-        Angles [rad], heights [mm] and the largest bulge beside each sample [mm]. Each (n,)
+        Angles [rad], heights [mm] and the largest bulge next to each sample [mm]. Each (n,)
     """
-    turned, z, doubt = _interpolated(turned, height, tolerance)
+    turned, z, doubt = _sample_with_cubics(turned, height, tolerance)
     while True:
         step = np.diff(turned)
         bend = np.abs(np.diff(np.diff(z) / step))
         bulge = step * np.maximum(np.append(bend, 0.0), np.append(0.0, bend)) / 2
-        bulge[[0, -1]] *= 2  # only one neighbour tells of a kink there
-        coarse = np.flatnonzero(bulge > tolerance / FINENESS)
+        bulge[[0, -1]] *= 2  # there is only one neighbour there
+        coarse = np.flatnonzero(bulge > tolerance / SAMPLING_FACTOR)
         if coarse.size == 0:
             return turned, z, np.maximum(np.append(bulge, 0.0), np.append(0.0, bulge)) + 2 * doubt
-        if step[coarse].min() < FINEST:
+        if step[coarse].min() < MIN_INTERVAL_RAD:
             where = turned[coarse[np.argmin(step[coarse])]] / TURN
             raise InputError(
-                f"the path jumps {where:.3f} turns from the inner end, so no points keep it within the chord "
+                f"the path jumps {where:.3f} turns from the inner end, so no points keep the chord tolerance of "
                 f"{tolerance:g} mm: set points_per_rev or arc_length, or use a tool with a smaller included angle"
             )
-        # A smooth bulge falls with the square of the step, that of a kink with the step: it takes some more rounds.
-        parts = np.clip(np.ceil(np.sqrt(bulge[coarse] / tolerance * FINENESS)), 2, 8).astype(np.int64)
+        # The bulge of a smooth path falls with the square of the step, that of a slope discontinuity with the step: the
+        # latter takes some more iterations.
+        parts = np.clip(np.ceil(np.sqrt(bulge[coarse] / tolerance * SAMPLING_FACTOR)), 2, 8).astype(np.int64)
         which = np.repeat(np.arange(coarse.size), parts - 1)
         rank = np.arange(which.size) - np.repeat(np.cumsum(parts - 1) - (parts - 1), parts - 1) + 1
         _check_samples(turned.size + which.size, tolerance)

@@ -1,22 +1,23 @@
 r"""The smoothest motion of a slow slide that keeps a fast tool within its limits.
 
-With h(t) the height that both make together over the angle t turned, in radians, the slow share Z is the spline that
+With h(t) the height of both together over the angle t turned, in radians, the slow part Z is the spline that solves
 
 .. math:: \min_Z \int (Z''')^2 + (Z - h)^2 \, dt \quad \text{so that} \quad
     \mathrm{low} \le h - Z \le \mathrm{high}, \;
     \omega\,|h' - Z'| \le \mathrm{speed}, \; \omega^2\,|h'' - Z''| \le \mathrm{acceleration}
 
-The first term is the jerk of the slide, which is what shakes a machine and what a servo with feed-forward lags by. The
-second one makes the minimum unique: where no limit binds, the share of the slide in the harmonic n of a turn is
-:math:`1/(1 + n^6)`, all that is slower than a turn and nothing that is faster. So the fast tool carries what comes back
-in every turn, about the middle of its stroke, and the slide takes only what the limits do not leave to the tool.
+The first term is the jerk of the slide, which excites vibration and determines the following error of a servo with
+feed-forward. The second term makes the minimum unique: where no limit is active, the slide takes the fraction
+:math:`1/(1 + n^6)` of the harmonic n of a revolution, so nearly all of the slower motion and nothing of the faster
+motion. The fast tool thus makes the motion that repeats in every revolution, about the middle of its stroke, and the
+slide takes only what exceeds the limits of the tool.
 
-It is a strictly convex quadratic program in the coefficients of a cubic spline over even cells. Its matrices have three
-diagonals beside the main one, so a step of the interior-point method takes linear time.
+This is a strictly convex quadratic program in the coefficients of a cubic spline over even cells. Its matrices have
+three lower diagonals besides the main one, so a step of the interior-point method takes linear time.
 
 Sources
 -------
-The predictor and corrector are those of Mehrotra's method, [Nocedal2006]_ ch. 16.6. Oracle: SciPy's SLSQP.
+Predictor and corrector: Mehrotra's method, [Nocedal2006]_ ch. 16.6. Reference solution of the tests: SciPy's SLSQP.
 """
 
 from __future__ import annotations
@@ -34,35 +35,35 @@ if TYPE_CHECKING:
     from turnwright._arrays import Floats, Ints
     from turnwright.machine import Axis
 
-__all__ = ["smoothest"]
+__all__ = ["find_smoothest"]
 
 TURN = 2 * math.pi
 
-CELLS = (64, 256)
-"""Cells of the spline in a turn; the finer ones only if the coarser ones cannot keep the limits."""
+CELLS_PER_REV = (64, 256)
+"""Cells of the spline per revolution; the second number is used only if the first cannot keep the limits."""
 
-SPARE = 1e-3
-"""Share of the stroke that is left at each end, so that the samples between those looked at keep it too."""
+TRAVEL_MARGIN = 1e-3
+"""Fraction of the stroke that is reserved at each end for the samples between those in the program."""
 
-SPARE_RATE = 1e-2
-"""The same of speed and acceleration, whose measured peaks are divided differences."""
+RATE_MARGIN = 1e-2
+"""The same for speed and acceleration, whose peaks are measured as divided differences."""
 
-STEPS = 80
-"""Of the interior-point method; it takes twenty or thirty, and does not end if the limits cannot be kept."""
+MAX_STEPS = 80
+"""Most steps of the interior-point method. 20 to 30 are usual; it does not converge if the limits cannot be kept."""
 
-NEAR = 1e-6
-"""How near the cost comes to the least one, as a share."""
+COST_TOL = 1e-6
+"""Relative tolerance of the cost."""
 
-ROUNDS = 8
-"""How often samples that leave the limits are added to those looked at; once or twice will do."""
+MAX_ROUNDS = 8
+"""Most rounds in which samples outside the limits are added to the program; one or two are usual."""
 
 
-class _Kind(NamedTuple):
-    """One thing that is limited, over all samples."""
+class _Limit(NamedTuple):
+    """One limited quantity, over all samples."""
 
     order: int  # of the derivative
     at: Floats  # (n,) [rad]
-    value: Floats  # of the whole motion [mm/rad^order]
+    value: Floats  # of slide and tool together [mm/rad^order]
     low: float
     high: float
 
@@ -97,7 +98,7 @@ class _Rows:
         return band
 
 
-def smoothest(turned: Floats, height: Floats, fast: Axis, omega: float | None) -> tuple[Floats, Floats]:
+def find_smoothest(turned: Floats, height: Floats, fast: Axis, omega: float | None) -> tuple[Floats, Floats]:
     """Return the height of the slow slide, and its derivative by the angle turned.
 
     Parameters
@@ -105,31 +106,31 @@ def smoothest(turned: Floats, height: Floats, fast: Axis, omega: float | None) -
     turned
         Angle turned, ascending from 0. (n,) [rad]
     height
-        What slide and tool make together. (n,) [mm]
+        Height of slide and tool together. (n,) [mm]
     fast
         Limits of the fast tool, with both ends of its travel.
     omega
-        Speed of the spindle; ``None`` if it is not known yet, then travel alone is kept. [rad/s]
+        Spindle speed; ``None`` if it is not known yet, then only the travel is limited. [rad/s]
 
     Raises
     ------
     LimitError
-        If no motion of the slide keeps them.
+        If no motion of the slide keeps the limits.
     """
     low, high = float(fast.low), float(fast.high)  # type: ignore[arg-type]
-    kinds = [_Kind(0, turned, height, low, high)]
+    kinds = [_Limit(0, turned, height, low, high)]
     slope = np.diff(height) / np.diff(turned)
     if omega is not None and fast.speed is not None:
         most = fast.speed / omega
-        kinds.append(_Kind(1, (turned[1:] + turned[:-1]) / 2, slope, -most, most))
+        kinds.append(_Limit(1, (turned[1:] + turned[:-1]) / 2, slope, -most, most))
     if omega is not None and fast.acceleration is not None:
         most = fast.acceleration / omega**2
         bend = 2 * np.diff(slope) / (turned[2:] - turned[:-2])
-        kinds.append(_Kind(2, turned[1:-1], bend, -most, most))
-    for per_turn in CELLS:
+        kinds.append(_Limit(2, turned[1:-1], bend, -most, most))
+    for per_turn in CELLS_PER_REV:
         step = TURN / per_turn
         cells = max(math.ceil(turned[-1] / step * (1 - 1e-12)), 1)
-        c = _coefficients(kinds, step, cells)
+        c = _find_coefficients(kinds, step, cells)
         if c is not None:
             z, rate = np.empty(turned.size), np.empty(turned.size)
             kernel.values(turned, step, cells, 0, c, z)
@@ -138,21 +139,22 @@ def smoothest(turned: Floats, height: Floats, fast: Axis, omega: float | None) -
     limits = [f"{(high - low) * 1e3:.4g} um of travel"]
     for kind in kinds[1:]:
         unit = "mm/s" if kind.order == 1 else "mm/s^2"
-        asked = float(np.abs(kind.value).max()) * float(omega or 0.0) ** kind.order
-        limits.append(f"{kind.high * float(omega or 0.0) ** kind.order:.4g} {unit} (the path has {asked:.4g})")
+        required = float(np.abs(kind.value).max()) * float(omega or 0.0) ** kind.order
+        limits.append(f"{kind.high * float(omega or 0.0) ** kind.order:.4g} {unit} (the path has {required:.4g})")
     raise LimitError(
-        f"no motion of the slow slide with {CELLS[-1]} cells a turn keeps the fast tool within {' and '.join(limits)}: "
-        "turn slower, take a fast tool that does more, or split the motion by a base and see which limit it passes"
+        f"no motion of the slow slide with {CELLS_PER_REV[-1]} cells a turn keeps the fast tool within "
+        f"{' and '.join(limits)}: use a lower spindle speed or a fast tool with larger limits, or split the motion "
+        "by a base"
     )
 
 
-def _coefficients(kinds: list[_Kind], step: float, cells: int) -> Floats | None:
-    """Return the coefficients of the slow share, or ``None`` if the limits cannot be kept."""
+def _find_coefficients(kinds: list[_Limit], step: float, cells: int) -> Floats | None:
+    """Return the coefficients of the slow part, or ``None`` if the limits cannot be kept."""
     _, turned, height, low, high = kinds[0]
     size = cells + 3
     weight = np.gradient(turned)
     band, right = np.zeros((4, size)), np.zeros(size)
-    # All in units of half the stroke, about the motion's own level.
+    # All heights are in units of half the stroke, about the mean height.
     unit, level = (high - low) / 2, float(height.mean())
     kernel.gram(turned, (height - (high + low) / 2 - level) / unit, weight, step, cells, band, right)
     jerk = np.array([1.0, -3.0, 3.0, -1.0])
@@ -162,8 +164,8 @@ def _coefficients(kinds: list[_Kind], step: float, cells: int) -> Floats | None:
     scale = float(band[0].max())
     band, right = band / scale, right / scale
     seen: list[list[Ints]] = [[] for _ in kinds]
-    c = _banded(band, right)
-    for _ in range(ROUNDS):
+    c = _solve_banded(band, right)
+    for _ in range(MAX_ROUNDS):
         fresh = False
         for number, kind in enumerate(kinds):
             share = np.empty(kind.at.size)
@@ -175,35 +177,37 @@ def _coefficients(kinds: list[_Kind], step: float, cells: int) -> Floats | None:
             fresh = True
             ends = np.empty((2, cells), dtype=np.int64)
             kernel.extremes(kind.at, step, cells, kind.value if not seen[number] else share, *ends)
-            found = np.unique(ends[ends >= 0])
-            seen[number].append(found if not seen[number] else found[beyond[found]])
+            samples = np.unique(ends[ends >= 0])
+            seen[number].append(samples if not seen[number] else samples[beyond[samples]])
         if not fresh:
             return unit * c + level
-        solved = _interior(band, right, _limits(kinds, seen, step, cells, unit, level), c)
+        solved = _solve_interior_point(band, right, _set_up_limits(kinds, seen, step, cells, unit, level), c)
         if solved is None:
             return None
         c = solved
     return None
 
 
-def _limits(kinds: list[_Kind], seen: list[list[Ints]], step: float, cells: int, unit: float, level: float) -> _Rows:
-    """Return the inequalities at the samples looked at."""
+def _set_up_limits(
+    kinds: list[_Limit], seen: list[list[Ints]], step: float, cells: int, unit: float, level: float
+) -> _Rows:
+    """Return the inequalities at the samples in the program."""
     parts: list[tuple[Ints, Floats, Floats, Floats]] = []
-    for kind, found in zip(kinds, seen, strict=True):
-        if not found:
+    for kind, chosen in zip(kinds, seen, strict=True):
+        if not chosen:
             continue
-        index = np.unique(np.concatenate(found))
+        index = np.unique(np.concatenate(chosen))
         first, row = np.empty(index.size, dtype=np.int64), np.empty((index.size, 4))
         kernel.rows(kind.at[index], step, cells, kind.order, first, row)
         half, middle = (kind.high - kind.low) / 2, (kind.high + kind.low) / 2
         value = kind.value[index] - middle - (level if kind.order == 0 else 0.0)
-        spare = 1 - (SPARE if kind.order == 0 else SPARE_RATE)
+        spare = 1 - (TRAVEL_MARGIN if kind.order == 0 else RATE_MARGIN)
         parts.append((first, row * (unit / half), value / half - spare, value / half + spare))
     first, row, low, high = (np.concatenate(part) for part in zip(*parts, strict=True))
     return _Rows(first, row, low, high)
 
 
-def _banded(band: Floats, right: Floats) -> Floats:
+def _solve_banded(band: Floats, right: Floats) -> Floats:
     """Solve a system with lower diagonals."""
     from scipy.linalg import solveh_banded  # noqa: PLC0415 - costly to import
 
@@ -211,8 +215,8 @@ def _banded(band: Floats, right: Floats) -> Floats:
     return solved
 
 
-def _times(band: Floats, c: Floats) -> Floats:
-    """Return a symmetric matrix given by its lower diagonals times a vector."""
+def _multiply_banded(band: Floats, c: Floats) -> Floats:
+    """Return the product of a vector and a symmetric matrix in lower diagonals."""
     out: Floats = band[0] * c
     for k in range(1, 4):
         out[k:] += band[k, :-k] * c[:-k]
@@ -220,41 +224,41 @@ def _times(band: Floats, c: Floats) -> Floats:
     return out
 
 
-def _interior(band: Floats, right: Floats, rows: _Rows, c: Floats) -> Floats | None:
-    """Return the c of least c.Bc/2 - right.c within the rows, or ``None`` if there is none."""
+def _solve_interior_point(band: Floats, right: Floats, rows: _Rows, c: Floats) -> Floats | None:
+    """Return the c that minimises c.Bc/2 - right.c within the rows, or ``None`` if there is none."""
     size = c.size
     across = rows.of(c)
-    # Room to either limit and the force that keeps it; a start outside the limits is drawn in step by step.
+    # Slack to both limits and their multipliers; a start outside the limits moves inside step by step.
     room = np.maximum(np.stack([across - rows.low, rows.high - across]), 0.1)
     force = np.full_like(room, 0.1 * max(float(np.abs(right).max()), 1e-12))
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         across = rows.of(c)
         missed = np.stack([across - rows.low, rows.high - across]) - room
-        stress = _times(band, c)
+        stress = _multiply_banded(band, c)
         pull = right - stress + rows.back(force[0] - force[1], size)
         gap = float((room * force).mean())
-        # The sum of room times force is what the least cost can still be below this one.
-        if np.abs(missed).max() < 1e-7 and gap * room.size <= NEAR * max(float(c @ stress), abs(float(c @ right))):
+        # The sum of slack times multiplier bounds the difference from the least cost.
+        if np.abs(missed).max() < 1e-7 and gap * room.size <= COST_TOL * max(float(c @ stress), abs(float(c @ right))):
             return c
         stiff = force / room
         matrix = band + rows.gram(stiff[0] + stiff[1], size)
 
         def step(target: Floats) -> tuple[Floats, Floats, Floats]:
-            push = (target - force * missed) / room  # noqa: B023 - called within this turn of the loop
-            move = _banded(matrix, pull + rows.back(push[0] - push[1], size))  # noqa: B023
+            push = (target - force * missed) / room  # noqa: B023 - called within this iteration
+            move = _solve_banded(matrix, pull + rows.back(push[0] - push[1], size))  # noqa: B023
             along = rows.of(move)
             grown = np.stack([along, -along]) + missed  # noqa: B023
             return move, grown, (target - force * grown) / room  # noqa: B023
 
         try:
             _, grown, pressed = step(-room * force)
-            reach = min(_reach(room, grown), _reach(force, pressed))
+            reach = min(_limit_step(room, grown), _limit_step(force, pressed))
             after = float(((room + reach * grown) * (force + reach * pressed)).mean())
             target = (after / gap) ** 3 * gap - room * force - grown * pressed
             move, grown, pressed = step(target)
         except np.linalg.LinAlgError:
             return None
-        ahead, press = 0.995 * _reach(room, grown), 0.995 * _reach(force, pressed)
+        ahead, press = 0.995 * _limit_step(room, grown), 0.995 * _limit_step(force, pressed)
         ahead = press = min(ahead, press, 1.0)
         c, room, force = c + ahead * move, room + ahead * grown, force + press * pressed
         if not np.isfinite(c).all():
@@ -262,8 +266,8 @@ def _interior(band: Floats, right: Floats, rows: _Rows, c: Floats) -> Floats | N
     return None
 
 
-def _reach(value: Floats, change: Floats) -> float:
-    """Return how far of a change positive values stay so, at most all of it and a little more."""
+def _limit_step(value: Floats, change: Floats) -> float:
+    """Return the largest fraction of a change for which positive values stay positive, at most 1.01."""
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = np.where(change < 0, -value / change, np.inf)
     return min(float(shares.min()), 1.01)
