@@ -435,7 +435,7 @@ def test_an_arc_length_alone_is_refused_before_placing(place, door, capsys):
     job = written(place, way)
     assert main([door, str(job), *(["--out", str(place / "out")] if door == "run" else [])]) == 2
     shown = capsys.readouterr().err
-    assert re.search(r"arc_length turns C by .* deg .*, the limit is below 180 deg: state max_step", shown)
+    assert re.search(r"less than 180 deg .*, arc_length makes it .* deg .*: state max_step", shown)
     assert "place" not in shown
     way[1]["arc_length"] = "10 um"
     assert main(["check", str(written(place, way))]) == 0

@@ -235,8 +235,8 @@ def _planned(job: Job, form: float, sq: float, report: StageProgress) -> Plan:
             over = [(one.value_nm or 0.0) / one.limit_nm for one in found.verdicts if one.tolerance == name]
             aim[name] *= ROOM / max(over) if max(over) > 1 else 1.0
     raise LimitError(
-        f"the plan misses a tolerance: {'; '.join(one.sentence for one in found.verdicts if not one.kept)}; form error "
-        f"of {found.shares.sentence}: allow more, or change tool or machine"
+        f"the plan misses a tolerance: {'; '.join(one.sentence for one in found.verdicts if not one.is_kept)}; form "
+        f"error of {found.shares.sentence}: relax the tolerance, or change tool or machine"
     )
 
 
@@ -402,7 +402,7 @@ class _Search:
         ways = {"arc_length": spacing, "max_step": WIDEST} if self.evenly else {"chord": spacing}
         filled = _filled(self.job, self.across, ways)
         plan = PassPlan(replace(filled, machine=self.machine))
-        return _Points(ways=ways, filled=filled, servo=plan.servo, spiral=plan.spiral, path=plan.path, top=plan.wanted)
+        return _Points(ways=ways, filled=filled, servo=plan.servo, spiral=plan.spiral, path=plan.path, top=plan.planned)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -99,7 +99,7 @@ def program_shares(job: Job, file: File, name: str) -> Shares:
     again = read_back(job, file, name)
     if not job.program.precorrect:
         return shares(part, tool, plan.spiral, again)
-    return shares(part, tool, plan.spiral, plan.commanded, again=again, meant=plan.meant)
+    return shares(part, tool, plan.spiral, plan.commanded, again=again, meant=plan.nominal)
 
 
 def rounding(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:
