@@ -336,7 +336,7 @@ def test_a_fast_tool_keeps_its_travel_in_a_plunge():
     travel = job.machine.axes["W"]
     assert not _approach._beyond_travel(job, "finish", {"W": np.array([travel.low, travel.high])})
     sentence = _approach._beyond_travel(job, "finish", {"W": np.array([travel.low, travel.high + 1e-4])})
-    assert sentence.startswith("pass finish: in the plunge W goes from -0.035 to 0.0351 mm, its travel is from -0.035")
+    assert sentence.startswith("pass finish: in the plunge W moves from -0.035 to 0.0351 mm, its travel is -0.035")
 
 
 def test_a_fast_tool_by_time_must_begin_beside_the_blank(tmp_path):

@@ -154,7 +154,7 @@ WRONG = {
     ),
     "a blank of a slip": (
         [("part.surface", {"family": "sphere", "radius": "20 mm"}), ("part.blank", {"radius": "1e9 mm"})],
-        r"the blank's radius is 1e\+09 mm, .*, the limit is 1000 mm: correct part\.blank\.radius",
+        r"blank of radius 1e\+09 mm .*, the limit is 1000 mm: correct part\.blank\.radius",
     ),
     "a device for a machine": ([("machine", {"file": "/dev/zero"})], r"machine\.file: '/dev/zero' is no plain file"),
     "a map of one radius": ([("simulation.whole_part.radii", 1)], r"whole_part\.radii is 1, it must be at least 2"),

@@ -222,7 +222,7 @@ def test_a_material_of_ones_own_is_read_beside_the_job(tmp_path):
 
 def test_a_part_without_stock_says_why_no_chip_is_found(tmp_path):
     result = tw.run(Job.load(job(tmp_path, stock="0 mm")))
-    assert any("states no stock" in one for one in result.warnings)
+    assert any("add part.stock" in one for one in result.warnings)
 
 
 @pytest.mark.parametrize(

@@ -182,9 +182,9 @@ def lathe(folder, *changes, controller="", rate=1000):
 
 def candidate(job, number, monkeypatch):
     """Return one candidate of a comparison, the only one that is planned."""
-    ways = _compare._ways
+    ways = _compare._strategies
     with monkeypatch.context() as patch:
-        patch.setattr(_compare, "_ways", lambda *asked: list(ways(*asked))[number : number + 1])
+        patch.setattr(_compare, "_strategies", lambda *asked: list(ways(*asked))[number : number + 1])
         (found,) = compare(job).candidates
     return found
 

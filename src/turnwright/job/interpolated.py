@@ -46,6 +46,6 @@ def interpolated(motion: Motion, machine: Machine, progress: Progress | None = N
 
 
 def off_curves(motion: Motion) -> float:
-    """Return the largest distance between the linear segments of a motion and a smooth curve through its points. [mm]."""
+    """Return the largest distance between the linear segments of a motion and a smooth curve through them. [mm]."""
     time = only_read(motion.time)
     return max(float(bulge(time, only_read(one))) for letter, one in motion.axes.items() if letter not in ROTARY)
