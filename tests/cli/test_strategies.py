@@ -95,7 +95,7 @@ def test_a_two_axis_fast_tool_leaves_what_the_slides_would(tmp_path):
         ([("strategy", {**SWINGING, "along": "normal"})], "strategy.along is 'normal', it must be 'z'"),
         (
             [*FAST, ("strategy", {"kind": "fast tool servo", **SPIRAL, "along": "normal"})],
-            'the fast tool servo plans for "z"',
+            'must be "z" for the fast tool servo',
         ),
         ([("strategy", {**ADAPTIVE, "x_motion": "split"})], "fast_tool is not stated"),
         ([("strategy.kind", "quick tool servo")], "is not known"),

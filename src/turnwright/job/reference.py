@@ -31,8 +31,8 @@ TEXTS = {
     "family": "Surface family.",
     "kind": "Kind of strategy.",
     "placed": "Position and orientation in the part frame; centred on the axis if left out.",
-    "units": "Unit of length of the formula, so that its coefficients can be plain numbers; without it each coefficient "
-    "is text with its own unit.",
+    "units": "Unit of length of the formula, so that its coefficients can be plain numbers; without it each of them is "
+    "text with its own unit.",
     "waviness_file": "File with the columns sweep and deviation, each with its unit in the header, in place of the "
     "coefficients.",
 }
