@@ -298,8 +298,8 @@ def _outermost(spiral: Spiral) -> Spiral:
     # The angle is monotonic, so bisection finds where the revolution ends: a job is checked while it is typed.
     away = range(size) if inwards else range(size - 1, -1, -1)
     count = bisect_right(away, 2 * np.pi, key=lambda at: abs(float(angle[at] - angle[away[0]])))
-    turn = slice(0, count) if inwards else slice(size - count, size)
-    return Spiral(angle=spiral.angle[turn], radius=spiral.radius[turn], y=None if spiral.y is None else spiral.y[turn])
+    at = slice(0, count) if inwards else slice(size - count, size)
+    return Spiral(angle=spiral.angle[at], radius=spiral.radius[at], y=None if spiral.y is None else spiral.y[at])
 
 
 def _thin(path: Path) -> Path:

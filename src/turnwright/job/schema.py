@@ -69,9 +69,10 @@ class ToolDeviations(Table):
     radius_error
         Actual minus nominal nose radius. [mm]
     offset
-        Actual minus nominal position of the tip: along X (tool centring error), in height, along Z. [mm]
+        Actual minus nominal position of the tip: along X (tool centring error), in height (tool height error), along
+        Z. [mm]
     rake
-        Rake angle: of the rake face against the vertical, positive leaning back from the cutting direction. [rad]
+        Angle of the rake face against the vertical, positive leaning back from the cutting direction. [rad]
     """
 
     waviness: Waviness | None = None
@@ -490,7 +491,7 @@ class Job(Table):
     Parameters
     ----------
     part, tool, machine, strategy
-        The part, the tool and the machine to cut it with, and the way of cutting.
+        The part, the tool and the machine to cut it with, and the strategy of the tool path.
     passes
         In the order of cutting, the last one leaves no allowance; one pass named "finish" if not given.
     simulation, actual
@@ -590,7 +591,7 @@ class Job(Table):
             )
         self._check_fast_tool()
         if allowance > 0:
-            raise JobError(f"the allowance of the last pass must be 0 mm, got {allowance:g} mm")
+            raise JobError(f"the allowance of the last pass must be 0 mm, got {allowance:g} mm: set it to 0 mm")
         _require_unique("simulation.patches", ["whole part", *(patch.name for patch in self.simulation.patches)])
         for number, patch in enumerate(self.simulation.patches, 1):
             reach = max(math.hypot(x, y) for x in patch.axes[0][[0, -1]] for y in patch.axes[1][[0, -1]])
