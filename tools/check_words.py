@@ -32,8 +32,6 @@ TARGETS = frozenset(
 COMMITS = 50
 LONGEST_SUBJECT = 72
 
-PENDING = tuple(f"src/turnwright/{package}/" for package in ("job", "studies"))
-"""Packages whose text is still to be revised."""
 
 
 def files() -> Iterator[Path]:
@@ -44,12 +42,6 @@ def files() -> Iterator[Path]:
             if file.suffix in endings and not {"vendor", "_build", "jupyter_execute"} & {*parts}:
                 yield file
     yield ROOT / "README.md"
-
-
-def is_pending(file: Path) -> bool:
-    """Whether the text of a file is still to be revised."""
-    name = file.relative_to(ROOT).as_posix()
-    return name.startswith(PENDING)
 
 
 def words_in(file: Path) -> Iterator[str]:
@@ -92,8 +84,8 @@ def subjects() -> Iterator[str]:
 
 def main() -> int:
     """Print what is wrong, and return 1 if anything is."""
-    faults = [fault for file in files() if not is_pending(file) for fault in words_in(file)]
-    python = [file for file in files() if file.suffix == ".py" and not is_pending(file)]
+    faults = [fault for file in files() for fault in words_in(file)]
+    python = [file for file in files() if file.suffix == ".py"]
     faults += [fault for file in python for fault in targets_in(file)]
     print("\n".join([*faults, *subjects()]))
     if faults:

@@ -286,13 +286,13 @@ def test_sizes_of_a_slip_are_refused_or_warned_of(tmp_path):
 def test_a_wall_higher_than_the_edge_is_warned_of(tmp_path):
     deep = (("part.stock", "0.4 mm"), ("tool.included", "120 deg"), ("passes", [{"name": "cut", "depth": "0.1 mm"}]))
     result, _ = carried_out(tmp_path, *deep)
-    walls = [one for one in result.warnings if "plunges beside a wall" in one]
+    walls = [one for one in result.warnings if "plunges next to an uncut wall" in one]
     # The outer side of the edge, leaning away from the dome, cuts up to 0.254 mm beside its rim: the last two of four
     # passes of 0.1 mm leave more standing outside.
     assert [one.split(" plunges")[0] for one in walls] == ["pass cut 3", "pass cut 4"]
     beside = (("part.blank", {"radius": "5.2 mm"}), ("strategy.lead_in", "1.2 mm"))
     result, _ = carried_out(tmp_path, *deep, *beside)
-    assert not [one for one in result.warnings if "plunges beside a wall" in one]
+    assert not [one for one in result.warnings if "plunges next to an uncut wall" in one]
 
 
 @pytest.mark.parametrize("kind", ["hybrid tool servo", "fast tool servo"])
@@ -336,7 +336,7 @@ def test_a_fast_tool_keeps_its_travel_in_a_plunge():
     travel = job.machine.axes["W"]
     assert not _approach._beyond_travel(job, "finish", {"W": np.array([travel.low, travel.high])})
     sentence = _approach._beyond_travel(job, "finish", {"W": np.array([travel.low, travel.high + 1e-4])})
-    assert sentence.startswith("pass finish: in the plunge W goes from -0.035 to 0.0351 mm, its travel is from -0.035")
+    assert sentence.startswith("pass finish: in the plunge W moves from -0.035 to 0.0351 mm, its travel is -0.035")
 
 
 def test_a_fast_tool_by_time_must_begin_beside_the_blank(tmp_path):

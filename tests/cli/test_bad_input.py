@@ -101,21 +101,21 @@ WRONG = {
     "a spindle faster than the lathe": ([("strategy.spindle_speed", "1e6 rpm")], r"spindle|rev/min"),
     "more blocks than the controller takes": ([("strategy.spindle_speed", "490 rpm"), ("strategy.points_per_rev", 720)], r"accept = \[\"limits\"\]"),
     "a sum of nothing": ([("part.surface", [])], r"part\.surface: .*sum"),
-    "nothing free": ([("measurement.free", [])], r"measurement: free is empty, it needs at least 1"),
-    "no cause": ([("measurement.causes", [])], r"measurement: causes is empty, it needs at least 1"),
-    "no wave": ([("measurement.waviness", [])], r"measurement: waviness is empty, it needs at least 1"),
-    "no pass": ([("passes", [])], r"passes is empty"),
+    "nothing free": ([("measurement.free", [])], r"measurement: free needs at least 1"),
+    "no cause": ([("measurement.causes", [])], r"measurement: causes needs at least 1"),
+    "no wave": ([("measurement.waviness", [])], r"measurement: waviness needs at least 1"),
+    "no pass": ([("passes", [])], r"passes needs at least 1"),
     "a pass that leaves stock": (
         [("part.stock", "10 um"), ("passes", [{"name": "rough", "allowance": "5 um"}])],
-        r"the last pass leaves 0\.005 mm, the limit is 0 mm",
+        r"last pass must be 0 mm, got 0\.005 mm",
     ),
     "a pass above the stock": ([("passes", [{"name": "a", "allowance": "5 um"}])], r"passes\[1\]\.allowance is 0\.005 mm"),
-    "two passes of one name": ([("passes", [{"name": "a"}, {"name": "a"}])], r"passes has the name 'a' 2 times"),
+    "two passes of one name": ([("passes", [{"name": "a"}, {"name": "a"}])], r"names in passes .* 'a' occurs 2 times"),
     "a name that a repetition takes": (
         [("part.stock", "20 um"), ("passes", [{"name": "rough", "allowance": "5 um", "depth": "8 um"}, {"name": "Rough-1"}])],
-        r"passes has the name 'rough 1' 2 times",
+        r"names in passes .* 'rough 1' occurs 2 times",
     ),
-    "two names that differ in case": ([("passes", [{"name": "a"}, {"name": "A"}])], r"passes has the name 'a' 2 times"),
+    "two names that differ in case": ([("passes", [{"name": "a"}, {"name": "A"}])], r"names in passes .* 'a' occurs 2 times"),
     "one coefficient written twice": (
         [("part.surface", {"family": "xy polynomial", "units": "mm", "terms": {"2,0": 0.01, "02,0": 0.02}})],
         r"the key '02,0' means the same as '2,0': remove one",
@@ -145,16 +145,16 @@ WRONG = {
         [("part.stock", "1 mm"), ("passes", [{"name": "a", "depth": "1 nm"}])],
         r"the pass repeats 1000000 times, the limit is 100",
     ),
-    "a patch outside the part": ([(PATCH + ".centre", ["1 mm", "0 mm"])], r"patches\[1\] reaches 1\.10454 mm"),
+    "a patch outside the part": ([(PATCH + ".centre", ["1 mm", "0 mm"])], r"patches\[1\] extends 1\.10454 mm"),
     "a patch of too many points": ([(PATCH + ".pixel", "1 nm"), (PATCH + ".size", ["1 mm", "1 mm"])], r"limit is 1e\+08"),
-    "a pixel larger than its patch": ([(PATCH + ".pixel", "1 mm")], r"it must fit at least once"),
+    "a pixel larger than its patch": ([(PATCH + ".pixel", "1 mm")], r"pixel must be at most"),
     "a map of too many points": (
         [("simulation.whole_part", {"radii": 100000, "angles": 10000})],
         r"whole_part: radii times angles is 1000000000, the limit is 1e\+08",
     ),
     "a blank of a slip": (
         [("part.surface", {"family": "sphere", "radius": "20 mm"}), ("part.blank", {"radius": "1e9 mm"})],
-        r"the blank's radius is 1e\+09 mm, .*, the limit is 1000 mm: correct part\.blank\.radius",
+        r"blank of radius 1e\+09 mm .*, the limit is 1000 mm: correct part\.blank\.radius",
     ),
     "a device for a machine": ([("machine", {"file": "/dev/zero"})], r"machine\.file: '/dev/zero' is no plain file"),
     "a map of one radius": ([("simulation.whole_part.radii", 1)], r"whole_part\.radii is 1, it must be at least 2"),
@@ -182,7 +182,7 @@ WRONG = {
         [("part.surface", {"family": "xy polynomial", "units": "deg", "terms": {"2,0": 1}})],
         r"part\.surface\.units: '1 deg' is an angle, it must be a length",
     ),
-    "an unknown form": ([("roughness.form", "round")], r"roughness\.form: 'round' is neither"),
+    "an unknown form": ([("roughness.form", "round")], r"roughness\.form: .* got 'round'"),
     "something accepted that is nothing": ([("accept", ["all"])], r"accept\[1\] is 'all', it must be"),
     "an actual tool without a nose": ([("actual.tool.radius_error", "-1 mm")], r"nothing is left of the nose"),
 }  # fmt: skip
@@ -435,7 +435,7 @@ def test_an_arc_length_alone_is_refused_before_placing(place, door, capsys):
     job = written(place, way)
     assert main([door, str(job), *(["--out", str(place / "out")] if door == "run" else [])]) == 2
     shown = capsys.readouterr().err
-    assert re.search(r"arc_length turns C by .* deg .*, the limit is below 180 deg: state max_step", shown)
+    assert re.search(r"less than 180 deg .*, arc_length makes it .* deg .*: state max_step", shown)
     assert "place" not in shown
     way[1]["arc_length"] = "10 um"
     assert main(["check", str(written(place, way))]) == 0

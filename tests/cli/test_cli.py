@@ -124,7 +124,7 @@ def test_a_backplot_counts_the_points_that_are_not_cut(done, tmp_path, capsys):
     covered = [any((a + half - low) % (2 * np.pi) <= high - low + 1e-9 for half in (0, np.pi)) for a in azimuth]
     missing = 40 * (24 - sum(covered))  # on the axis itself every pass counts
     assert 0 < missing < 960
-    assert f"whole part: {missing} of 984 points are not cut: no pass comes there" in told.err
+    assert f"whole part: {missing} of 984 points are not cut: no pass reaches them" in told.err
     assert not re.search(r"\b(inf|nan)\b", told.out + told.err), told.out
 
 

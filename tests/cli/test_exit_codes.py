@@ -64,7 +64,7 @@ def test_check_says_which_tolerances_it_does_not_judge(tmp_path, capsys):
     file = job_file(tmp_path, "dish", tolerances={"form_pv": "40 nm", "sq": "1 nm"})
     assert main(["check", file]) == 0
     said = capsys.readouterr().out
-    assert said.count("is not judged") == 2
+    assert said.count("not evaluated") == 2
 
 
 def test_a_batch_ends_with_the_gravest_code(tmp_path, capsys):

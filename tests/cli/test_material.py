@@ -162,7 +162,7 @@ def test_unknown_chips_do_not_stop_a_check(tmp_path, capsys, stock, code):
     file = job(tmp_path, stock=stock)
     assert main(["check", str(file)]) == code
     told = capsys.readouterr()
-    assert "finish: what its chips will be is not predicted, a run finds them: " in told.out
+    assert "finish: chip thickness is not predicted before a run: " in told.out
     assert ("pass finish has a depth of cut of 600 um" in told.err) == (code == 2)
     if stock == "10 nm":
         chips = tw.run(Job.load(file)).passes[0].chips
@@ -182,7 +182,7 @@ def test_a_first_turn_that_breaks_the_rim_asks_for_a_lead_in(tmp_path):
     assert chips.thickest * 1e6 < 600
     assert chips.entering * 1e3 == pytest.approx(10, rel=1e-9)
     assert not chips.ok
-    assert any("first turn" in one and "give a longer lead_in" in one for one in result.warnings)
+    assert any("first revolution" in one and "increase lead_in" in one for one in result.warnings)
 
 
 def test_a_material_note_is_free_text_and_judges_nothing(tmp_path):
@@ -222,7 +222,7 @@ def test_a_material_of_ones_own_is_read_beside_the_job(tmp_path):
 
 def test_a_part_without_stock_says_why_no_chip_is_found(tmp_path):
     result = tw.run(Job.load(job(tmp_path, stock="0 mm")))
-    assert any("states no stock" in one for one in result.warnings)
+    assert any("add part.stock" in one for one in result.warnings)
 
 
 @pytest.mark.parametrize(

@@ -99,7 +99,7 @@ def test_what_is_there_is_kept(tmp_path, capsys):
 def test_a_plan_needs_tolerances(tmp_path, capsys):
     job = written(tmp_path)
     assert main(["plan", str(job), "--out", str(tmp_path / "planned.toml")]) == 2
-    assert "needs both" in capsys.readouterr().err
+    assert "tolerances.form_pv and tolerances.sq" in capsys.readouterr().err
     assert sorted(file.name for file in tmp_path.iterdir()) == ["job.toml"]
 
 
@@ -108,7 +108,7 @@ def test_a_tolerance_that_no_plan_keeps_is_one_sentence(tmp_path, capsys):
     assert main(["plan", str(job), "--out", str(tmp_path / "planned.toml")]) == 2
     said = capsys.readouterr().err.splitlines()
     assert said[-1].startswith("turnwright: ")
-    assert "allow more" in said[-1] or "smaller nose_radius" in said[-1]
+    assert "relax" in said[-1] or "smaller nose_radius" in said[-1]
 
 
 @pytest.mark.parametrize(
@@ -182,9 +182,9 @@ def lathe(folder, *changes, controller="", rate=1000):
 
 def candidate(job, number, monkeypatch):
     """Return one candidate of a comparison, the only one that is planned."""
-    ways = _compare._ways
+    ways = _compare._strategies
     with monkeypatch.context() as patch:
-        patch.setattr(_compare, "_ways", lambda *asked: list(ways(*asked))[number : number + 1])
+        patch.setattr(_compare, "_strategies", lambda *asked: list(ways(*asked))[number : number + 1])
         (found,) = compare(job).candidates
     return found
 
@@ -249,15 +249,15 @@ def test_an_error_that_does_not_come_from_the_points_ends_the_search(tmp_path, m
         asked.append(points.spiral.angle.size)
         return 37e-6
 
-    monkeypatch.setattr(_plan._Search, "_added", stays)
+    monkeypatch.setattr(_plan._Search, "_point_error", stays)
     job = lathe(
         tmp_path, ("machine.interpolation", "hermite"), controller='other_interpolations = { hermite = "pmac" }'
     )
-    with pytest.raises(tw.LimitError, match=r"no points let .* leave 37 nm"):
+    with pytest.raises(tw.LimitError, match=r"cannot follow the path within .* leave 37 nm"):
         plan(Job.load(job))
     assert asked[-1] < 100 * asked[0]
-    monkeypatch.setattr(_plan, "MOST_POINTS", 2 * asked[0])
-    with pytest.raises(tw.LimitError, match=r"points .* would be .*, the limit of a plan is"):
+    monkeypatch.setattr(_plan, "MAX_POINTS", 2 * asked[0])
+    with pytest.raises(tw.LimitError, match=r"needs .* points, the limit of a plan is"):
         plan(Job.load(job))
 
 

@@ -84,8 +84,8 @@ def test_a_two_axis_fast_tool_leaves_what_the_slides_would(tmp_path):
     ("changes", "sentence"),
     [
         ([("strategy.kind", "fast tool servo")], "fast_tool is not stated"),
-        ([("program", {"fast_tool": "position"})], "no other strategy has any"),
-        ([*FAST, ("strategy.kind", "fast tool servo"), ("program", {"fast_tool": "time"})], "with a rate in Hz"),
+        ([("program", {"fast_tool": "position"})], "any other strategy needs neither"),
+        ([*FAST, ("strategy.kind", "fast tool servo"), ("program", {"fast_tool": "time"})], "a rate in Hz"),
         (
             [("strategy.kind", "hybrid tool servo"), ("program", {"fast_tool": "position"})],
             "choose a machine with a fast",
@@ -95,7 +95,7 @@ def test_a_two_axis_fast_tool_leaves_what_the_slides_would(tmp_path):
         ([("strategy", {**SWINGING, "along": "normal"})], "strategy.along is 'normal', it must be 'z'"),
         (
             [*FAST, ("strategy", {"kind": "fast tool servo", **SPIRAL, "along": "normal"})],
-            'the fast tool servo plans for "z"',
+            'must be "z" for the fast tool servo',
         ),
         ([("strategy", {**ADAPTIVE, "x_motion": "split"})], "fast_tool is not stated"),
         ([("strategy.kind", "quick tool servo")], "is not known"),
@@ -123,7 +123,7 @@ def test_a_two_axis_fast_tool_leaves_what_the_slides_would(tmp_path):
                 ("part.stock", "10 um"),
                 ("passes", [{"name": "rough", "allowance": "2 um"}, {"name": "finish"}]),
             ],
-            "belongs to 1",
+            "must have 1 pass",
         ),
     ],
 )

@@ -90,7 +90,7 @@ def test_a_backplot_tracks_any_program(done, tmp_path, capsys):
 def test_known_servos_are_not_left_out_silently(tmp_path):
     lathe(tmp_path)
     result = tw.run(tw.Job.load(written(tmp_path, *CHANGES)))
-    assert any("takes them to go where they are sent: set tracking = true" in one for one in result.warnings)
+    assert any("set tracking = true" in one for one in result.warnings)
     assert all(one.tracking is None and one.tracking_nm is None for one in result.predictions)
 
 

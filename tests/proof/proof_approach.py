@@ -365,7 +365,7 @@ def run(cases, seed, figures):
                 deep = [one.sentence for one in line.depths if not one.ok]
                 motions, allowances = {}, {}
                 for cut in line.cuts() if not deep else ():
-                    motions[cut.name], allowances[cut.name] = cut.motion, cut.left
+                    motions[cut.name], allowances[cut.name] = cut.motion, cut.allowance
                 program = None if deep else line.write(motions)
                 error = deep
             except TurnwrightError as refused:

@@ -47,7 +47,7 @@ def test_pieces_of_a_pvt_motion_keep_to_a_hundredth_of_a_nanometre(points):
 
 
 def test_pieces_are_as_short_as_memory_allows(monkeypatch):
-    monkeypatch.setattr(_interpolated, "MOST_PIECES", 10_000)
+    monkeypatch.setattr(_interpolated, "MAX_SEGMENTS", 10_000)
     motion = pvt_motion(24)
     made = interpolated(motion, MACHINE)
     assert 7_000 < made.time.size <= 10_500

@@ -34,7 +34,7 @@ def test_the_cusp_on_the_axis_counts_as_closed_form_has_it():
     assert whole.pv_nm == pytest.approx(cusp, abs=2 * result.rounding_limit_nm)
     assert whole.roughness.pv_nm < 40 < whole.pv_nm
     assert not result.keeps_tolerances
-    assert [one.kept for one in result.verdicts] == [False]
+    assert [one.is_kept for one in result.verdicts] == [False]
     assert any("form error PV is 5" in one for one in result.warnings)
 
 
@@ -70,19 +70,19 @@ def test_places_that_no_pass_cuts_keep_no_tolerance():
     table = DISH | {"tolerances": {"form_pv": "1 mm"}, "actual": {"tool": {"offset": ["0 um", "3 um", "0 um"]}}}
     _, result = finishing_motion(tw.Job.read(table))
     (verdict,) = result.verdicts
-    assert verdict.kept is False
+    assert verdict.is_kept is False
     assert "points are not cut" in verdict.sentence
 
 
 def test_the_judge_says_what_is_not_judged():
     job = tw.Job.read(DISH | {"tolerances": {"form_pv": "40 nm", "sq": "8 nm"}})
-    assert [one.kept for one in unjudged(job, "no surface")] == [None, None]
+    assert [one.is_kept for one in unjudged(job, "no surface")] == [None, None]
     form, sq = judge_form(job, 41.0, sq_reason="a map of the form")
-    assert (form.kept, sq.kept) == (False, None)
+    assert (form.is_kept, sq.is_kept) == (False, None)
     assert "a map of the form" in sq.sentence
     assert missed((form, sq))
     assert not missed((sq,))
-    assert [one.kept for one in judge(job, ())] == [None, None]
+    assert [one.is_kept for one in judge(job, ())] == [None, None]
 
 
 def test_a_job_without_patches_is_judged_by_its_roughest_ring():
@@ -90,7 +90,7 @@ def test_a_job_without_patches_is_judged_by_its_roughest_ring():
     (verdict,) = result.verdicts
     cusp = 0.01**2 / (8 * 0.5 * (1 - 0.5 / 20)) * 1e6
     assert verdict.value_nm == pytest.approx(cusp * np.sqrt(4 / 45), rel=0.1)
-    assert verdict.kept is False
+    assert verdict.is_kept is False
 
 
 PATCH = {"name": "p", "centre": ["0.25 mm", "0 mm"], "size": ["60 um", "60 um"], "pixel": "1 um"}

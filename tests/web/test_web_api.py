@@ -548,7 +548,7 @@ def test_a_table_with_units_of_its_own_is_brought_too(client, name, content, key
 def test_a_check_names_the_tolerances_that_it_does_not_judge(client):
     job = changed(("tolerances", {"form_pv": "100 nm", "sq": "8 nm"}))
     told = client.post("/api/job/check", json={"data": job}).json()["preview"]["unjudged"]
-    assert [("form error PV" in one, "Sq" in one, "not judged" in one) for one in told] == [
+    assert [("form error PV" in one, "Sq" in one, "not evaluated" in one) for one in told] == [
         (True, False, True), (False, True, True),
     ]  # fmt: skip
     assert client.post("/api/job/check", json={"data": changed()}).json()["preview"]["unjudged"] == []

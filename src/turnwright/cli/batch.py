@@ -113,7 +113,7 @@ def _run_case(data: Mapping[str, Any], shared: Mapping[str, Any], _store: Store 
             return {"outcome": f"already done: {done['outcome']}", "missed": done["missed"]}
     with Stop() as stop, new_folder(out, Session(stop), force=shared["force"]) as folder:
         result = run_into(folder, job, lambda *_: stop.check())
-        done = {"outcome": _outcome(result), "missed": sum(verdict.kept is False for verdict in result.verdicts)}
+        done = {"outcome": _outcome(result), "missed": sum(verdict.is_kept is False for verdict in result.verdicts)}
         write_whole(folder / CASE_FILE, json.dumps({"key": key, **done}) + "\n")
     return done
 
@@ -122,7 +122,7 @@ def _outcome(result: Result) -> str:
     minutes = sum(cut.limits.cycle_time_s for cut in result.passes) / 60
     clauses = [f"{minutes:.1f} min", f"{sum(cut.points for cut in result.passes)} points"]
     clauses += [f"{prediction.name} Sq {prediction.roughness.sq_nm:.3g} nm" for prediction in result.predictions]
-    clauses += [f"missed: {verdict.sentence}" for verdict in result.verdicts if verdict.kept is False]
+    clauses += [f"missed: {verdict.sentence}" for verdict in result.verdicts if verdict.is_kept is False]
     if result.warnings:
         clauses.append(f"warnings in its report: {len(result.warnings)}")
     return ", ".join(clauses)

@@ -241,7 +241,7 @@ def backplot(
         session.echo(f"maps: {out / 'maps'}")
         session.echo(f"report: {out / 'report.html'}")
     verdicts = judge(recipe, predictions)
-    warn([verdict.sentence for verdict in verdicts if not verdict.kept])
+    warn([verdict.sentence for verdict in verdicts if not verdict.is_kept])
     exit_on_missed(session, verdicts)
 
 

@@ -116,7 +116,7 @@ def exit_on_missed(session: Session, verdicts: Iterable[Verdict]) -> None:
 
     verdicts = tuple(verdicts)
     if missed(verdicts):
-        count = sum(verdict.kept is False for verdict in verdicts)
+        count = sum(verdict.is_kept is False for verdict in verdicts)
         session.echo(f"results are written, but {count} of {len(verdicts)} evaluated tolerances are missed")
         raise typer.Exit(MISSED_CODE)
 

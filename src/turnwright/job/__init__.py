@@ -1,4 +1,4 @@
-"""The recipe: a job is data only, and `run` is the one place that knows the order of the stages."""
+"""Jobs: the data of a job file, and the functions that plan, run, measure and correct it."""
 
 from turnwright.job.agenda import (
     steps_of_comparison,

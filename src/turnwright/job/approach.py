@@ -1,19 +1,20 @@
-r"""What stands in the way of the tool when it comes to a pass, and the proof that it touches nothing before it cuts.
+r"""Plan how the tool enters the material before each pass, and prove that it touches nothing while C stands still.
 
-Before a pass the material reaches up to the blank, or to what the pass before has left where that is lower. At the
-azimuth :math:`\theta` the edge touches it first when the tip, on its way down at the radius :math:`\rho`, stands at
+Before a pass the material reaches up to the blank, or to the surface of the previous pass where that is lower. The
+tip moves down at the radius :math:`\rho`. At the azimuth :math:`\theta` the edge touches the material first when the
+tip is at the height
 
 .. math:: T(\theta) = \max_u \; [\, M(\rho + u, \theta) - e(u) \,].
 
-On every step of a sampled radial line the highest material counts against the lowest place of the edge, so that the
-answer errs to the safe side as long as no step hides a summit; azimuths are as dense as an eighth of the surface's
-feature size, up to 1440 of them. Outside the clear radius nothing is known of the blank: it is taken to go on at the
-slope of the rim where that rises outward, and level where it falls.
+On every step of a sampled radial line, the highest material is compared with the lowest point of the edge. The result
+is on the safe side as long as no step hides a peak. Azimuths are spaced by an eighth of the feature size of the
+surface, up to 1440 of them. The blank is unknown outside the clear aperture: it is assumed to continue at the slope of
+the rim where that rises outward, and level where it falls.
 
-A plunge stays at the radius where its pass begins. Its heights around the axis are exact: at every azimuth the edge is
-brought into contact with the part there, and all are shifted by as much as the first point of the pass stands off the
-contact, which the allowance does. As a proof apart from that search, the whole arc of the edge is compared with the
-finished surface at points of the last revolution. A fast tool adds to the lathe what these heights ask for beyond it:
+A plunge stays at the radius where its pass begins. Its heights around the axis are exact: the edge is brought into
+contact with the part at every azimuth, and all heights are raised by the distance of the first point of the pass from
+contact, for example by the allowance. As an independent proof, the whole arc of the edge is compared with the finished
+surface at points of the last revolution. A fast tool adds the part of these heights that the slide does not follow:
 its table begins with the revolution of the plunge.
 """
 
@@ -45,49 +46,49 @@ __all__ = ["Entry", "entries_of"]
 
 TURN = 2 * math.pi
 
-AZIMUTHS, MOST_AZIMUTHS = 180, 1440
-"""Azimuths at which material is looked at: at least, and at most where the surface has fine features."""
+MIN_AZIMUTHS, MAX_AZIMUTHS = 180, 1440
+"""Azimuths at which the material is sampled; the more, the finer the features of the surface."""
 
-STEPS = 3000
+RADIAL_STEPS = 3000
 """Steps of the radial line under the edge."""
 
-ABOVE = 5.0
+CLEAR_HEIGHT_MM = 5.0
 """Height of the clear plane above the highest material. [mm]"""
 
-ROUNDING = 1e-6
-"""How far the edge may come below the finished surface in a plunge, if its pass does not begin lower. [mm]"""
+PLUNGE_DEPTH_TOL = 1e-6
+"""Largest depth of the edge below the finished surface in a plunge, if its pass does not begin lower. [mm]"""
 
 PROOF_POINTS, PROOF_STEPS = 360, 1200
-"""Points of the last revolution of a plunge where the edge is compared with the part, at most, and steps of its arc."""
+"""Most points of the last revolution where the edge is compared with the part, and steps along the arc of the edge."""
 
-BESIDE = 0.01
-"""Least distance along z at which a pass counts as beginning beside a blank that is wider by 0.1 mm. [mm]"""
+MIN_GAP_MM = 0.01
+"""Least gap along z for a pass to count as beginning outside the blank, with the blank 0.1 mm larger. [mm]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Entry:
-    """How the tool enters the material of a pass, proved against the material that stands before it.
+    """How the tool enters the material in a pass, checked against the material before it.
 
     Parameters
     ----------
     approach
-        As the program has it.
+        Blocks of the approach, as in the program.
     clearance
-        Of the clear plane above the highest point of the pass. [mm]
+        Height of the clear plane above the highest point of the pass. [mm]
     depth
         Height of the material above the path where the pass begins; ``None`` where it begins clear of the material.
         [mm]
     least_gap
-        Least distance along Z between the tool and the material while C is at rest or in rapid. [mm]
+        Smallest distance along Z between the tool and the material while C is at rest or in rapid. [mm]
     outward
-        Whether the pass goes on away from the axis.
+        Whether the pass cuts from the axis outward.
     heights
         Contact heights of the tip around the axis where the pass begins, for `turnwright.write_nc` and
         `turnwright.post.write_fast_tool`. (n,) [mm]
     beyond_travel
-        A sentence where a fast tool would pass an end of its travel in the plunge, else empty.
+        A message where a fast tool would exceed its travel in the plunge, else empty.
     radius, material, finished
-        Radial cut at the azimuth of the first point, for a picture: distances from the axis, negative beyond it, the
+        Radial section at the azimuth of the first point, for a plot: distances from the axis, negative beyond it, the
         material before the pass and the finished surface, nan where there is none. Each (n,) [mm]
     """
 
@@ -104,33 +105,33 @@ class Entry:
 
 
 def entries_of(job: Job, motions: Mapping[str, Motion]) -> dict[str, Entry]:
-    """Return how the tool enters every pass, in their order, or raise where it cannot do so safely.
+    """Plan how the tool enters the material in every pass, in the order of cutting.
 
     Raises
     ------
     LimitError
         If a pass can neither begin clear of the material nor plunge while C turns.
     GougeError
-        If the edge comes below the finished surface in a plunge, unless the job accepts that.
+        If the edge gouges the finished surface in a plunge, unless the job accepts that.
     """
-    found: dict[str, Entry] = {}
+    entries: dict[str, Entry] = {}
     before: Motion | None = None
     for name, motion in motions.items():
-        found[name] = _entry(job, name, motion, before)
+        entries[name] = _plan_entry(job, name, motion, before)
         before = motion
-    return found
+    return entries
 
 
 @dataclass(frozen=True, slots=True)
 class _Material:
-    """Heights of what stands before a pass, on radial lines all around. (n_angle, n_radius), -inf for free space."""
+    """Heights of the material before a pass, on radial lines around the axis. (n_angle, n_radius), -inf outside."""
 
     radius: Floats
     angle: Floats
     height: Floats
 
-    def touch(self, tool: Tool, sense: int, radius: float, y: float) -> Floats:
-        """Return the height at which the tip first touches, by azimuth, at a distance from the axis. (n_angle,)."""
+    def contact_height(self, tool: Tool, sense: int, radius: float, y: float) -> Floats:
+        """Return the tip height of first contact by azimuth, at a distance from the axis. (n_angle,)."""
         line = np.concatenate([-self.radius[:0:-1], self.radius])
         opposite = np.roll(self.height, -(self.angle.size // 2), axis=0)
         material = np.concatenate([opposite[:, :0:-1], self.height], axis=1)
@@ -139,20 +140,20 @@ class _Material:
         w = edge.profile(line - radius - dx)[0]
         low, lean = edge.rake_cos * w, edge.rake_sin * w
         lateral = np.abs(lean + y + dy)
-        # An edge off the radial plane meets the material beside it, as much higher as that rises around the axis.
+        # An edge off the radial plane meets material next to it, which is higher by its slope around the axis.
         if lateral.max() > 0:
             around = np.abs(np.diff(self.height, axis=0, append=self.height[:1]))
             rise = np.where(np.isfinite(around), around, 0.0) / np.maximum(self.radius * self.angle[1], 1e-3)
             low = low - float(rise.max(initial=0.0)) * lateral
         top = np.maximum(material[:, 1:], material[:, :-1]) - np.minimum(low[1:], low[:-1])
-        here = top.max(axis=1)
-        # Between two azimuths the higher one counts for both.
-        return np.asarray(np.maximum(np.maximum(here, np.roll(here, 1)), np.roll(here, -1)) - dz)
+        highest = top.max(axis=1)
+        # Between two azimuths the higher value counts.
+        return np.asarray(np.maximum(np.maximum(highest, np.roll(highest, 1)), np.roll(highest, -1)) - dz)
 
 
 def _contact_heights(part: Part, tool: Tool, motion: Motion, turned: Floats, axes: Mapping[str, Floats]) -> Floats:
-    """Bring the edge into contact with the part around the axis, at the radius where a pass begins. (n,) [mm]."""
-    # The innermost and the outermost tip of the pass: what holds at the rim for all its tips then holds here too.
+    """Return the contact heights of the tip around the axis, at the radius where a pass begins. (n,) [mm]."""
+    # The innermost and outermost tips of the pass are included, so that the rim is handled as for the whole pass.
     ends = [int(motion.axes["X"].argmin()), int(motion.axes["X"].argmax())]
     angle = np.append(motion.axes["C"][0] + motion.sense * turned, motion.axes["C"][ends])
     radius = np.append(sum(axes[one] for one in "XU" if one in axes), motion.axes["X"][ends])
@@ -162,9 +163,9 @@ def _contact_heights(part: Part, tool: Tool, motion: Motion, turned: Floats, axe
 
 
 def _require_above(job: Job, name: str, plunge: Motion, start: float) -> None:
-    """Raise if the edge is below the finished surface in the last revolution of a plunge, and lower than its pass.
+    """Raise if the edge gouges the finished surface in the last revolution of a plunge, deeper than its pass does.
 
-    ``start`` is how far below contact the pass begins, where it does. [mm]
+    ``start`` is the depth below contact at which the pass begins, 0 if it begins in contact or above. [mm]
     """
     part, tool = job.part.aimed, job.tool
     turned = np.abs(plunge.axes["C"] - plunge.axes["C"][-1])
@@ -176,44 +177,43 @@ def _require_above(job: Job, name: str, plunge: Motion, start: float) -> None:
     x, y = along * c - across * s, along * s + across * c
     with np.errstate(all="ignore"):
         above = plunge.axes["Z"][last, None] + e - part.surface.evaluate(x, y, 0)[0]
-    known = np.isfinite(above) & (np.hypot(x, y) <= part.radius)
+    valid = np.isfinite(above) & (np.hypot(x, y) <= part.radius)
     inside = part.surface.inside(x, y)
-    above = np.where(known if inside is None else known & inside, above, np.inf)
+    above = np.where(valid if inside is None else valid & inside, above, np.inf)
     k = np.unravel_index(int(above.argmin()), above.shape)
-    if above[k] < -ROUNDING - start:
+    if above[k] < -PLUNGE_DEPTH_TOL - start:
         raise GougeError(
             f"pass {name}: in the plunge the edge comes {say_length(-float(above[k]))} below the finished surface at "
-            f"x = {x[k]:.4g} mm, y = {y[k]:.4g} mm, the limit is {say_length(ROUNDING + start)}: state part.blank and "
-            "a lead_in with which the pass begins beside it"
+            f"x = {x[k]:.4g} mm, y = {y[k]:.4g} mm, the limit is {say_length(PLUNGE_DEPTH_TOL + start)}: state "
+            "part.blank, and a lead_in with which the pass begins outside the blank"
         )
 
 
 def _with_fast_tool(plunge: Motion, turned: Floats, fast: Mapping[str, Floats]) -> Motion:
-    """Return where the tip is in a plunge: X and Z with what the fast tool adds to them."""
+    """Return the motion of the tip in a plunge: X and Z plus the strokes of the fast tool."""
     if not fast:
         return plunge
     around = np.abs(plunge.axes["C"] - plunge.axes["C"][-1])
-    added = {FAST[one]: np.interp(np.mod(-around, TURN), turned, values) for one, values in fast.items()}
-    axes = {letter: values + added.get(letter, 0.0) for letter, values in plunge.axes.items()}
+    strokes = {FAST[one]: np.interp(np.mod(-around, TURN), turned, values) for one, values in fast.items()}
+    axes = {letter: values + strokes.get(letter, 0.0) for letter, values in plunge.axes.items()}
     return replace(plunge, axes=axes)
 
 
 def _beyond_travel(job: Job, name: str, fast: Mapping[str, Floats]) -> str:
-    """Return a sentence if a fast tool would pass an end of its travel in a plunge."""
+    """Return a message if a fast tool would exceed its travel in a plunge, else an empty text."""
     for letter, values in fast.items():
         axis = job.machine.axes.get(letter, Axis())
         low, high = (-math.inf if axis.low is None else axis.low), (math.inf if axis.high is None else axis.high)
         if values.min() < low or values.max() > high:
             return (
-                f"pass {name}: in the plunge {letter} goes from {values.min():.5g} to {values.max():.5g} mm, its "
-                f"travel is from {low:g} to {high:g} mm: state part.blank and a lead_in with which the pass begins "
-                "beside it"
+                f"pass {name}: in the plunge {letter} moves from {values.min():.5g} to {values.max():.5g} mm, its "
+                f"travel is {low:g} to {high:g} mm: state part.blank, and a lead_in with which the pass begins outside "
+                "the blank"
             )
     return ""
 
 
-def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
-    """Return how the tool enters one pass."""
+def _plan_entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
     part, tool = job.part.aimed, job.tool
     turned, axes = entry_path(motion)
     x0, y0 = float(motion.axes["X"][0]), float(motion.axes["Y"][0]) if "Y" in motion.axes else 0.0
@@ -222,38 +222,37 @@ def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
     path = heights + (axes["Z"][0] + axes.get("W", np.zeros(1))[0] - heights[0])
     z, fast = entry_shares(motion, heights) if FAST.keys() & axes.keys() else (heights, {})
     w = fast.get("W", np.zeros(turned.size))
-    plain = _before(part, tool, before, x0, _azimuths(part, max(x0, 0.0)), 0.0)
+    material = _material_before(part, tool, before, x0, _azimuths(part, max(x0, 0.0)), 0.0)
     azimuth = np.mod(motion.axes["C"][0] + motion.sense * turned, TURN)
-    lowest = _lowest(azimuth, path, plain.angle)
-    rest = float(min(w.min(), 0.0) - w[0]) if "W" in axes else 0.0
-    touched = plain.touch(tool, motion.sense, x0, y0)
-    depth: float | None = float((touched - lowest).max()) - rest
+    lowest = _lowest(azimuth, path, material.angle)
+    rest_stroke = float(min(w.min(), 0.0) - w[0]) if "W" in axes else 0.0
+    contact = material.contact_height(tool, motion.sense, x0, y0)
+    depth: float | None = float((contact - lowest).max()) - rest_stroke
     if part.blank is not None:
-        wider = _before(part, tool, before, x0, plain.angle, GAP).touch(tool, motion.sense, x0, y0)
-        if float((wider - lowest).max()) - rest <= -BESIDE:
+        larger = _material_before(part, tool, before, x0, material.angle, GAP)
+        if float((larger.contact_height(tool, motion.sense, x0, y0) - lowest).max()) - rest_stroke <= -MIN_GAP_MM:
             depth = None
     top = _top(part, x0)
-    clearance = max(ABOVE + part.stock, top + ABOVE - float(motion.axes["Z"].max()))
+    clearance = max(CLEAR_HEIGHT_MM + part.stock, top + CLEAR_HEIGHT_MM - float(motion.axes["Z"].max()))
     if part.blank is not None and clearance > MOST_CLEARANCE:
         raise LimitError(
-            f"pass {name}: the blank's radius is {part.blank.radius:g} mm, so to clear it the tool would stand "
-            f"{clearance:.4g} mm above the part, the limit is {MOST_CLEARANCE:g} mm: correct part.blank.radius"
+            f"pass {name}: to clear a blank of radius {part.blank.radius:g} mm the tool would retract {clearance:.4g} "
+            f"mm above the part, the limit is {MOST_CLEARANCE:g} mm: correct part.blank.radius"
         )
     if depth is not None and job.program.fast_tool == "time" and float(np.ptp(w)) > 1e-6:
         raise LimitError(
-            f"pass {name}: a fast tool that takes its heights by time stands still while the lathe plunges, so the "
-            "tool must enter from beside the blank: state part.blank and a longer lead_in, or fast_tool = "
-            f'"position"'
+            f"pass {name}: a fast tool with a table by time stands still in a plunge, so the pass must begin outside "
+            'the blank: state part.blank and a longer lead_in, or fast_tool = "position"'
         )
     approach = approach_to(
         motion.lathe(), clearance=clearance, depth=depth, plunge_feed=job.program.plunge_feed, name=name, heights=z
     )  # fmt: skip
     if approach.plunge is not None and "gouge" not in job.accept:
-        whole = _with_fast_tool(approach.plunge, turned, fast)
-        _require_above(job, name, whole, max(float(heights[0] - path[0]), 0.0))
-    first = float(np.interp(np.mod(approach.start["C"], TURN), plain.angle, touched, period=TURN))
-    gap = min(approach.start["Z"] + float(w[0]) + rest - first, approach.clear + float(w.min()) - top)
-    least = GAP / 2 if depth is not None else BESIDE
+        plunge = _with_fast_tool(approach.plunge, turned, fast)
+        _require_above(job, name, plunge, max(float(heights[0] - path[0]), 0.0))
+    first = float(np.interp(np.mod(approach.start["C"], TURN), material.angle, contact, period=TURN))
+    gap = min(approach.start["Z"] + float(w[0]) + rest_stroke - first, approach.clear + float(w.min()) - top)
+    least = GAP / 2 if depth is not None else MIN_GAP_MM
     if not gap >= least:
         raise LimitError(
             f"pass {name}: the tool would come within {gap:.4g} mm of the material while C stands still, the limit is "
@@ -263,16 +262,16 @@ def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
         approach=approach, clearance=clearance, depth=depth, least_gap=gap,
         beyond_travel="" if approach.plunge is None else _beyond_travel(job, name, fast),
         outward=bool(motion.axes["X"][-1] > motion.axes["X"][0]), heights=heights,
-        **_cut_at(part, plain, float(motion.axes["C"][0])),
+        **_radial_section(part, material, float(motion.axes["C"][0])),
     )  # fmt: skip
 
 
-def _cut_at(part: Part, material: _Material, azimuth: float) -> dict[str, Floats]:
-    """Return a radial cut of material and finished surface, see `Entry`."""
+def _radial_section(part: Part, material: _Material, azimuth: float) -> dict[str, Floats]:
+    """Return a radial section of material and finished surface, see `Entry`."""
     count = material.angle.size
-    here = round(azimuth / TURN * count) % count
+    nearest = round(azimuth / TURN * count) % count
     line, height, finished = [], [], []
-    for side, row in ((-1.0, (here + count // 2) % count), (1.0, here)):
+    for side, row in ((-1.0, (nearest + count // 2) % count), (1.0, nearest)):
         if side < 0 and material.radius[0] > 0:
             continue
         order = slice(None, None, -1) if side < 0 else slice(None)
@@ -285,7 +284,7 @@ def _cut_at(part: Part, material: _Material, azimuth: float) -> dict[str, Floats
 
 
 def _lowest(azimuth: Floats, path: Floats, angle: Floats) -> Floats:
-    """Return the lowest height of a closed path near each of some even azimuths. (n,)."""
+    """Return the lowest height of a closed path near each of some evenly spaced azimuths. (n,)."""
     step = angle[1] - angle[0]
     place = np.rint(azimuth / step).astype(np.int64) % angle.size
     lowest = np.interp(angle, azimuth, path, period=TURN)
@@ -299,7 +298,7 @@ def _sag(part: Part, radius: Floats, angle: float) -> Floats:
 
 
 def _blank(part: Part, radius: Floats, angle: Floats, wider: float) -> Floats:
-    """Return the top of the blank on radial lines, its edge a little wider. (n_angle, n_radius)."""
+    """Return the top of the blank on radial lines, with its radius enlarged by ``wider``. (n_angle, n_radius)."""
     rim = part.radius * (1 - 1e-12)
     inside = np.minimum(radius, rim)
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
@@ -313,29 +312,31 @@ def _blank(part: Part, radius: Floats, angle: Floats, wider: float) -> Floats:
 
 
 def _azimuths(part: Part, radius: float) -> Floats:
-    fine = 8 * TURN * radius / part.surface.feature_size if part.surface.feature_size > 0 else MOST_AZIMUTHS
-    count = 2 * math.ceil(min(max(AZIMUTHS, fine), MOST_AZIMUTHS) / 2)
+    needed = 8 * TURN * radius / part.surface.feature_size if part.surface.feature_size > 0 else MAX_AZIMUTHS
+    count = 2 * math.ceil(min(max(MIN_AZIMUTHS, needed), MAX_AZIMUTHS) / 2)
     return np.asarray(np.arange(count) * (TURN / count), dtype=np.float64)
 
 
-def _before(part: Part, tool: Tool, before: Motion | None, x0: float, angle: Floats, wider: float) -> _Material:
-    """Return the material that stands before a pass, under the edge at its first point."""
+def _material_before(
+    part: Part, tool: Tool, before: Motion | None, x0: float, angle: Floats, wider: float
+) -> _Material:
+    """Return the material before a pass, under the edge at its first point."""
     edge = tool.cutting_edge()
     flank = max(edge.flank_slope, 0.05)
     reach = 2 * edge.half_width + (part.stock + 4 * GAP) / flank
     low, high = (max(x0 - reach, 0.0), x0 + reach) if x0 - reach > 0 else (0.0, max(x0 + reach, reach - x0))
-    radius = np.linspace(low, high, STEPS + 1)
+    radius = np.linspace(low, high, RADIAL_STEPS + 1)
     if part.blank is not None and low < part.blank.reach + wider < high:
         end = part.blank.reach + wider
         radius = np.union1d(radius, [end, np.nextafter(end, np.inf)])
     height = _blank(part, radius, angle, wider)
     if before is not None:
-        left = generate_polar(before, tool, radius=radius, angle=angle).z
-        height = np.minimum(height, np.where(np.isnan(left), np.inf, left))
+        previous = generate_polar(before, tool, radius=radius, angle=angle).z
+        height = np.minimum(height, np.where(np.isnan(previous), np.inf, previous))
     return _Material(radius, angle, height)
 
 
 def _top(part: Part, x0: float) -> float:
-    """Return the greatest height of the blank, as far out as it or the tool reaches. [mm]."""
+    """Return the greatest height of the blank, out to its radius or to the tool. [mm]."""
     far = part.blank.reach if part.blank is not None else max(part.radius, x0)
     return float(_blank(part, np.linspace(0, far, 401), _azimuths(part, far), 0.0).max())

@@ -105,7 +105,7 @@ def _speed(job: Job, progress: StageProgress | None) -> float:
     """Return the speed that the finishing pass of a part comes to. [rev/min]."""
     told = progress or (lambda _stage, _done, _total: None)
     told("speed of the part", 0, 1)
-    rpm = check_limits(PassPlan(job).wanted, job.machine).spindle_rpm
+    rpm = check_limits(PassPlan(job).planned, job.machine).spindle_rpm
     told("speed of the part", 1, 1)
     # Not a digit faster than the machine's limits let the part go.
     return math.floor(rpm * 1000) / 1000

@@ -1,4 +1,4 @@
-"""One part, one tool, one machine, one cusp and one chord: every strategy that the machine can do, side by side."""
+"""Compare all strategies that the machine can run, for the same part, tool, cusp height and chord error."""
 
 from __future__ import annotations
 
@@ -38,40 +38,40 @@ __all__ = ["Candidate", "Comparison", "compare", "strategies_of"]
 TURN = 2 * math.pi
 
 AS_IT_STANDS = "the job as it stands"
-"""What the job's own strategy is called next to the others."""
+"""Name of the job's own strategy in the comparison."""
 
-FEW = 1e-4
-"""Share of the steps of a plan by chord that may be shorter than those of the plan at a constant angle."""
+SHORT_STEP_FRACTION = 1e-4
+"""Fraction of the steps of a plan by chord that may be shorter than the steps of the plan at a constant angle."""
 
-BLOCKS = 360
-"""Blocks of the slide in a turn under a fast tool, which has its own table."""
+SLIDE_BLOCKS_PER_REV = 360
+"""Blocks of the slide per revolution under a fast tool, which has its own table."""
 
-SHORTEST = 0.5
+MIN_ARC_RATIO = 0.5
 """Arc between valleys, over the feature size of the surface, below which the quasi-elliptical servo skips one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Candidate:
-    """A strategy that was tried.
+    """One strategy of a comparison.
 
     Parameters
     ----------
     name
-        What it is.
+        Name of the strategy.
     servo
         The strategy; ``None`` if it could not be set up.
     refused
-        Why it is out of the question, in a sentence; empty if it is not, and then the rest is there.
+        Why it cannot be used, in a sentence; if empty, it can, and all fields below have values.
     turns
-        Of the spindle.
+        Revolutions of the spindle.
     size_bytes
-        Of all files of its program.
+        Size of all files of its program.
     limits
-        What it asks of the machine.
+        Speed, acceleration and jerk of the axes against the limits of the machine.
     shares
-        Where its form error comes from, of the program read back, with interpolation and servos.
+        Error contributions to the form error of the program read back, with interpolation and servos.
     wall_s
-        Time that it took to plan, write, read back and simulate. [s]
+        Time to plan, write, read back and simulate. [s]
     """
 
     name: str
@@ -86,14 +86,14 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Comparison:
-    """What the strategies make of a job.
+    """The strategies for a job.
 
     Parameters
     ----------
     job
-        The job compared for.
+        The job.
     scallop, chord
-        Height of cusps and of chords that all of them were planned to keep. [mm]
+        Cusp height and chord error that all strategies are planned for. [mm]
     candidates
         One for each strategy.
     """
@@ -104,7 +104,7 @@ class Comparison:
     candidates: tuple[Candidate, ...]
 
     def stated(self, candidate: Candidate) -> dict[str, Any]:
-        """Return a strategy as the table ``strategy`` of a job file states it; empty if it could not be set up.
+        """Return a strategy as the table ``strategy`` of a job file; empty if it could not be set up.
 
         Parameters
         ----------
@@ -115,19 +115,20 @@ class Comparison:
             return written(self.job.strategy)
         if candidate.servo is None:
             return {}
-        # The slide under a fast tool follows what the limits of that tool leave to it, as the job file finds by itself.
+        # The motion of the slide under a fast tool is not stated: a job computes it from the limits of that tool.
         return written(candidate.servo)
 
 
 def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
-    """Plan the finishing pass by every strategy, to the same cusps and the same chord, and simulate what each leaves.
+    """Plan the finishing pass with every strategy, to the same cusp height and chord error, and simulate each surface.
 
-    The first is the job as it stands, with its own points, feed and speeds.
-    An adaptive job says both itself. Of any other, the cusps are the highest that its own feed leaves away from the
-    axis (those of a flat, where the surface is in pieces, since no nose reaches its valleys), and the chord is the one
-    it states, or the largest that its points leave. Strategies of constant feed keep the job's feed, or, in an adaptive
-    job, take the largest that keeps the scallop; slow, fast and hybrid servos keep its lead-in and its overrun, too.
-    Each turns at the job's spindle speed or speeds, or at the highest within all limits if it states none.
+    The first candidate is the job as it stands, with its own points, feed and speeds.
+    An adaptive job states cusp height and chord error. For any other job, the cusp height is the largest that its feed
+    leaves away from the axis; where the surface is in pieces it is that of a flat, since no nose reaches the valleys.
+    The chord error is the one that the job states, or the largest between its points. Strategies of constant feed keep
+    the feed of the job, or, for an adaptive job, take the largest that keeps the scallop. Slow, fast and hybrid servos
+    also keep its lead-in and overrun. Each uses the spindle speed or speeds of the job, or the highest within all
+    limits if it states none.
 
     Parameters
     ----------
@@ -138,66 +139,66 @@ def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
     """
     report = progress or (lambda _stage, _done, _total: None)
     part, tool, machine = job.part.aimed, job.tool, job.machine
-    own = job.servo(job.passes[-1])
+    stated = job.servo(job.passes[-1])
     report("what the job asks for", 0, 1)
-    feed, scallop, chord = _asked(own, part, tool, machine)
+    feed, scallop, chord = _targets(stated, part, tool, machine)
     report("what the job asks for", 1, 1)
-    ways = list(_ways(job, own, feed, scallop, chord))
+    strategies = list(_strategies(job, stated, feed, scallop, chord))
     candidates = []
-    for name, way in ways:
+    for name, set_up in strategies:
         report(name, 0, 1)
-        candidates.append(_tried(name, way, job, report))
+        candidates.append(_evaluate(name, set_up, job, report))
         report(name, 1, 1)
     return Comparison(job=job, scallop=scallop, chord=chord, candidates=tuple(candidates))
 
 
-def _asked(own: Strategy, part: Part, tool: Tool, machine: Machine) -> tuple[float, float, float]:
-    """Return the feed [mm/rev], the scallop and the chord [mm] that a strategy stands for."""
-    if isinstance(own, AdaptiveToolServo):
-        spiral = replace(own, x_motion="steady").spiral(part, tool)
-        return spiral.feed, own.scallop, own.chord
-    plain = _plain(own)
+def _targets(stated: Strategy, part: Part, tool: Tool, machine: Machine) -> tuple[float, float, float]:
+    """Return feed [mm/rev], scallop and chord error [mm] of the stated strategy."""
+    if isinstance(stated, AdaptiveToolServo):
+        spiral = replace(stated, x_motion="steady").spiral(part, tool)
+        return spiral.feed, stated.scallop, stated.chord
+    plain = _plain(stated)
     spiral = plain.spiral(part, tool)
     feed, nose = spiral.feed, tool.actual_radius
-    # Where pieces meet in a valley that no nose reaches, what stays there would hide the cusps.
+    # Where pieces meet in a valley that no nose reaches, the uncut material there would mask the cusps.
     cusp = nose - math.sqrt(nose**2 - feed**2 / 4) if part.surface.in_pieces else None
     chord: float | None = getattr(plain, "chord", None)
     if cusp is None or chord is None:
-        found = shares(part, tool, spiral, drive(place(spiral, part, tool), plain, machine))
-        cusp = cusp or found.cusp_away_nm * 1e-6
-        chord = chord or max(found.chord_nm, 0.1) * 1e-6
+        contributions = shares(part, tool, spiral, drive(place(spiral, part, tool), plain, machine))
+        cusp = cusp or contributions.cusp_away_nm * 1e-6
+        chord = chord or max(contributions.chord_nm, 0.1) * 1e-6
     return feed, cusp, chord
 
 
-def _plain(own: Strategy) -> Strategy:
-    """Return the spiral that a fast or a swinging tool goes by."""
-    if isinstance(own, QuasiEllipticalToolServo):
-        names = {one.name for one in fields(SlowToolServo)} & {one.name for one in fields(own)}
-        return SlowToolServo(**{name: getattr(own, name) for name in names})
-    return own.lays_out
+def _plain(stated: Strategy) -> Strategy:
+    """Return the strategy of the spiral under a fast tool or under a quasi-elliptical motion."""
+    if isinstance(stated, QuasiEllipticalToolServo):
+        names = {one.name for one in fields(SlowToolServo)} & {one.name for one in fields(stated)}
+        return SlowToolServo(**{name: getattr(stated, name) for name in names})
+    return stated.lays_out
 
 
-def _ways(
-    job: Job, own: Strategy, feed: float, scallop: float, chord: float
+def _strategies(
+    job: Job, stated: Strategy, feed: float, scallop: float, chord: float
 ) -> Iterator[tuple[str, Callable[[], Strategy]]]:
-    """Yield every strategy by its name, to be set up when its turn comes."""
+    """Yield every strategy as its name and the function that sets it up."""
     part, tool, machine = job.part.aimed, job.tool, job.machine
     linear = machine.controller.interpolation != "hermite"
     shared: dict[str, Any] = {
-        name: getattr(own, name) for name in ("spindle_rpm", "spindle_speeds", "sense", "inside_out")
+        name: getattr(stated, name) for name in ("spindle_rpm", "spindle_speeds", "sense", "inside_out")
     }
-    plain = _plain(own)
+    plain = _plain(stated)
     ends: dict[str, Any] = {}
     if isinstance(plain, SlowToolServo):
         ends = {"lead_in": plain.lead_in, "overrun": min(plain.overrun, feed)}
     by_chord = SlowToolServo(feed=feed, chord=chord, **shared, **ends)
 
-    @cache  # several strategies go by it
+    @cache  # several strategies use it
     def even() -> SlowToolServo:
-        """The spiral of constant angle that keeps the chord: at its tightest place like the one by chord."""
+        """The spiral of constant angle with the smallest step of the spiral by chord."""
         steps = np.abs(np.diff(by_chord.spiral(part, tool).angle))
-        # The last two steps of a plan by chord share what is left, and may be short.
-        least = float(np.quantile(steps, FEW))
+        # The last two steps of a plan by chord split the remaining angle, and may be short.
+        least = float(np.quantile(steps, SHORT_STEP_FRACTION))
         return SlowToolServo(feed=feed, points_per_rev=max(math.ceil(TURN / least), 8), **shared, **ends)
 
     def adaptive(x_motion: Literal["servo", "steady"]) -> AdaptiveToolServo:
@@ -205,34 +206,37 @@ def _ways(
             scallop=scallop, chord=chord, interpolation="linear" if linear else "hermite", x_motion=x_motion, **shared
         )
 
-    yield AS_IT_STANDS, lambda: own
+    yield AS_IT_STANDS, lambda: stated
     yield "slow, constant angle", even
     yield "slow, points by chord", lambda: by_chord
     yield "adaptive points", lambda: adaptive("steady")
     yield "adaptive points and feed", lambda: adaptive("servo")
     if "W" in machine.axes:
         yield "fast", lambda: FastToolServo(plan=even())
-        yield "hybrid", lambda: HybridToolServo(plan=even(), fast=machine.axes["W"], blocks_per_rev=BLOCKS)
+        yield (
+            "hybrid",
+            lambda: HybridToolServo(plan=even(), fast=machine.axes["W"], blocks_per_rev=SLIDE_BLOCKS_PER_REV),
+        )
     if "Y" in machine.axes and part.surface.in_pieces:
 
         def elliptical() -> QuasiEllipticalToolServo:
-            if isinstance(own, QuasiEllipticalToolServo):
-                return own
-            shortest = SHORTEST * part.surface.feature_size
-            turns = even().points_per_rev
-            return QuasiEllipticalToolServo(feed=feed, points_per_rev=turns, short="skip", shortest=shortest, **shared)
+            if isinstance(stated, QuasiEllipticalToolServo):
+                return stated
+            shortest = MIN_ARC_RATIO * part.surface.feature_size
+            points = even().points_per_rev
+            return QuasiEllipticalToolServo(feed=feed, points_per_rev=points, short="skip", shortest=shortest, **shared)
 
         yield "quasi-elliptical", elliptical
 
 
 def strategies_of(job: Job) -> list[str]:
-    """Return the names of the strategies that a job is compared by."""
-    # None of them is set up, so that neither feed nor heights count.
-    return [name for name, _ in _ways(job, job.servo(job.passes[-1]), 1.0, 1.0, 1.0)]
+    """Return the names of the strategies in the comparison of a job."""
+    # None of them is set up, so feed, scallop and chord do not matter.
+    return [name for name, _ in _strategies(job, job.servo(job.passes[-1]), 1.0, 1.0, 1.0)]
 
 
-def _stating(job: Job, servo: Strategy) -> Job:
-    """Return the job of a strategy: its finishing pass alone, with a table of heights where that moves a fast tool."""
+def _with_strategy(job: Job, servo: Strategy) -> Job:
+    """Return a job with the finishing pass only, cut with a strategy, and with a fast tool table if it needs one."""
     last = job.passes[-1]
     freed: dict[str, Any] = dict.fromkeys(last.choices)
     alone = replace(last, depth=None, **freed)
@@ -242,19 +246,19 @@ def _stating(job: Job, servo: Strategy) -> Job:
     return replace(job, strategy=servo, passes=(alone,), program=program)
 
 
-def _tried(name: str, way: Callable[[], Strategy], job: Job, report: StageProgress) -> Candidate:
-    """Return what a strategy makes of a part, or why it does not."""
+def _evaluate(name: str, set_up: Callable[[], Strategy], job: Job, report: StageProgress) -> Candidate:
+    """Plan and simulate a strategy, or return why it cannot be used."""
     start = time.perf_counter()
     servo = None
-    stages = ("plan", "place", "shares")  # each a third of the bar
+    stages = ("plan", "place", "shares")  # each is a third of the progress bar
 
-    def told(stage: str, done: int, total: int) -> None:
+    def tell(stage: str, done: int, total: int) -> None:
         if stage in stages:
             report(name, 100 * stages.index(stage) + 99 * done // max(total, 1), 300)
 
     try:
-        servo = way()
-        line = Pipeline(_stating(job, servo), progress=told)
+        servo = set_up()
+        line = Pipeline(_with_strategy(job, servo), progress=tell)
         limits = check_limits(line.motion, job.machine)
         return Candidate(
             name=name,
@@ -269,7 +273,7 @@ def _tried(name: str, way: Callable[[], Strategy], job: Job, report: StageProgre
         raise
     except TurnwrightError as error:
         reason = str(error)
-    except Exception as error:  # noqa: BLE001 - the page of the other strategies outlives a defect in this one
+    except Exception as error:  # noqa: BLE001 - the other strategies are compared despite a defect in this one
         reason = (
             f"a defect of Turnwright, not of the job ({type(error).__name__}: {str(error)[:100]}): please report it"
         )

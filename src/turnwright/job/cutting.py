@@ -1,4 +1,4 @@
-"""What a job's material says of its passes: the chips along them, and whether they stay ductile."""
+"""Uncut chip thickness and forces of the passes of a job, and whether the cut stays in the ductile regime."""
 
 from __future__ import annotations
 
@@ -21,48 +21,48 @@ if TYPE_CHECKING:
 
 __all__ = ["PassChips", "chips_of", "predicted_chips"]
 
-MOST = 20_000
-"""Points of a pass whose chips are found, as many on every part of the area. Eight times as many change the thickest
-chip of the infrared lens and of an array of lenses by less than 0.1 %."""
+MAX_POINTS = 20_000
+"""Points of a pass at which the chip is computed, spread evenly over the area. Eight times as many change the largest
+chip thickness of the infrared lens and of an array of lenses by less than 0.1 %."""
 
-FIRST = 72
-"""Points of the first turn among them."""
+FIRST_REV_POINTS = 72
+"""Points of the first revolution among them."""
 
-GOLDEN = np.pi * (3 - np.sqrt(5))
-"""Angle by which the seeds of a sunflower follow each other: it leaves no gaps and no rows. [rad]"""
+GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+"""Azimuth between successive points of a sunflower pattern, which has no gaps and no rows. [rad]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PassChips:
-    """The chips of a pass, as a report tells them.
+    """Summary of the uncut chip thickness and the forces of a pass.
 
     Parameters
     ----------
     thickest, typical
-        The thickest chip within the clear radius, and the median of all. [mm]
+        Largest chip thickness within the clear aperture, and the median. [mm]
     entering
-        The thickest while the tool enters at the rim. [mm]
+        Largest chip thickness while the tool enters at the rim. [mm]
     where
-        Where the chip is thickest (x, y). [mm]
+        Position (x, y) of the largest chip thickness. [mm]
     rake_range
-        Lowest and highest effective rake. [rad]
+        Lowest and highest effective rake angle. [rad]
     axial, cutting
-        Largest forces out of the part and against the cut; ``None`` without coefficients. [N]
+        Largest thrust force along Z and largest cutting force; ``None`` without coefficients. [N]
     critical
-        Critical thickness where the margin is least; ``None`` for a material without one. [mm]
+        Critical chip thickness where the margin is smallest; ``None`` for a material without one. [mm]
     margin, margin_uncertainty
-        The least margin, and how far it may be off in 95 of 100 cases; ``None`` where that is not stated.
+        Smallest margin, and its 95 % uncertainty; ``None`` where that is not stated.
     share
-        Part of the area beyond the critical thickness.
+        Fraction of the area where the chip is thicker than the critical thickness.
     fracture
-        How deep cracks may reach below what the pass leaves. [mm]
+        Depth of cracks below the surface that the pass leaves. [mm]
     largest_feed
-        Feed that would stay ductile; ``None`` where any would. [mm/rev]
+        Largest feed in the ductile regime; ``None`` where every feed is. [mm/rev]
     verdict, ok
-        "ductile", "brittle", or "uncertain" where the margin lies inside its uncertainty; whether it is ductile or
-        later passes take off what it may crack.
+        "ductile", "brittle", or "uncertain" where the margin is smaller than its uncertainty; whether the pass is
+        ductile, or later passes remove the cracked layer.
     sentence
-        All that in words.
+        Summary in words.
     """
 
     thickest: float
@@ -86,18 +86,18 @@ class PassChips:
 def chips_of(
     job: Job, motion: Motion, before: Motion | None, allowance: float, tell: Progress
 ) -> tuple[PassChips, ChipMap] | str:
-    """Return the chips of a pass, or why they are not found."""
+    """Return the chips of a pass, or the reason why they cannot be computed."""
     material, part = job.part.substance, job.part
     if before is None and not part.stock > 0:
-        return "the chips of the first pass are not found, since the part states no stock: add part.stock"
+        return "chip thickness of the first pass needs the stock, the part states none: add part.stock"
     try:
         chips = chip_map(
             motion, job.tool, part, before=before, material=material, points=_spread(motion), progress=tell
         )
     except InputError as error:
-        return f"the chips are not found: {error}"
+        return f"chip thickness cannot be computed: {error}"
     inside = chips.inside
-    told = PassChips(
+    report = PassChips(
         thickest=chips.thickest,
         typical=float(np.median(chips.thickness[inside])) if inside.any() else 0.0,
         entering=chips.entering,
@@ -107,54 +107,54 @@ def chips_of(
         cutting=None if chips.cutting is None else float(chips.cutting[inside].max(initial=0.0)),
     )
     if material is None or material.critical is None:
-        return replace(told, sentence="ductile however thick the chip, as far as the material says"), chips
+        return replace(report, sentence="ductile at any chip thickness, the material has no critical thickness"), chips
     gate = ductile_gate(chips, material, job.tool, allowance=allowance)
-    told = replace(
-        told,
+    report = replace(
+        report,
         critical=float(gate.critical[gate.worst]), margin=float(gate.margin[gate.worst]),
         margin_uncertainty=gate.uncertainty,
         share=gate.share, fracture=gate.fracture,
         largest_feed=gate.largest_feed if np.isfinite(gate.largest_feed) else None,
         verdict=gate.verdict, ok=gate.ok, sentence=gate.sentence,
     )  # fmt: skip
-    return _with_first_turn(told, chips, gate, part.radius), chips
+    return _with_first_revolution(report, chips, gate, part.radius), chips
 
 
-def _with_first_turn(told: PassChips, chips: ChipMap, gate: DuctileGate, radius: float) -> PassChips:
-    """Add what the first turn does to the part, if it begins within the clear radius."""
+def _with_first_revolution(report: PassChips, chips: ChipMap, gate: DuctileGate, radius: float) -> PassChips:
+    """Add the chips of the first revolution, if it begins within the clear aperture."""
     away = np.hypot(chips.x, chips.y)
     first = ~chips.inside & (away <= radius)
     cracked = float(chips.fracture[first].max(initial=0.0))
     harmless = gate.fracture is not None and (cracked == 0 or cracked < gate.allowance)
     if harmless or not (gate.margin[first] < 0).any():
-        return told
-    said = (
-        f"{told.sentence}; but the first turn, which none before bounds, takes a chip of "
-        f"{say_length(float(chips.thickness[first].max()))} within the clear radius"
+        return report
+    sentence = (
+        f"{report.sentence}; but the first revolution cuts into uncut stock within the clear aperture, its chip is "
+        f"{say_length(float(chips.thickness[first].max()))} thick"
     )
     if away[first].max() > radius / 2:
-        said += ": give a longer lead_in, so that it stands outside"
-    return replace(told, ok=False, sentence=said)
+        sentence += ": increase lead_in, so that it lies outside"
+    return replace(report, ok=False, sentence=sentence)
 
 
 def _spread(motion: Motion) -> Ints:
-    """Return points spread over the area, and some of the first turn, in the order of the motion; all if few. (n,)."""
+    """Return indices of points spread over the area, and of some of the first revolution, in order. (n,)."""
     size = motion.time.size
-    if size <= MOST:
+    if size <= MAX_POINTS:
         return np.arange(size)
     c, x = motion.axes["C"] * motion.sense, np.abs(motion.axes["X"])
-    # Where along the motion each distance from the axis is reached, and the nearest turn to the azimuth wanted there.
-    few = slice(None, None, max(size // MOST, 1))
-    order = np.argsort(x[few], kind="stable")
-    k = np.arange(MOST)
-    near = np.interp(x.max() * np.sqrt((k + 0.5) / MOST), x[few][order], c[few][order])
-    wanted = near + np.mod(k * GOLDEN - near + np.pi, 2 * np.pi) - np.pi
-    entry = c[0] + 2 * np.pi * np.arange(FIRST) / FIRST
-    return np.unique(np.minimum(np.searchsorted(c, np.concatenate((entry, wanted))), size - 1))
+    # C where the motion reaches each radius of the pattern, then the nearest C at the azimuth of the pattern.
+    step = slice(None, None, max(size // MAX_POINTS, 1))
+    order = np.argsort(x[step], kind="stable")
+    k = np.arange(MAX_POINTS)
+    near = np.interp(x.max() * np.sqrt((k + 0.5) / MAX_POINTS), x[step][order], c[step][order])
+    pattern = near + np.mod(k * GOLDEN_ANGLE - near + np.pi, 2 * np.pi) - np.pi
+    entry = c[0] + 2 * np.pi * np.arange(FIRST_REV_POINTS) / FIRST_REV_POINTS
+    return np.unique(np.minimum(np.searchsorted(c, np.concatenate((entry, pattern))), size - 1))
 
 
 def predicted_chips(job: Job, access: Access, cut: PassTable, feed: float, stock: float) -> str:
-    """Return what the chips of a pass will be like before any path is placed; empty if nothing can be said."""
+    """Predict the chips of a pass in words, before its path is computed; empty if that is impossible."""
     material, part = job.part.substance, job.part
     if material is None or material.critical is None or not stock > 0:
         return ""
@@ -171,4 +171,4 @@ def predicted_chips(job: Job, access: Access, cut: PassTable, feed: float, stock
             allowance=cut.allowance,
         )  # fmt: skip
     except InputError as error:
-        return f"what its chips will be is not predicted, a run finds them: {error}"
+        return f"chip thickness is not predicted before a run: {error}"

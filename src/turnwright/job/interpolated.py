@@ -1,4 +1,4 @@
-"""What a controller makes of a motion, as straight pieces so short that a predicted map does not show them."""
+"""Interpolate a motion as the controller does, in linear segments too short to show in a predicted map."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ if TYPE_CHECKING:
     from turnwright.path import Motion
     from turnwright.progress import Progress
 
-__all__ = ["UNSEEN", "interpolated", "off_curves"]
+__all__ = ["CHORD_TOL", "interpolated", "off_curves"]
 
-UNSEEN = 1e-8
-"""Distance between straight pieces and the controller's curves that no map shows. [mm]"""
+CHORD_TOL = 1e-8
+"""Distance between linear segments and the controller's curves that does not show in a map. [mm]"""
 
-COARSEST = 1e-6
-"""The same for a motion of so many points that it cannot be kept. [mm]"""
+MAX_CHORD = 1e-6
+"""The same for a motion with so many points that `CHORD_TOL` would need too much memory. [mm]"""
 
-MOST_PIECES = 5_000_000
-"""Pieces up to which it is kept: 160 MB for the time and three axes."""
+MAX_SEGMENTS = 5_000_000
+"""Segments up to which `CHORD_TOL` is used: 160 MB for the time and three axes."""
 
 
 def interpolated(motion: Motion, machine: Machine, progress: Progress | None = None) -> Motion:
-    """Return the real axes in straight pieces within 0.01 nm of the controller's curves, or as near as memory allows.
+    """Return the real axes in linear segments within 0.01 nm of the controller's curves, or as close as memory allows.
 
-    Lines are straight already: a controller that interpolates linearly needs no more pieces than `track` takes.
+    With linear interpolation the segments of `track` are sufficient.
 
     Parameters
     ----------
     motion, machine, progress
         See `track`.
     """
-    made = track(motion, machine, chord=COARSEST, progress=progress)
+    real = track(motion, machine, chord=MAX_CHORD, progress=progress)
     if machine.controller.interpolation == "linear":
-        return made
-    off = off_curves(made)
-    # The distance falls with the square of the number of pieces.
-    chord = max(UNSEEN, off * (made.time.size / MOST_PIECES) ** 2)
-    return made if chord >= min(off, COARSEST) else track(motion, machine, chord=chord, progress=progress)
+        return real
+    off = off_curves(real)
+    # The distance falls with the square of the number of segments.
+    chord = max(CHORD_TOL, off * (real.time.size / MAX_SEGMENTS) ** 2)
+    return real if chord >= min(off, MAX_CHORD) else track(motion, machine, chord=chord, progress=progress)
 
 
 def off_curves(motion: Motion) -> float:
-    """Return how far the straight pieces of a motion are from a smooth one through their ends. [mm]."""
+    """Return the largest distance between the linear segments of a motion and a smooth curve through them. [mm]."""
     time = only_read(motion.time)
     return max(float(bulge(time, only_read(one))) for letter, one in motion.axes.items() if letter not in ROTARY)

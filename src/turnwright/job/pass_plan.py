@@ -1,4 +1,4 @@
-"""One pass of a job, stage by stage: its spiral, placed, driven and, if the job says so, corrected for the servos."""
+"""The stages of one pass of a job: spiral, tool path, axis motion and, on request, precorrection for the servos."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = ["PassPlan", "Watch"]
 
 
 class Watch:
-    """Reports the progress of each stage and keeps its time."""
+    """Report the progress of each stage, and record its wall time."""
 
     def __init__(self, progress: StageProgress | None = None) -> None:
         self.progress = progress
@@ -35,7 +35,7 @@ class Watch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Progress]:
-        """Run a stage; what it yields is its own progress."""
+        """Time a stage and yield the function that reports its progress."""
 
         def tell(done: int, total: int) -> None:
             if self.progress is not None:
@@ -49,16 +49,16 @@ class Watch:
 
 
 class PassPlan:
-    """What becomes of a pass up to its motion; each stage is carried out when it is first asked for, and kept.
+    """The stages of a pass up to its axis motion; each is computed on first access and cached.
 
     Parameters
     ----------
     job
-        What is asked for.
+        The job.
     cut
         One of its passes; the finishing pass if not given.
     watch
-        Who is told, and keeps the time.
+        Reports progress and records times.
     """
 
     def __init__(self, job: Job, cut: PassTable | None = None, watch: Watch | None = None) -> None:
@@ -72,20 +72,20 @@ class PassPlan:
 
     @cached_property
     def spiral(self) -> Spiral:
-        """Where the tool is sent, in plan view."""
+        """The spiral of the tool tip in plan view."""
         with self._watch.stage("plan") as tell:
             spiral = self.servo.spiral(self.job.part.aimed, self.job.tool, progress=tell)
         if self.job.machine.controller.interpolation == "hermite":
             return spiral
-        return replace(spiral, radius_rate=None, y_rate=None)  # nobody asks for rates, so that of the tip is not found
+        return replace(spiral, radius_rate=None, y_rate=None)  # only Hermite blocks use rates
 
     def require_steps(self) -> None:
-        """Raise where C turns by half a turn or more from point to point: no program tells which way."""
+        """Raise if C turns by 180 deg or more between two points, which leaves its direction ambiguous."""
         step = float(np.abs(np.diff(self.spiral.angle)).max(initial=0.0))
         if step >= np.pi:
             raise InputError(
-                f"arc_length turns C by {np.degrees(step):.4g} deg from point to point near the axis in the pass "
-                f'{self.cut.name}, the limit is below 180 deg: state max_step as well, such as max_step = "10 deg"'
+                f"pass {self.cut.name}: C must turn by less than 180 deg from point to point, arc_length makes it "
+                f'{np.degrees(step):.4g} deg near the axis: state max_step as well, such as max_step = "10 deg"'
             )
 
     @cached_property
@@ -95,33 +95,33 @@ class PassPlan:
 
     @cached_property
     def path(self) -> Path:
-        """Where the tool stands."""
+        """The path of the tool tip in contact with the part."""
         spiral = self.spiral
         with self._watch.stage("place") as tell:
             return place(spiral, self.job.part.aimed, self.job.tool, along=self.servo.along, progress=tell)
 
     @cached_property
-    def wanted(self) -> Motion:
-        """Where the axes are to pass."""
+    def planned(self) -> Motion:
+        """The motion that the axes are to follow."""
         path = self.path
         with self._watch.stage("drive"):
             return drive(path, self.servo, self.job.machine)
 
     @cached_property
     def commanded(self) -> Motion:
-        """What the program says: what is wanted, corrected for the servos if the job says so."""
-        wanted = self.wanted
+        """The motion of the program: the planned one, precorrected for the servos if the job says so."""
+        planned = self.planned
         if not self.job.program.precorrect:
-            return wanted
+            return planned
         with self._watch.stage("drive") as tell:
-            return precorrect(wanted, progress=tell)
+            return precorrect(planned, progress=tell)
 
     def forget(self, *stages: str) -> None:
-        """Let go of what some stages have made, to save memory; asked again they are carried out anew."""
+        """Free the results of some stages; the next access computes them again."""
         for name in stages:
             vars(self).pop(name, None)
 
     @property
-    def meant(self) -> Motion | None:
-        """Where the axes are to pass, if what is commanded is corrected for the servos."""
-        return self.wanted if self.job.program.precorrect else None
+    def nominal(self) -> Motion | None:
+        """The planned motion, if the commanded one is precorrected for the servos; else ``None``."""
+        return self.planned if self.job.program.precorrect else None

@@ -1,4 +1,4 @@
-"""The one pipeline of a job: its stages in their order, each carried out when it is first asked for, and kept."""
+"""The pipeline of a job: its stages in order, each computed on first access and cached."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ if TYPE_CHECKING:
 __all__ = ["GOUGE", "Cut", "Pipeline"]
 
 GOUGE = 1e-9
-"""Clearance below zero that is rounding. [mm]"""
+"""Depth below the surface up to which a negative clearance is rounding. [mm]"""
 
 
 @lru_cache(maxsize=8)
 def _access(part: Part, tool: Tool, sense: int) -> Access:
-    """Return the access of a tool; cases that differ in feed and speed share it."""
+    """Check the access of a tool; jobs that differ only in feed and speed share the result."""
     return check_access(part, tool, sense=sense)
 
 
@@ -56,62 +56,69 @@ class Cut:
     Parameters
     ----------
     plan
-        Of its pass.
+        Plan of its pass.
     name
-        Of the cut.
-    depth, left
-        How much it takes off, and how much it leaves above the finished surface. [mm]
+        Name of the cut.
+    depth, allowance
+        Depth of cut, and material left above the finished surface. [mm]
     motion
-        What it commands the axes.
+        Commanded motion of the axes.
     before
-        The motion of the cut before, if there is one.
+        Motion of the previous cut, if there is one.
     watch
-        Who is told.
+        Reports progress and records times.
     """
 
     def __init__(
-        self, plan: PassPlan, name: str, depth: float, left: float, motion: Motion, before: Motion | None, watch: Watch
+        self,
+        plan: PassPlan,
+        name: str,
+        depth: float,
+        allowance: float,
+        motion: Motion,
+        before: Motion | None,
+        watch: Watch,
     ) -> None:
-        self.plan, self.name, self.depth, self.left = plan, name, depth, left
+        self.plan, self.name, self.depth, self.allowance = plan, name, depth, allowance
         self.motion, self._before, self._watch = motion, before, watch
 
     @cached_property
     def limits(self) -> Limits:
-        """What it asks of the axes."""
+        """Speed, acceleration and jerk of the axes against the limits of the machine."""
         with self._watch.stage("limits"):
             return check_limits(self.motion, self.plan.job.machine)
 
     @cached_property
     def chips(self) -> tuple[PassChips, ChipMap] | str:
-        """Its chips, or why they are not found."""
+        """Uncut chip thickness along the cut, or the reason why it is not computed."""
         with self._watch.stage("chips") as tell:
-            return chips_of(self.plan.job, self.motion, self._before, self.left, tell)
+            return chips_of(self.plan.job, self.motion, self._before, self.allowance, tell)
 
-    def told(self, chips: PassChips | None = None) -> Pass:
-        """Return the cut as a result tells it."""
+    def as_pass(self, chips: PassChips | None = None) -> Pass:
+        """Return the cut as an entry of `Result.passes`."""
         limits = self.limits
         return Pass(
-            name=self.name, allowance=self.left, depth=self.depth, feed=self.plan.feed,
+            name=self.name, allowance=self.allowance, depth=self.depth, feed=self.plan.feed,
             spindle_rpm=limits.spindle_rpm, points=limits.points, limits=limits, chips=chips,
         )  # fmt: skip
 
 
 class Pipeline:
-    """What becomes of a job, stage by stage: each is carried out when it is first asked for, and kept.
+    """The stages of a job, each computed on first access and cached.
 
-    `run`, `compare`, studies and the workbench stand on it. It refuses nothing that a job can accept: that is in
-    `refused`. A place on the part is predicted from its own share of the finishing pass where that leaves the same
-    surface (a spiral placed along z, straight lines between its points, no servos), so that the roughness of a patch
-    costs a small part of a whole path.
+    `run`, `compare`, studies and the workbench are built on it. It raises no error for a finding that a job can accept:
+    those are listed in `refused`. A patch is predicted from the part of the finishing pass that cuts it, where that
+    gives the same surface (a spiral placed along z, linear interpolation, no servos). The roughness of a patch then
+    costs a small fraction of the whole path.
 
     Parameters
     ----------
     job
-        What is asked for.
+        The job.
     progress
         Called with (stage, done, total).
     out
-        Folder of the program; one that is thrown away with the pipeline if not given.
+        Folder of the program; if not given, a temporary one that is deleted with the pipeline.
 
     Examples
     --------
@@ -152,7 +159,7 @@ class Pipeline:
 
     @cached_property
     def depths(self) -> tuple[AccessFinding, ...]:
-        """Whether the chip of each pass stays on the edge."""
+        """Whether the depth of cut of each pass stays within the cutting edge."""
         job, depths, stock = self.job, {}, self.job.part.stock
         for cut in job.passes:
             depths[cut.name] = (stock - cut.allowance) / cut.repeats(stock)
@@ -175,81 +182,81 @@ class Pipeline:
 
     @property
     def spiral(self) -> Spiral:
-        """Where the tool is sent in the finishing pass, in plan view."""
+        """The spiral of the finishing pass in plan view."""
         return self.finishing.spiral
 
     @property
     def path(self) -> Path:
-        """Where the tool stands in the finishing pass."""
+        """The path of the tool tip in the finishing pass."""
         return self.finishing.path
 
     @property
     def motion(self) -> Motion:
-        """What the finishing pass commands the axes."""
+        """The commanded motion of the axes in the finishing pass."""
         return self.finishing.commanded
 
     def cuts(self) -> Iterator[Cut]:
-        """Yield every cut of every pass in the order of cutting; a plan of which nothing more is asked is let go."""
+        """Yield every cut of every pass in the order of cutting; plans are freed as soon as possible."""
         stock, before = self.job.part.stock, None
         for one in self.job.passes:
             plan = self.finishing if one is self.job.passes[-1] else PassPlan(self.job, one, self.watch)
             plan.require_steps()
-            for name, depth, left, motion in _repeated(one, plan.commanded, stock):
-                yield Cut(plan, name, depth, left, motion, before, self.watch)
+            for name, depth, allowance, motion in _repeat(one, plan.commanded, stock):
+                yield Cut(plan, name, depth, allowance, motion, before, self.watch)
                 before = motion
             stock = one.allowance
 
     @cached_property
     def passes(self) -> tuple[Pass, ...]:
-        """All passes in the order of cutting, with what they ask of the axes; their chips are in `chips`."""
-        return tuple(cut.told() for cut in self.cuts())
+        """All passes in the order of cutting with their limits, without chips; those are in `chips`."""
+        return tuple(cut.as_pass() for cut in self.cuts())
 
     @property
     def limits(self) -> Limits:
-        """What the finishing pass asks of the axes."""
+        """Speed, acceleration and jerk of the axes in the finishing pass against the limits of the machine."""
         return self.passes[-1].limits
 
     @property
     def minutes(self) -> float:
-        """Time of all passes. [min]."""
+        """Cycle time of all passes. [min]."""
         return sum(one.limits.cycle_time_s for one in self.passes) / 60
 
     @cached_property
     def chips(self) -> tuple[PassChips, ...]:
-        """The chips of every pass, in the order of cutting.
+        """Uncut chip thickness and forces of every pass, in the order of cutting.
 
         Raises
         ------
         InputError
-            If nothing is known of the material, or it is not known what the first pass cuts.
+            If the job names no material with data, or the part states no stock for the first pass.
         """
-        known = self.job.part.substance
-        if known is None or (known.critical is None and known.cutting is None):
+        material = self.job.part.substance
+        if material is None or (material.critical is None and material.cutting is None):
             raise InputError(
-                "the job names no material, so its chips and forces are not found: state part.material, one of "
-                "turnwright material list or the file of one"
+                "chip thickness and forces need a material, the job names none with data: state part.material, a name "
+                "of `turnwright material list` or a material file"
             )
-        found: list[PassChips] = []
+        all_chips: list[PassChips] = []
         for cut in self.cuts():
             if isinstance(cut.chips, str):
                 raise InputError(cut.chips)
-            found.append(cut.chips[0])
-        return tuple(found)
+            all_chips.append(cut.chips[0])
+        return tuple(all_chips)
 
     def entries(self, motions: Mapping[str, Motion]) -> dict[str, Entry]:
-        """Return how the tool enters every pass, from the motion of each by its name."""
+        """Plan how the tool enters the material in every pass, given the motions by pass name."""
         with self.watch.stage("approach"):
             return entries_of(self.job, motions)
 
     def write(self, motions: dict[str, Motion], entries: Mapping[str, Entry] | None = None) -> ProgramFiles:
-        """Return the program of some motions by the names of their cuts, written into the folder of the pipeline.
+        """Write a program into the folder of the pipeline, given the motions by the names of their cuts.
 
         Parameters
         ----------
         motions
             The finishing pass last.
         entries
-            How the tool enters each; worked out if not given.
+            How the tool enters each; computed if not given.
         """
         entries = self.entries(motions) if entries is None else entries
         if self._out is None:
@@ -266,91 +273,91 @@ class Pipeline:
         return self.write({cut.name: cut.motion for cut in self.cuts()})
 
     @cached_property
-    def read_back(self) -> Motion:
-        """The finishing pass of the program, as it is read back."""
+    def program_motion(self) -> Motion:
+        """The motion of the finishing pass, read back from the program on disk."""
         file, name = self.program.files[0], self.job.passes[-1].names(self._stock)[-1]
         with self.watch.stage("read program") as tell:
             return read_back(self.job, file, name, tell)
 
     @property
     def _stock(self) -> float:
-        """What the finishing pass finds above the surface. [mm]."""
+        """Stock above the finished surface before the finishing pass. [mm]."""
         return self.job.passes[-2].allowance if len(self.job.passes) > 1 else self.job.part.stock
 
     @cached_property
     def predictions(self) -> tuple[Prediction, ...]:
-        """What the program read back leaves, the whole part and every patch."""
-        return predict(self.job, self.read_back, meant=self.finishing.meant, watch=self.watch)
+        """Predicted surface of the program read back, for the whole part and every patch."""
+        return predict(self.job, self.program_motion, meant=self.finishing.nominal, watch=self.watch)
 
     @cached_property
     def shares(self) -> Shares:
-        """Where the form error of the program read back comes from."""
+        """Error contributions to the form error of the program read back."""
         part, tool, plan = self.job.part.aimed, self.job.tool, self.finishing
         with self.watch.stage("shares") as tell:
             return shares(
-                part, tool, plan.spiral, plan.commanded, again=self.read_back, meant=plan.meant, progress=tell
+                part, tool, plan.spiral, plan.commanded, again=self.program_motion, meant=plan.nominal, progress=tell
             )
 
     def prediction(self, name: str) -> Prediction:
-        """Predict what a patch, or the "whole part", will look like, of the motion in memory.
+        """Predict a patch, or the "whole part", from the motion in memory.
 
         Parameters
         ----------
         name
-            Of the patch, or "whole part".
+            Name of the patch, or "whole part".
         """
         if name not in self._predictions:
-            self._predictions[name] = self._predicted(name)
+            self._predictions[name] = self._predict(name)
         return self._predictions[name]
 
     @cached_property
     def form_pv_nm(self) -> float:
-        """Form error of the whole part, from its highest to its lowest place."""
-        known = self._predictions.get(WHOLE)
-        if known is None or known.form is None:
-            _ = self.motion  # the places between the azimuths of the map count too
-            self._predictions[WHOLE] = known = self._predicted(WHOLE)
-        return known.pv_nm
+        """Form error PV of the whole part, from its highest to its lowest point."""
+        whole_part = self._predictions.get(WHOLE)
+        if whole_part is None or whole_part.form is None:
+            _ = self.motion  # points between the azimuths of the map count too, which needs the whole motion
+            self._predictions[WHOLE] = whole_part = self._predict(WHOLE)
+        return whole_part.pv_nm
 
-    def _predicted(self, name: str) -> Prediction:
-        known = [WHOLE, *(patch.name for patch in self.job.simulation.patches)]
-        if name not in known:
-            raise InputError(f"the job has no patch {name!r}, it predicts {', '.join(known)}: name one of them")
+    def _predict(self, name: str) -> Prediction:
+        names = [WHOLE, *(patch.name for patch in self.job.simulation.patches)]
+        if name not in names:
+            raise InputError(f"patch must be one of {', '.join(names)}, got {name!r}")
         if "commanded" not in vars(self.finishing) and can_be_parted(self.job):
-            found = predict_parted(self.job, name)
-            if found is not None:
-                return found
-        return predict(self.job, self.motion, meant=self.finishing.meant, only=(name,))[0]
+            prediction = predict_parted(self.job, name)
+            if prediction is not None:
+                return prediction
+        return predict(self.job, self.motion, meant=self.finishing.nominal, only=(name,))[0]
 
     @property
     def refused(self) -> tuple[str, ...]:
-        """Why `run` would refuse the job, a sentence each; of the stages that were carried out, and of access.
+        """Why `run` would refuse the job, a sentence each: from access, and from the stages computed so far.
 
-        What the job accepts is not among it.
+        Findings that the job accepts are left out.
         """
-        accepted, found = self.job.accept, []
-        found += [one.sentence for one in self.access.findings if not one.ok and one.name not in accepted]
-        if not found:
-            found += [one.sentence for one in self.depths if not one.ok]
+        accepted, reasons = self.job.accept, []
+        reasons += [one.sentence for one in self.access.findings if not one.ok and one.name not in accepted]
+        if not reasons:
+            reasons += [one.sentence for one in self.depths if not one.ok]
         if "path" in vars(self.finishing) and "gouge" not in accepted:
             least = float(self.path.clearance.min())
             if least < -GOUGE:
-                found.append(
+                reasons.append(
                     f"placed along the {self.job.strategy.along}, the edge cuts {-least * 1e6:.3g} nm below the surface"
                 )
         if "passes" in self.__dict__ and "limits" not in accepted:
-            found += [f"pass {one.name}: {said}" for one in self.passes for said in one.limits.findings]
-        return tuple(found)
+            reasons += [f"pass {one.name}: {finding}" for one in self.passes for finding in one.limits.findings]
+        return tuple(reasons)
 
 
-def _repeated(cut: PassTable, motion: Motion, stock: float) -> Iterator[tuple[str, float, float, Motion]]:
-    """Yield the name of each repetition of a pass, how much it takes off, how much it leaves [mm], and its motion."""
+def _repeat(cut: PassTable, motion: Motion, stock: float) -> Iterator[tuple[str, float, float, Motion]]:
+    """Yield the name, depth of cut, allowance [mm] and motion of each repetition of a pass."""
     names = cut.names(stock)
     depth = (stock - cut.allowance) / len(names)
     for name in names:
         stock -= depth
-        left = max(stock, 0.0)
+        allowance = max(stock, 0.0)
         if name == names[-1] and not cut.allowance:
-            yield name, depth, left, motion
+            yield name, depth, allowance, motion
         else:
-            yield name, depth, left, replace(motion, axes={**motion.axes, "Z": motion.axes["Z"] + left})
+            yield name, depth, allowance, replace(motion, axes={**motion.axes, "Z": motion.axes["Z"] + allowance})

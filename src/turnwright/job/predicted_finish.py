@@ -27,7 +27,7 @@ def feed_of(job: Job) -> float:
 
 def motion_of(job: Job) -> Motion:
     """Return the motion of a job's finishing pass."""
-    return PassPlan(job).wanted
+    return PassPlan(job).planned
 
 
 def cut_by(motion: Motion, real: Job, x: Floats, y: Floats) -> Floats:

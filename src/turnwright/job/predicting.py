@@ -1,4 +1,4 @@
-"""What a motion leaves of a part: the maps of a job, with what controller and servos make of the motion."""
+"""Predict the surface that a motion cuts: the maps of a job, with controller interpolation and servo response."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["WHOLE", "followed", "predict"]
 
 WHOLE = "whole part"
-"""What the map of the whole part is called."""
+"""Name of the map of the whole part."""
 
 
 def predict(
@@ -42,32 +42,31 @@ def predict(
     watch: Watch | None = None,
     progress: StageProgress | None = None,
 ) -> tuple[Prediction, ...]:
-    """Predict what a motion leaves of the job's part, on the job's grids and with its actual tool and machine.
+    """Predict the surface that a motion cuts, on the grids of the job and with its actual tool and machine.
 
-    What the controller makes of the motion between its points always counts, how the servos answer only if asked.
+    The interpolation of the controller between points is always included, the response of the servos on request.
 
     Parameters
     ----------
     job
-        Says what was designed and where to look.
+        The job, with the design and the grids.
     motion
-        From a program read back, the job's own or anybody's.
+        A motion read back from a program, of this job or any other.
     tracking
-        Whether the axes move as the machine's servos let them, and what that adds is told; as the job says if not
-        given.
+        Whether to include the servo response, and to report its contribution; as the job says if not given.
     meant
-        Where the axes shall really pass, if ``motion`` is corrected for the servos: what these add is against that.
+        Nominal motion of the axes, if ``motion`` is precorrected for the servos; servo errors are counted from it.
     only
-        Names of the places to predict, of the patches and "whole part"; all of them if not given.
+        Names of the maps to predict: patches and "whole part"; all of them if not given.
     extremes
-        Whether the highest and the lowest place of the whole part are found; a motion of some azimuths has none.
+        Whether to find the highest and the lowest point of the whole part; a motion over some azimuths has none.
     watch, progress
-        Who keeps the time, or who is told (stage, done, total).
+        Records the wall time of each stage; or is called with (stage, done, total).
 
     Raises
     ------
     InputError
-        If tracking is asked of a machine that does not state how any axis answers, or a place is not cut at all.
+        If tracking is requested of a machine without servo data, or no point of a map is cut.
     """
     watch = watch or Watch(progress)
     part, tool, machine = job.part, job.actual_tool, job.actual_machine
@@ -75,18 +74,18 @@ def predict(
     straight = machine.controller.interpolation == "linear"
     off = 0.0 if straight else max(off_curves(one) for one in (motion, real) if one is not None)
 
-    def predicted(name: str, form: int | str, made: Callable[[Motion, Progress], HeightMap]) -> Prediction:
+    def make(name: str, form: int | str, simulate: Callable[[Motion, Progress], HeightMap]) -> Prediction:
         with watch.stage(f"simulate {name}") as tell:
-            error = replace(made(motion, tell).minus(part.surface), name=name)
+            error = replace(simulate(motion, tell).minus(part.surface), name=name)
         added = None
         if real is not None:
             with watch.stage(f"simulate {name} with servos") as tell:
-                planned, error = error, replace(made(real, tell).minus(part.surface), name=name)
+                planned, error = error, replace(simulate(real, tell).minus(part.surface), name=name)
             added = replace(error, z=error.z - planned.z, name=f"{name}: servos")
         if np.isnan(error.z).all():
             raise InputError(
-                f"none of the {error.z.size:,} points of {name} is cut, so it has no finish: the motion turns by "
-                f"{np.ptp(motion.axes['C']) / (2 * np.pi):.4g} rev, look whether the program is complete"
+                f"none of the {error.z.size:,} points of {name} is cut, the motion has "
+                f"{np.ptp(motion.axes['C']) / (2 * np.pi):.4g} rev: check that the program is complete"
             )
         above = int(np.count_nonzero(error.z > part.stock)) if part.stock > 0 else 0
         with watch.stage("roughness"):
@@ -96,26 +95,26 @@ def predict(
     grid = job.simulation.whole_part
     radius, angle = np.linspace(0, part.radius, grid.radii), np.linspace(0, 2 * np.pi, grid.angles, endpoint=False)
 
-    def whole(one: Motion, tell: Progress) -> HeightMap:
+    def whole_part(one: Motion, tell: Progress) -> HeightMap:
         return generate_polar(one, tool, radius=radius, angle=angle, machine=machine, progress=tell)
 
-    def wanted(name: str) -> bool:
+    def is_requested(name: str) -> bool:
         return only is None or name in only
 
-    predictions = [predicted(WHOLE, "none", whole)] if wanted(WHOLE) else []
+    predictions = [make(WHOLE, "none", whole_part)] if is_requested(WHOLE) else []
     if extremes and predictions:
         predictions = [_with_extremes(job, predictions[0], real or motion, watch)]
-    for patch in filter(lambda one: wanted(one.name), job.simulation.patches):
+    for patch in filter(lambda one: is_requested(one.name), job.simulation.patches):
 
         def rectangle(one: Motion, tell: Progress, axes: tuple[Floats, Floats] = patch.axes) -> HeightMap:
             return generate(one, tool, x=axes[0], y=axes[1], machine=machine, progress=tell)
 
-        predictions.append(predicted(patch.name, job.roughness.form, rectangle))
+        predictions.append(make(patch.name, job.roughness.form, rectangle))
     return tuple(predictions)
 
 
 def _with_extremes(job: Job, whole: Prediction, motion: Motion, watch: Watch) -> Prediction:
-    """Return the whole part with its highest and lowest place, and the finish where no patch shows it."""
+    """Return the whole part with its highest and lowest point, and with the finish of a job without patches."""
     tool, part, machine = job.actual_tool, job.part, job.actual_machine
     with watch.stage("highest and lowest place") as tell:
         form = find_extremes(motion, tool, part, machine=machine, known=whole.error, progress=tell)
@@ -130,14 +129,14 @@ def _ring_sq_nm(job: Job, motion: Motion) -> float:
     """Return the Sq of the roughest ring of the whole part."""
     part = job.part
     radius, angle = lines(part, motion.feed, motion.axes["C"])
-    made = generate_polar(motion, job.actual_tool, radius=radius, angle=angle, machine=job.actual_machine)
-    return finish_nm(made.minus(part.surface), motion.feed)
+    surface = generate_polar(motion, job.actual_tool, radius=radius, angle=angle, machine=job.actual_machine)
+    return finish_nm(surface.minus(part.surface), motion.feed)
 
 
 def followed(
     job: Job, motion: Motion, tracking: bool, meant: Motion | None, watch: Watch
 ) -> tuple[Motion, Motion | None]:
-    """Return what the controller makes of a motion, and what the servos make of it if that is asked."""
+    """Return a motion as the controller interpolates it, and as the servos follow it, ``None`` without tracking."""
     machine = job.actual_machine
     real = None
     if tracking:

@@ -1,4 +1,4 @@
-"""The program of a job: written, read back, and what its surface has of each cause."""
+"""Write the program of a job, read it back, and compute the error contributions to its surface."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def written(
     tell: Progress | None = None,
     entries: Mapping[str, Entry] | None = None,
 ) -> ProgramFiles:
-    """Write the program of all passes, with the table of a fast tool beside it if there is one."""
+    """Write the program of all passes, and the table of a fast tool if there is one."""
     entries = entries_of(job, motions) if entries is None else entries
     part, machine, file = job.part, job.machine, out / f"{job.program.name}.nc"
     stated = ", ".join(one for one in (part.material_name, part.material_note) if one)
@@ -49,14 +49,14 @@ def written(
         return write_nc(motions, machine, file, max_lines=job.program.max_lines, **shared)
     (motion,) = motions.values()
     for each in ("depth", "entry_heights"):
-        (shared[each],) = shared[each].values()  # its program has one pass, with a name of its own
+        (shared[each],) = shared[each].values()  # the program of a fast tool has one pass, named by `write_fast_tool`
     both = write_fast_tool(motion, machine, file, by=by, rate_hz=job.program.fast_tool_rate, **shared)
     size = both.program.bytes + both.table.stat().st_size
     return replace(both.program, files=(*both.program.files, both.table), bytes=size)
 
 
 def read_back(job: Job, file: File, name: str, tell: Progress | None = None) -> Motion:
-    """Read the finishing pass, and the table of a fast tool if there is one."""
+    """Read the finishing pass of a program, and the table of a fast tool if there is one."""
     machine = job.machine
     if job.program.fast_tool is not None:
         return read_fast_tool(file, machine, progress=tell)
@@ -64,7 +64,7 @@ def read_back(job: Job, file: File, name: str, tell: Progress | None = None) -> 
 
 
 def predicted_motion(job: Job, file: File, name: str, *, progress: StageProgress | None = None) -> Motion:
-    """Return how the axes move in the finishing pass of a program on disk: what its predictions are made from.
+    """Return the motion of the axes in the finishing pass of a program on disk, from which its surface is predicted.
 
     Parameters
     ----------
@@ -81,35 +81,36 @@ def predicted_motion(job: Job, file: File, name: str, *, progress: StageProgress
 
 
 def program_shares(job: Job, file: File, name: str) -> Shares:
-    """Return what each cause adds to the form error of the finishing pass of a program on disk.
+    """Return the error contributions to the form error of the finishing pass of a program on disk.
 
-    With the tool and the machine as planned, as `compare` does it. Where the job does not correct for the servos the
-    motion is that of the program, so that the share of its decimals is in that of the chords.
+    Tool and machine are the nominal ones, as in `compare`. Without precorrection the motion is that of the program, so
+    that the chord contribution includes that of its decimals.
 
     Parameters
     ----------
     job
-        What the program was written for.
+        The job that the program was written for.
     file
         The main program.
     name
-        Of the finishing pass.
+        Name of the finishing pass.
     """
     part, tool, plan = job.part.aimed, job.tool, PassPlan(job)
-    again = read_back(job, file, name)
+    motion = read_back(job, file, name)
     if not job.program.precorrect:
-        return shares(part, tool, plan.spiral, again)
-    return shares(part, tool, plan.spiral, plan.commanded, again=again, meant=plan.meant)
+        return shares(part, tool, plan.spiral, motion)
+    return shares(part, tool, plan.spiral, plan.commanded, again=motion, meant=plan.nominal)
 
 
 def rounding(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:
-    """Return how far the surfaces of the motion and of the program are apart, and how far they may be. [nm].
+    """Return the largest difference between the surfaces of the motion and of the program read back, and its limit.
 
-    A program's numbers are wrong by up to half of their last decimal. The surface follows Z itself, X by its slope
-    along the radius (that of the cusps, half a feed over the nose radius, included) and C by its slope around the axis
-    times the distance, Y by that slope alone. Where the actual tool stands elsewhere than planned it meets other
-    slopes, so what a motion leaves that is moved by as much counts where it is more. The heights of a fast tool count
-    as they were read, with what straight lines between those of a stream leave out.
+    Both are in nm. The numbers of a program have errors of up to half of their last decimal. An error of Z appears on
+    the surface as it is. One of X is multiplied by the radial slope, including that of the cusps (half a feed over the
+    nose radius). One of C is multiplied by the slope around the axis and by the radius, one of Y by that slope alone.
+    An actual tool that is off its nominal position meets other slopes, so the surface of a motion shifted by these
+    errors is used where it differs by more. For a fast tool, the difference of its heights as read is added, including
+    the error of linear interpolation in a table by time.
     """
     part, tool, machine = job.part, job.actual_tool, job.actual_machine
     radius, angle = part.radius * (np.arange(96) + 0.5) / 96, clear_azimuths(36, motion.axes["C"])
@@ -117,13 +118,14 @@ def rounding(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:
     c, x, z = (0.5 * 10.0 ** -decimals[letter] for letter in "CXZ")
     c = np.deg2rad(c)
 
-    def made(one: Motion, **moved: float) -> Floats:
-        axes = {**one.axes, **{letter: one.axes[letter] + by for letter, by in moved.items()}}
+    def surface(one: Motion, **shifts: float) -> Floats:
+        axes = {**one.axes, **{letter: one.axes[letter] + shift for letter, shift in shifts.items()}}
         return generate_polar(replace(one, axes=axes), tool, radius=radius, angle=angle, machine=machine).z
 
-    here = made(motion)
-    apart, by_x, by_c = (
-        float(np.nanmax(np.abs(other - here))) for other in (made(again), made(motion, X=x), made(motion, C=c))
+    nominal = surface(motion)
+    difference, by_x, by_c = (
+        float(np.nanmax(np.abs(other - nominal)))
+        for other in (surface(again), surface(motion, X=x), surface(motion, C=c))
     )
     dense = np.linspace(0, 2 * np.pi, 360, endpoint=False)
     cosine, sine = np.cos(dense)[:, None], np.sin(dense)[:, None]
@@ -135,4 +137,4 @@ def rounding(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:
         limit += 0.5 * 10.0 ** -decimals["Y"] * around.max()
     if "W" in motion.axes:
         limit += np.abs(np.interp(motion.time, again.time, again.axes["W"]) - motion.axes["W"]).max()
-    return apart * 1e6, float(limit) * 1e6
+    return difference * 1e6, float(limit) * 1e6

@@ -1,6 +1,6 @@
-"""What can be stated in a job: each table and key with its unit, its default and its limits, from the classes alone.
+"""The schema of a job file: each table and key with unit, default and limits, generated from the classes.
 
-The texts are those of the ``Parameters`` sections of the classes that a job file states.
+The texts come from the ``Parameters`` sections of the docstrings of these classes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from turnwright.units import write
 __all__ = ["job_schema"]
 
 DISPLAY = {"mm": "mm", "mm/rev": "um/rev", "rad": "deg", "rpm": "rpm", "Hz": "Hz", "mm/s": "mm/min", "mm/s^2": "mm/s^2"}
-"""The unit that a person writes, by the unit inside."""
+"""The unit in a job file, by the internal unit."""
 
 SMALLER = {
     **dict.fromkeys(
@@ -25,25 +25,25 @@ SMALLER = {
     **dict.fromkeys(("form_pv", "sq", "chord", "scallop", "worth", "wavelength"), "nm"),
     "squareness": "urad",
 }
-"""The same of fields that are far below a millimetre or a degree."""
+"""The unit in a job file of keys whose values are far below a millimetre or a degree."""
 
 TEXTS = {
-    "family": "Which kind of surface it is.",
-    "kind": "Which way of cutting it is.",
-    "placed": "Where it is put in the part frame; about the axis if left out.",
-    "units": "Which unit of length the formula is written in, so that its coefficients can be plain numbers; without "
-    "it each of them is text with its own unit.",
-    "waviness_file": "File with the columns sweep and deviation, each with its unit in the head, in place of the "
+    "family": "Surface family.",
+    "kind": "Kind of strategy.",
+    "placed": "Position and orientation in the part frame; centred on the axis if left out.",
+    "units": "Unit of length of the formula, so that its coefficients can be plain numbers; without it each of them is "
+    "text with its own unit.",
+    "waviness_file": "File with the columns sweep and deviation, each with its unit in the header, in place of the "
     "coefficients.",
 }
-"""What is said of the keys of a file that are no fields of their class."""
+"""Texts of the keys that are not fields of their class."""
 
 
 def job_schema() -> dict[str, Any]:
     """Return the JSON schema of a job.
 
-    Every leaf has a ``title``, a ``description`` and, where it is a quantity, its ``unit`` inside and the ``display``
-    unit that a person writes; quantities are text such as "8 um/rev".
+    Every key has a ``title`` and a ``description``. A quantity also has its internal ``unit`` and its ``display`` unit,
+    the one used in job files; quantities are text such as "8 um/rev".
     """
     schema = adapter(Job).json_schema()
     tables = {table.__name__: table for table in _below(Stated)}
@@ -61,41 +61,41 @@ def _explain(table: type[Any] | None, definition: dict[str, Any]) -> None:
     """Add texts and units to one table."""
     texts = {} if table is None else texts_of(table)
     definition["description"] = _clean(inspect.getdoc(table) or "").split("\n\n")[0].replace("\n", " ")
-    for name, given in definition["properties"].items():
-        field = dict(_without_null(given))
-        given.clear()
-        given.update(field)
-        given["title"] = name.replace("_", " ")
-        given["description"] = given.get("description") or texts.get(name) or TEXTS.get(name, "")
-        _units(given, name)
-        if given.get("default", 0) is None:
-            del given["default"]
-        for key, inner in given.get("properties", {}).items():
+    for name, entry in definition["properties"].items():
+        field = dict(_without_null(entry))
+        entry.clear()
+        entry.update(field)
+        entry["title"] = name.replace("_", " ")
+        entry["description"] = entry.get("description") or texts.get(name) or TEXTS.get(name, "")
+        _add_units(entry, name)
+        if entry.get("default", 0) is None:
+            del entry["default"]
+        for key, inner in entry.get("properties", {}).items():
             inner["title"] = key.replace("_", " ")
-            _units(inner, key)
-        if "$ref" in given or isinstance(given.get("default"), dict):
-            given.pop("default", None)  # a table says the defaults of its own fields
+            _add_units(inner, key)
+        if "$ref" in entry or isinstance(entry.get("default"), dict):
+            entry.pop("default", None)  # a table has the defaults of its own fields
 
 
 def _without_null(field: dict[str, Any]) -> dict[str, Any]:
-    """Return a field that may be left out as what it is when it is there."""
+    """Return the schema of an optional field without the alternative "null"."""
     kinds = [one for one in field.get("anyOf", []) if one != {"type": "null"}]
     if not kinds or len(kinds) == len(field["anyOf"]):
         return field
-    rest = {key: value for key, value in field.items() if key != "anyOf"}
-    if rest.get("default", 0) is None:
-        del rest["default"]
-    return {**(kinds[0] if len(kinds) == 1 else {"anyOf": kinds}), **rest}
+    others = {key: value for key, value in field.items() if key != "anyOf"}
+    if others.get("default", 0) is None:
+        del others["default"]
+    return {**(kinds[0] if len(kinds) == 1 else {"anyOf": kinds}), **others}
 
 
-def _units(field: dict[str, Any], name: str) -> None:
-    """Say in which unit a person writes a quantity, and its default in that unit."""
+def _add_units(field: dict[str, Any], name: str) -> None:
+    """Add the display unit of a quantity, and convert its default to that unit."""
     leaves = [field, *field.get("anyOf", []), *field.get("prefixItems", [])]
     items = field.get("items")
     if isinstance(items, dict):
-        _units(items, name)
+        _add_units(items, name)
     for leaf in leaves[1:]:
-        _units(leaf, name)
+        _add_units(leaf, name)
     if "unit" in field:
         field["display"] = SMALLER.get(name) or DISPLAY.get(field["unit"], field["unit"])
         if isinstance(field.get("default"), int | float):
@@ -106,12 +106,12 @@ def _units(field: dict[str, Any], name: str) -> None:
 
 
 def texts_of(table: type[Stated]) -> dict[str, str]:
-    """Return the explanation of each field of a table.
+    """Return the help text of each key of a table.
 
     Parameters
     ----------
     table
-        A class that a job file states.
+        Class of a table of a job file.
     """
     texts: dict[str, str] = {}
     for owner in reversed(inspect.getmro(table)):
@@ -125,22 +125,22 @@ def _parameters(owner: object) -> dict[str, str]:
     """Return the texts of the ``Parameters`` section of a docstring, by name."""
     doc = inspect.getdoc(owner) or "" if owner is not None else ""
     section = re.search(r"^Parameters\n-+\n(.*?)(?=^[^\s][^\n]*\n-{3,}$|\Z)", doc, re.DOTALL | re.MULTILINE)
-    found: dict[str, list[str]] = {}
+    texts: dict[str, list[str]] = {}
     names: list[str] = []
     for line in (section.group(1) if section else "").splitlines():
         if line.startswith(" "):
             for name in names:
-                found[name].append(line.strip())
+                texts[name].append(line.strip())
         elif line.strip():
             if line.startswith((">>>", "..")):
                 break
             names = [name.strip() for name in line.split(",")]
-            found |= {name: [] for name in names}
-    return {name: _clean(" ".join(lines)) for name, lines in found.items()}
+            texts |= {name: [] for name in names}
+    return {name: _clean(" ".join(lines)) for name, lines in texts.items()}
 
 
 def _clean(text: str) -> str:
-    """Return a text of a docstring as people read it: without marks, shapes and units of arrays."""
+    """Return a docstring text without markup, array shapes and units."""
     text = re.sub(r"\s*\[[A-Za-z0-9+]+\]_", "", text)
     text = re.sub(r":[a-z]+:`([^`]*)`", r"\1", text)
     text = re.sub(r"(^|\. )``None``", r"\1Left out", text)

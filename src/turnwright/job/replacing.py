@@ -1,4 +1,4 @@
-"""A job with one field changed, which is named as the job file names it."""
+"""Change one field of a job, named by its keys in the job file."""
 
 from __future__ import annotations
 
@@ -27,53 +27,53 @@ if TYPE_CHECKING:
 __all__ = ["replaced"]
 
 _STEP = re.compile(r"([^.\[\]]+)((?:\[[0-9]{1,9}\])*)")
-"""A key, and places in the list or lists that it holds."""
+"""A key, and the indices of entries in the lists that it holds."""
 
 
 def replaced(job: Job, name: str, value: Any) -> Job:
     """Return the job with one field changed. See `turnwright.job.Job.replace`."""
     change = _Change(name, value)
-    step, *rest = _steps(name)
+    step, *steps = _steps(name)
     try:
-        field, new = change.field(job, step, rest)
+        field, new = change.field(job, step, steps)
     except InputError as error:
         raise JobError(str(error) if str(error).startswith(name) else f"{name}: {error}") from error
-    except (TypeError, ValueError, AttributeError) as error:  # of arrays and series, which no file states as such
-        raise JobError(f"{name} is {shown(value)}, which it cannot hold ({error}): give another value") from error
+    except (TypeError, ValueError, AttributeError) as error:  # from arrays and series, which no job file states
+        raise JobError(f"{name} cannot be {shown(value)} ({error}): give another value") from error
     return replace(job, **{field: new})
 
 
 def _steps(name: str) -> list[str]:
-    """Return the keys and places that a path leads by."""
+    """Split the name of a field into keys and indices."""
     parts = [_STEP.fullmatch(part) for part in name.split(".")]
     if None in parts:
-        raise JobError(f"{shown(name)} names no field of a job: write it such as strategy.feed or passes[1].feed")
+        raise JobError(f"a field is named like strategy.feed or passes[1].feed, got {shown(name)}")
     return [step for part in parts if part for step in (part[1], *re.findall(r"\[[0-9]+\]", part[2]))]
 
 
 class _Change:
-    """One field, and the value that it shall have."""
+    """Name of a field, and its new value."""
 
     def __init__(self, name: str, value: Any) -> None:
         self.name, self.value = name, value
 
     def _within(self, held: Any, kind: Any, steps: list[str]) -> Any:
-        """Return what the field of a type holds, changed at the place that the steps lead to."""
+        """Return the value of a field of some type, changed at the keys and indices."""
         if not steps:
             return self._read(kind, self.value, self.name)
-        step, *rest = steps
+        step, *steps = steps
         if isinstance(held, tuple):
-            return self._entry(held, kind, step, rest)
+            return self._entry(held, kind, step, steps)
         if isinstance(held, Mapping):
-            return self._keyed(held, kind, step, rest)
-        return self._changed(held, step, rest)
+            return self._keyed(held, kind, step, steps)
+        return self._changed(held, step, steps)
 
     def _changed(self, held: Any, step: str, rest: list[str]) -> Any:
-        """Return a thing with one of its fields changed."""
+        """Return an object with one of its fields changed."""
         if held is None:
-            raise JobError(f"{self.name} belongs to what the job does not state: replace that as a whole")
+            raise JobError(f"{self.name} is a key of a table that the job does not state: replace the whole table")
         if isinstance(held, Machine) and step in ("name", "file"):
-            raise JobError(f"{self.name} chooses another machine: replace machine by what Machine.load gives")
+            raise JobError(f"{self.name} selects another machine: replace machine with the result of Machine.load")
         if isinstance(held, Machine) and step == "interpolation":
             return asking(held, self._within(held.controller.interpolation, Text, rest))
         if isinstance(held, Surface) and step == "placed":
@@ -81,7 +81,7 @@ class _Change:
             pose = self._within(pose, Pose, rest)
             return inner.placed(shift=pose.shift, rotation=pose.rotation, tilt=pose.tilt)
         if isinstance(held, Surface | Strategy) and step in ("family", "kind"):
-            raise JobError(f"{self.name} says what it is: replace {self.name.removesuffix('.' + step)} as a whole")
+            raise JobError(f"{self.name} cannot change alone: replace the whole {self.name.removesuffix('.' + step)}")
         for name, inner in merged(type(held)).items() if isinstance(held, Stated) else ():
             if step in inner.table_keys() and step not in types_of(type(held)):
                 return replace(held, **{name: self._changed(getattr(held, name), step, rest)})
@@ -91,9 +91,9 @@ class _Change:
         return replace(held, **{**dict.fromkeys(held.unstated), name: new})
 
     def field(self, owner: Any, step: str, rest: list[str]) -> tuple[str, Any]:
-        """Return the name of a field of a thing by its key, and what it holds then."""
+        """Return the name of a field of an object by its key, and its new value."""
         if not isinstance(owner, Stated):
-            raise JobError(f"{self.name} is not a field of this job: what is before {step} has none")
+            raise JobError(f"{self.name} is not a field of this job: the value before {step} has no fields")
         kinds = {name: kind for name, kind in types_of(type(owner)).items() if name not in owner.hidden}
         names = {owner.key_names.get(name, name): name for name in kinds}
         if step not in names:
@@ -120,14 +120,15 @@ class _Change:
         return {**held, step: self._within(held[step], inner, rest)}
 
     def _entry(self, held: tuple[Any, ...], kind: Any, step: str, rest: list[str]) -> Any:
-        """Return a list with one entry changed, which is named or counted from 1."""
+        """Return a list with one entry changed, selected by its name or by its number from 1."""
         names = [getattr(one, "name", None) for one in held]
         index = int(step[1:-1]) - 1 if step.startswith("[") else names.index(step) if step in names else -1
         if not 0 <= index < len(held):
             raise JobError(
-                f"{self.name} is not a field of this job: {step} is none of its {len(held)} entries, count from [1]"
+                f"{self.name} is not a field of this job: {step} is none of the {len(held)} entries, which count from "
+                "[1]"
             )
-        if not rest:  # the list says of which kind its entries are
+        if not rest:  # the type of the list has the type of its entries
             above = self.name.removesuffix(step).removesuffix(".")
             return self._read(kind, (*held[:index], self.value, *held[index + 1 :]), above)
         kinds = next((get_args(one) for one in _kinds(kind) if get_origin(one) is tuple), (Any, ...))
@@ -138,7 +139,7 @@ class _Change:
         """Return a value as a field of this type holds it."""
         by_keys = any(isinstance(one, Keyed) for part in (kind, *get_args(kind)) for one in get_args(part))
         if isinstance(value, np.ndarray) or (by_keys and not isinstance(value, Mapping)):
-            return value  # arrays, which no file states as they are held: their thing checks them
+            return value  # arrays, which no job file states: their class checks them
         try:
             return adapter(kind).validate_python(value, context=context_of(".") | {"plain": True})
         except ValidationError as error:
@@ -149,7 +150,7 @@ class _Change:
 
 
 def _kinds(kind: Any) -> Iterator[Any]:
-    """Yield the types that a field may be of, without what stands beside them."""
+    """Yield the types that a field may have, without annotations."""
     if get_origin(kind) is Annotated:
         yield from _kinds(get_args(kind)[0])
     elif get_origin(kind) in (Union, UnionType):

@@ -1,4 +1,4 @@
-"""What a run found out: one frozen value that the report, the archive and `result.json` are written from."""
+"""The result of a run: the report, the archive and `result.json` are written from it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright.job.contributions import pv_nm_of, rms_nm_of
-from turnwright.job.interpolated import UNSEEN
+from turnwright.job.interpolated import CHORD_TOL
 from turnwright.job.verdict import judge, missed
 
 if TYPE_CHECKING:
@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Pass", "Prediction", "Preview", "Result"]
 
-SHOWN = 1.01
-"""Share of `UNSEEN` from which on it is stated: second differences see it no better."""
+CHORD_REPORT_RATIO = 1.01
+"""Ratio to `CHORD_TOL` above which the distance from the curves is reported; second differences resolve it to 1 %."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Preview:
-    """What can be said of a job without placing the tool beyond its outermost turn.
+    """What is known of a job without computing its tool path beyond the outermost revolution.
 
     Parameters
     ----------
@@ -48,17 +48,17 @@ class Preview:
     points
         Number of program points by pass; none where it would be refused.
     shortest_s
-        The shortest time that block rate and spindle allow, by pass; the slides may need longer. [s]
+        Shortest cycle time that block rate and spindle speed allow, by pass; the slides may need longer. [s]
     refused
         Why `run` would refuse it, a sentence each.
     chips
-        What the material will make of each pass, by name, where it is known.
+        Predicted chip thickness and regime of each pass in words, by name, where the material is known.
     remarks
-        What was worked out for the surface and the job does not state, a sentence each.
+        Values computed for the surface that the job does not state, a sentence each.
     warnings
-        Sizes that are hardly meant, a sentence each.
+        Implausible sizes, a sentence each.
     shape
-        What the surface looks like over the clear aperture.
+        Sag, slope and curvature of the surface over the clear aperture.
     """
 
     access: Access
@@ -78,21 +78,21 @@ class Pass:
     Parameters
     ----------
     name
-        What the job calls it; a pass cut in several depths has one entry per depth, numbered.
+        Name in the job; a pass cut in several depths has one numbered entry per depth.
     allowance
-        Material left above the finished surface when it is done. [mm]
+        Material left above the finished surface after the pass. [mm]
     depth
-        Thickness that it takes off. [mm]
+        Depth of cut. [mm]
     feed
-        [mm/rev]
+        Mean feed. [mm/rev]
     spindle_rpm
-        Speed of the spindle, the highest within all limits where the job states none. [rev/min]
+        Spindle speed, the highest within all limits where the job states none. [rev/min]
     points
         Number of program points.
     limits
-        What it asks of the axes.
+        Speed, acceleration and jerk of the axes against the limits of the machine.
     chips
-        What its chips are like; ``None`` where nothing is known of the material.
+        Uncut chip thickness; ``None`` for a material without data.
     """
 
     name: str
@@ -107,24 +107,24 @@ class Pass:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prediction:
-    """A place on the part as the program read back from disk will leave it.
+    """Predicted surface of the whole part or of a patch, from the program read back from disk.
 
     Parameters
     ----------
     name
-        What the job calls it; "whole part" is the polar map.
+        Name of the patch; "whole part" is the polar map.
     error
-        Cut minus design. [mm]
+        Predicted surface minus the design. [mm]
     roughness
-        After form removal; of the whole part without any, on a grid that is too coarse to show every cusp.
+        After form removal; for the whole part without form removal, on a grid too coarse to show every cusp.
     tracking
-        What of the error the servos add: with them minus without them; ``None`` if they were not asked. [mm]
+        Contribution of the servos: error with them minus error without; ``None`` if they were not simulated. [mm]
     above_stock
-        Number of points that the lowest pass leaves higher than the stated stock, so that it cuts nothing there.
+        Number of points where the deepest pass stays above the stated stock, so that nothing is cut.
     off_curves
-        How far the straight pieces that were simulated are from the controller's curves. [mm]
+        Distance between the simulated linear segments and the controller's curves. [mm]
     form
-        Highest and lowest place of the whole part, which a grid meets by chance; ``None`` for a patch.
+        Highest and lowest point of the whole part, which a grid hits only by chance; ``None`` for a patch.
     finish_nm
         Sq of the roughest ring of the whole part, where the job states a tolerance and has no patch; else ``None``.
     """
@@ -140,31 +140,31 @@ class Prediction:
 
     @property
     def uncut(self) -> int:
-        """Number of points that no pass comes to, or only above the stock."""
+        """Number of points that no pass cuts."""
         return int(np.count_nonzero(np.isnan(self.error.z))) + self.above_stock
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What the map does not show, a sentence each."""
-        found = []
+        """Limitations of the map, a sentence each."""
+        remarks = []
         if self.uncut:
-            why = "no pass comes there" + (", or only above the stock" if self.above_stock else "")
-            found.append(f"{self.name}: {self.uncut:,} of {self.error.z.size:,} points are not cut: {why}")
-        if self.off_curves > SHOWN * UNSEEN:
-            found.append(
-                f"{self.name}: simulated in straight pieces within {self.off_curves * 1e6:.2g} nm of the curves of the "
-                "controller, memory allows no more pieces"
+            why = "no pass reaches them" + (", or only above the stock" if self.above_stock else "")
+            remarks.append(f"{self.name}: {self.uncut:,} of {self.error.z.size:,} points are not cut: {why}")
+        if self.off_curves > CHORD_REPORT_RATIO * CHORD_TOL:
+            remarks.append(
+                f"{self.name}: simulated in linear segments within {self.off_curves * 1e6:.2g} nm of the curves of the "
+                "controller, memory allows no more segments"
             )
-        return tuple(found)
+        return tuple(remarks)
 
     @property
     def pv_nm(self) -> float:
-        """Peak to valley: of the whole part from its highest to its lowest place, of a patch as its grid shows it."""
+        """Peak to valley: of the whole part from its highest to its lowest point, of a patch on its grid."""
         return self.roughness.pv_nm if self.form is None else self.form.pv_nm
 
     @property
     def tracking_nm(self) -> tuple[float, float] | None:
-        """Peak to valley and root mean square over the area of what the servos add, or ``None``."""
+        """Peak to valley and rms over the area of the contribution of the servos, or ``None``."""
         if self.tracking is None:
             return None
         return pv_nm_of(self.tracking.z), rms_nm_of(self.tracking)
@@ -172,42 +172,42 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Result:
-    """What a run found out.
+    """The result of a run.
 
     Parameters
     ----------
     job, part, tool, machine
-        What was asked for, as planned with.
+        The job, and the nominal part, tool and machine that the passes are planned with.
     actual_tool, actual_machine
-        What was simulated with; the same objects where the job states no deviations.
+        Tool and machine of the simulation; the same objects where the job states no deviations.
     access
         Whether the tool reaches the part.
     passes
-        In the order of cutting, the last one finishes.
+        In the order of cutting; the last one is the finishing pass.
     path, motion
-        The finishing pass, thinned to a few ten thousand points for pictures.
+        The finishing pass, thinned to a few ten thousand points for plots.
     turns
-        Single turns of the finishing pass with all their points: at the rim, half-way and near the axis.
+        Single revolutions of the finishing pass with all their points: at the rim, half-way and near the axis.
     least_clearance
-        Least height of the whole edge above the surface over the whole finishing path: 0 in contact. [mm]
+        Smallest height of the edge above the surface over the finishing path: 0 in contact. [mm]
     program
-        The files written, their size and hashes.
+        The files written, with their sizes and hashes.
     predictions
-        Maps of the surface that the program read back from disk will leave, minus the design.
+        Maps of the predicted surface minus the design, from the program read back from disk.
     rounding_nm
-        Largest difference between the back-plots of the program on disk and of the motion in memory.
+        Largest difference between the surfaces of the program on disk and of the motion in memory.
     rounding_limit_nm
-        What the program's decimals allow that difference to be.
+        Limit of that difference from the decimals of the program.
     chips
-        The chips of each pass at up to 20,000 points, by name, where the material is known.
+        Chips of each pass at up to 20,000 points, by name, where the material is known.
     entries
-        How the tool enters the material of each pass, by its name.
+        How the tool enters the material in each pass, by name.
     warnings
         One sentence each.
     timings
         Wall time of each stage. [s]
     peak_memory_gb
-        Largest resident memory of the process so far. [GB]
+        Peak resident memory of the process. [GB]
     """
 
     job: Job
@@ -234,17 +234,17 @@ class Result:
 
     @property
     def limits(self) -> Limits:
-        """What the finishing pass asks of the axes."""
+        """Speed, acceleration and jerk of the axes in the finishing pass against the limits of the machine."""
         return self.passes[-1].limits
 
     @property
     def ok(self) -> bool:
-        """Whether the tool reaches the part and the machine keeps all its limits."""
+        """Whether the tool reaches the part and every pass stays within the limits of the machine."""
         return bool(self.access.ok and all(cut.limits.ok for cut in self.passes))
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:
-        """Which stated tolerances the predicted surface keeps."""
+        """Verdict on each stated tolerance of the predicted surface."""
         return judge(self.job, self.predictions)
 
     @property

@@ -1,4 +1,4 @@
-"""A job carried out whole: checked, cut in memory, written, read back, predicted and judged."""
+"""Run a whole job: check, plan, write the program, read it back, predict the surface and check the tolerances."""
 
 from __future__ import annotations
 
@@ -42,33 +42,33 @@ if TYPE_CHECKING:
 
 __all__ = ["finishing_motion", "preview", "run"]
 
-PICTURE = 20_000
-"""Points that a picture of a path needs."""
+PLOT_POINTS = 20_000
+"""Most points of a path that is kept for plots."""
 
 
 def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[str] | None = None) -> Result:
-    """Carry out a job: check, plan, place, drive, write the program, read it back and predict what it will leave.
+    """Run a job: check, plan, place, drive, write the program, read it back and predict the surface.
 
     Parameters
     ----------
     job
-        What is asked for.
+        The job.
     progress
         Called with (stage, done, total).
     out
-        Folder for the files of the program, which is made if there is none; what else the command line leaves,
-        ``turnwright.report`` writes. If not given, the program is written, read back and thrown away, and the result
-        names none.
+        Folder for the files of the program, created if it does not exist; the other files of the command line are
+        written by ``turnwright.report``. If not given, the program is written, read back and deleted, and the result
+        lists no files.
 
     Raises
     ------
     GougeError
-        If the tool does not reach the part, or cuts into it, and the job does not accept that; so also if the surface
-        predicted from the program lies below the design by more than the plan allows, and no program is kept then.
+        If the tool does not reach the part, or gouges it, and the job does not accept that. Also if the surface
+        predicted from the program lies below the design by more than the plan allows; the program is then deleted.
     LimitError
-        If the machine cannot do what is asked and the job does not accept that.
+        If a limit of the machine is exceeded and the job does not accept that.
     TurnwrightError
-        Whatever a stage raises.
+        Any error of a stage.
     """
     if out is None:
         with TemporaryDirectory(prefix="turnwright-") as folder:
@@ -88,89 +88,90 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         if not cut.limits.ok:
             warnings += _accepted(job, "limits", LimitError(f"pass {cut.name}: {cut.limits.findings[0]}"))
         motions[cut.name] = cut.motion
-        passes.append(cut.told(_judged_chips(cut, chips, warnings)))
-    pictured, least = _thin(line.path), float(line.path.clearance.min())
-    shown, turns = _part_of(line.motion, _few(line.motion.time.size)), _turns(line.motion)
+        passes.append(cut.as_pass(_check_chips(cut, chips, warnings)))
+    plotted_path, least = _thin(line.path), float(line.path.clearance.min())
+    plotted_motion, turns = _part_of(line.motion, _every_nth(line.motion.time.size)), _revolutions(line.motion)
     del cut
     line.finishing.forget("spiral", "path")
 
     entries = _accepted_entries(job, line.entries(motions), warnings)
     program = line.write(motions, entries)
     motions.clear()
-    again = line.read_back
+    program_motion = line.program_motion
     with line.watch.stage("compare"):
-        apart, limit = rounding(job, line.motion, again)
+        difference, limit = rounding(job, line.motion, program_motion)
     if not job.program.precorrect:
-        line.finishing.forget("commanded", "wanted")
+        line.finishing.forget("commanded", "planned")
     predictions = line.predictions
     warnings += _accepted_program(line, limit)
-    warnings += _walls(job, passes, entries) + _assumed(job, passes) + _judged(job, predictions)
-    if apart > limit:
+    warnings += _wall_warnings(job, passes, entries) + _assumption_warnings(job, passes)
+    warnings += _tolerance_warnings(job, predictions)
+    if difference > limit:
         warnings.append(
-            f"the program on disk leaves a surface {apart:.3g} nm from that of the motion in memory, its decimals "
-            f"allow {limit:.3g} nm: do not cut with it before the cause is known"
+            f"the surface of the program on disk differs by {difference:.3g} nm from that of the motion in memory, its "
+            f"decimals allow {limit:.3g} nm: find the reason before cutting"
         )
     return Result(
         job=job, part=job.part, tool=job.tool, machine=job.machine,
         actual_tool=job.actual_tool, actual_machine=job.actual_machine, access=line.access,
-        passes=tuple(passes), path=pictured, motion=shown, turns=turns, least_clearance=least,
-        program=program, predictions=predictions, rounding_nm=apart, rounding_limit_nm=limit,
+        passes=tuple(passes), path=plotted_path, motion=plotted_motion, turns=turns, least_clearance=least,
+        program=program, predictions=predictions, rounding_nm=difference, rounding_limit_nm=limit,
         chips=chips, entries=entries, warnings=tuple(dict.fromkeys(warnings)), timings=line.watch.timings,
         peak_memory_gb=_peak_memory(),
     )  # fmt: skip
 
 
-def _judged_chips(cut: Cut, chips: dict[str, ChipMap], warnings: list[str]) -> PassChips | None:
-    """Keep the chips of a cut and warn of what the material does not bear; ``None`` where nothing is known of it."""
+def _check_chips(cut: Cut, chips: dict[str, ChipMap], warnings: list[str]) -> PassChips | None:
+    """Store the chips of a cut and warn if it is not ductile; return ``None`` for a material without data."""
     part = cut.plan.job.part
-    known = part.substance
-    # A metal without stock is left alone: there is nothing to warn of but that its forces are not found.
-    if known is None or (known.critical is None and (known.cutting is None or not part.stock > 0)):
+    material = part.substance
+    # A metal without stock gives no warning: only its forces are missing.
+    if material is None or (material.critical is None and (material.cutting is None or not part.stock > 0)):
         return None
     if isinstance(cut.chips, str):
         warnings.append(f"pass {cut.name}: {cut.chips}")
         return None
-    told, chips[cut.name] = cut.chips
-    caution = known.caution(told.typical)
+    report, chips[cut.name] = cut.chips
+    caution = material.caution(report.typical)
     if caution:
-        told = replace(told, sentence=f"{told.sentence}; {caution}")
-    if not told.ok:
-        warnings.append(f"pass {cut.name} is {told.sentence}")
-    return told
+        report = replace(report, sentence=f"{report.sentence}; {caution}")
+    if not report.ok:
+        warnings.append(f"pass {cut.name} is {report.sentence}")
+    return report
 
 
 def _accepted_entries(job: Job, entries: dict[str, Entry], warnings: list[str]) -> dict[str, Entry]:
-    """Return how the tool enters every pass; warn of accepted travel beyond a limit."""
+    """Return the entries unchanged; raise, or warn if the job accepts it, where a plunge exceeds the travel."""
     for entry in entries.values():
         if entry.beyond_travel:
             warnings += _accepted(job, "limits", LimitError(entry.beyond_travel))
     return entries
 
 
-def _walls(job: Job, passes: list[Pass], entries: Mapping[str, Entry]) -> list[str]:
-    """Warn of passes that plunge beside a wall of the blank that is higher than the edge cuts."""
+def _wall_warnings(job: Job, passes: list[Pass], entries: Mapping[str, Entry]) -> list[str]:
+    """Warn of passes that plunge next to a wall of the blank that is higher than the cutting edge."""
     plunging = [one for one in passes if entries[one.name].depth is not None]
     if not plunging:
         return []
-    found, part = [], job.part.aimed
+    warnings, part = [], job.part.aimed
     limit, _ = largest_depth(part, job.tool, side=1, sense=job.strategy.sense, nearest=part.radius)
     for one in plunging:
         wall = job.part.stock - one.allowance
         if wall > limit * (1 + 1e-9):
-            found.append(
-                f"pass {one.name} plunges beside a wall of {say_length(wall)} that the passes leave outside, the edge "
-                f"cuts up to {say_length(limit)}: state part.blank and a lead_in with which the passes begin beside it"
+            warnings.append(
+                f"pass {one.name} plunges next to an uncut wall {say_length(wall)} high, the edge cuts up to "
+                f"{say_length(limit)}: state part.blank, and a lead_in with which the pass begins outside the blank"
             )
-    return found
+    return warnings
 
 
 def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
-    """Check a job: whether the tool reaches the part, how many points each pass has, and how long it takes at least.
+    """Check a job quickly: tool access, number of points and shortest cycle time of each pass.
 
     Parameters
     ----------
     job
-        What is asked for.
+        The job.
     progress
         Called with (stage, done, total).
     """
@@ -182,35 +183,35 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
     )
     points, shortest, chips = {}, {}, {}
     stock = part.stock
-    # As in a run nothing is planned for a tool that does not reach the part: where that is a slip of a unit, a path
-    # over walls takes points without end.
+    # As in a run, no pass is planned for a tool that does not reach the part. Where the reason is a wrong unit, a path
+    # over walls would take too many points.
     for cut in () if refused else job.passes:
         servo = job.servo(cut)
         with watch.stage("plan") as tell:
-            # A job is checked while somebody types, so not all points are made that are counted.
+            # A job is checked while it is typed, so points are counted without computing all of them.
             size, spiral = servo.extent(part, tool, progress=tell)
             if _widens(servo):
                 PassPlan(job, cut).require_steps()
-            place(_outermost(spiral), part, tool, along=job.strategy.along)  # raises where the surface has an end
+            place(_outermost(spiral), part, tool, along=job.strategy.along)  # raises where the surface ends
         profile, stated = servo.spindle_speeds, servo.spindle_rpm
         if stated is not None and stated > machine.spindle_rpm:
             sentence = (
                 f"pass {cut.name}: spindle_speed is {stated:g} rpm, the limit of {machine.name} is "
-                f"{machine.spindle_rpm:g} rpm: turn slower, or state none to have the highest speed found"
+                f"{machine.spindle_rpm:g} rpm: reduce it, or leave it out to use the highest possible speed"
             )
             refused = (sentence,)
             break
         speed = stated or machine.spindle_rpm if profile is None else float(profile.spindle_rpm.max())
         times = cut.repeats(stock)
         points[cut.name] = times * size
-        # The points of a fast tool stand in its own table.
+        # The points of a fast tool are in its own table.
         blocks = 0 if job.program.fast_tool else size - 1
         shortest[cut.name] = times * max(spiral.turns * 60 / speed, blocks / machine.block_rate_hz)
         expected = predicted_chips(job, access, cut, spiral.feed, stock)
         if expected:
             chips[cut.name] = expected
         stock = cut.allowance
-    if not refused:  # else the finished surface may be none that an edge can touch
+    if not refused:  # otherwise the edge may not reach the finished surface
         refused = tuple(one.sentence for one in line.depths if not one.ok)
     return Preview(
         access=access, points=points, shortest_s=shortest, refused=refused, chips=chips,
@@ -219,25 +220,25 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
 
 
 def finishing_motion(job: Job, *, progress: StageProgress | None = None) -> tuple[Motion, Result]:
-    """Carry out a job, and return how the axes move in its finishing pass: what its predictions are made from.
+    """Run a job, and return the motion of the axes in its finishing pass, from which its surface is predicted.
 
     Parameters
     ----------
     job
-        What is asked for.
+        The job.
     progress
         Called with (stage, done, total).
 
     Returns
     -------
     tuple
-        The motion of the program read back, with what the controller's interpolation makes of it, and the servos if the
-        job says so; and the result of the run. Its program is not kept.
+        The motion of the program read back, with the interpolation of the controller, and with the servos if the job
+        says so; and the result of the run. The program is deleted.
 
     Raises
     ------
     TurnwrightError
-        Whatever `run` raises.
+        Any error of `run`.
     """
     with TemporaryDirectory(prefix="turnwright-") as folder:
         result = run(job, progress=progress, out=folder)
@@ -246,14 +247,14 @@ def finishing_motion(job: Job, *, progress: StageProgress | None = None) -> tupl
 
 
 def _accepted(job: Job, what: str, error: GougeError | LimitError) -> list[str]:
-    """Return a finding as a warning if the job accepts it, else raise it."""
+    """Return an error as a warning if the job accepts it, else raise it."""
     if what not in job.accept:
         raise type(error)(_or_accept(str(error), what))
     return [str(error)]
 
 
 def _or_accept(sentence: str, what: str) -> str:
-    """Add how a job accepts a finding."""
+    """Add to a message how a job accepts the finding."""
     return f'{sentence} (or accept it in the job: accept = ["{what}"])'
 
 
@@ -266,8 +267,8 @@ def _accepted_access(job: Job, access: Access) -> list[str]:
 
 
 def _accepted_program(line: Pipeline, limit: float) -> list[str]:
-    """Warn of an accepted gouge of the program; without leave there is no program either."""
-    gouge = find_gouge(line.job, line.predictions[0], line.read_back, limit)
+    """Warn of a gouge of the program if the job accepts it; else delete the program and raise."""
+    gouge = find_gouge(line.job, line.predictions[0], line.program_motion, limit)
     if gouge is None:
         return []
     if "gouge" not in line.job.accept:
@@ -285,81 +286,80 @@ def _accepted_gouge(job: Job, path: Path) -> list[str]:
 
 
 def _widens(servo: Strategy) -> bool:
-    """Whether steps along a spiral grow without bound towards the axis."""
+    """Whether the angle between points of a spiral grows without bound towards the axis."""
     plan = servo.lays_out
     return isinstance(plan, SlowToolServo) and plan.arc_length is not None and plan.max_step is None
 
 
 def _outermost(spiral: Spiral) -> Spiral:
-    """Return the turn that is farthest from the axis."""
+    """Return the revolution farthest from the axis."""
     angle, size = spiral.angle, spiral.angle.size
     inwards = spiral.radius[0] > spiral.radius[-1]
-    # The angle runs one way, so a few looks find where the turn ends: a job is checked while somebody types.
+    # The angle is monotonic, so bisection finds where the revolution ends: a job is checked while it is typed.
     away = range(size) if inwards else range(size - 1, -1, -1)
     count = bisect_right(away, 2 * np.pi, key=lambda at: abs(float(angle[at] - angle[away[0]])))
-    turn = slice(0, count) if inwards else slice(size - count, size)
-    return Spiral(angle=spiral.angle[turn], radius=spiral.radius[turn], y=None if spiral.y is None else spiral.y[turn])
+    at = slice(0, count) if inwards else slice(size - count, size)
+    return Spiral(angle=spiral.angle[at], radius=spiral.radius[at], y=None if spiral.y is None else spiral.y[at])
 
 
 def _thin(path: Path) -> Path:
-    """Return a path with few enough points for a picture."""
-    at = _few(path.angle.size)
+    """Return a path with few enough points for a plot."""
+    at = _every_nth(path.angle.size)
     stated = [one.name for one in fields(path) if one.init and getattr(path, one.name) is not None]
     return replace(path, **{name: getattr(path, name)[at] for name in stated})
 
 
 def _part_of(motion: Motion, at: slice) -> Motion:
-    """Return some points of a motion, free of the rest."""
+    """Return a copy of some points of a motion, so that the whole can be freed."""
 
-    def some(values: Mapping[str, Floats]) -> dict[str, Floats]:
+    def take(values: Mapping[str, Floats]) -> dict[str, Floats]:
         return {letter: one[at].copy() for letter, one in values.items()}
 
-    velocity = None if motion.velocity is None else some(motion.velocity)
-    return replace(motion, time=motion.time[at].copy(), axes=some(motion.axes), velocity=velocity, stated_blocks=None)
+    velocity = None if motion.velocity is None else take(motion.velocity)
+    return replace(motion, time=motion.time[at].copy(), axes=take(motion.axes), velocity=velocity, stated_blocks=None)
 
 
-def _few(size: int) -> slice:
-    return slice(None, None, max(1, math.ceil(size / PICTURE)))
+def _every_nth(size: int) -> slice:
+    return slice(None, None, max(1, math.ceil(size / PLOT_POINTS)))
 
 
-def _turns(motion: Motion) -> tuple[Motion, ...]:
-    """Return single turns at the beginning, in the middle and at the end."""
+def _revolutions(motion: Motion) -> tuple[Motion, ...]:
+    """Return single revolutions at the beginning, in the middle and at the end."""
     angle = np.abs(motion.axes["C"] - motion.axes["C"][0])
-    whole = max(float(angle[-1]) - 2 * np.pi, 0.0)
+    last_start = max(float(angle[-1]) - 2 * np.pi, 0.0)
     turns = []
-    for start in (0.0, whole / 2, whole):
+    for start in (0.0, last_start / 2, last_start):
         first, last = np.searchsorted(angle, (start, start + 2 * np.pi + 1e-9))
         turns.append(_part_of(motion, slice(max(int(first) - 1, 0), int(last) + 1)))
     return tuple(turns)
 
 
-def _assumed(job: Job, passes: list[Pass]) -> list[str]:
-    """Say which binding limits nobody has published, and whether known servos are left out."""
-    sources, found = job.machine.sources, []
+def _assumption_warnings(job: Job, passes: list[Pass]) -> list[str]:
+    """Warn of limiting axis data without a published source, and of servos that the simulation ignores."""
+    sources, warnings = job.machine.sources, []
     if has_servos(job.actual_machine) and not job.simulation.tracking:
-        found.append(
-            f"{job.actual_machine.name} states how its axes answer, the prediction takes them to go where they are "
-            "sent: set tracking = true in [simulation]"
+        warnings.append(
+            f"{job.actual_machine.name} states the response of its servos, the prediction ignores it: set tracking = "
+            "true in [simulation]"
         )
     for binding in dict.fromkeys(cut.limits.binding for cut in passes):
         letter, _, kind = binding.partition(" ")
         fact = {"block rate": "block_rate_hz", "spindle speed": "spindle_rpm"}.get(binding, f"axes.{letter}.{kind}")
         if sources.get(fact, "").startswith("assumed"):
-            found.append(
-                f"the limit that binds, {binding}, is assumed for {job.machine.name}, nobody states it: "
-                "check it on the machine"
+            warnings.append(
+                f"the tightest limit of {job.machine.name}, {binding}, has an assumed value: check it on the machine"
             )
-    return found
+    return warnings
 
 
-def _judged(job: Job, predictions: tuple[Prediction, ...]) -> list[str]:
-    """Say what is not cut, and which tolerances are not kept or not judged."""
-    found = [sentence for one in predictions for sentence in one.remarks]
-    return found + [one.sentence for one in judge(job, predictions) if not one.kept]
+def _tolerance_warnings(job: Job, predictions: tuple[Prediction, ...]) -> list[str]:
+    """Warn of points that are not cut, and of tolerances that are missed or not evaluated."""
+    remarks = [sentence for one in predictions for sentence in one.remarks]
+    return remarks + [one.sentence for one in judge(job, predictions) if not one.is_kept]
 
 
 def _peak_memory() -> float:
-    """Return the largest resident memory of this process so far. [GB]."""
+    """Return the peak resident memory of this process. [GB]."""
     try:
         import resource  # noqa: PLC0415 - there is none on Windows
     except ImportError:

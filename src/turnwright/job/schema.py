@@ -1,4 +1,4 @@
-"""The job file: data only. What each table means stands with the class that it builds."""
+"""The job file, as data only. Each table is documented with the class that it builds."""
 
 from __future__ import annotations
 
@@ -41,23 +41,23 @@ if TYPE_CHECKING:
 __all__ = ["Job", "PassTable", "faults"]
 
 Name: TypeAlias = Annotated[str, Strict(), Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _-]{0,29}$")]
-"""What a controller takes as the name of a sub-program, and any computer as that of a file."""
+"""A name that is valid for a sub-program of a controller and for a file."""
 
 Accepted: TypeAlias = Literal["nose radius", "included angle", "clearance", "rake", "valley", "step", "limits", "gouge"]
 
-MOST_REPEATS = 100
-"""Times that one pass is repeated: beyond this a depth is a slip of the unit."""
+MAX_REPEATS = 100
+"""Repetitions of one pass: a depth that needs more has a wrong unit."""
 
-MOST_VALUES = 100_000
-"""In all tables and lists of a job: heights and curves have files of their own."""
+MAX_VALUES = 100_000
+"""Values in all tables and lists of a job: heights and curves belong in their own files."""
 
-MOST_SAMPLES = 1e8
-"""Heights in one map: beyond this a pixel is a slip of the unit."""
+MAX_SAMPLES = 1e8
+"""Heights in one map: a pixel that gives more has a wrong unit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ToolDeviations(Table):
-    """What the actual tool has otherwise than the one planned with.
+    """Deviations of the actual tool from the nominal tool.
 
     Parameters
     ----------
@@ -65,11 +65,12 @@ class ToolDeviations(Table):
         Radial deviation of the edge, positive outward: coefficients of the sweep on the nose, of its square and
         so on, such as "0.2 um/rad", "-1 um/rad^2".
     waviness_file
-        File with the columns sweep and deviation, each with its unit in the head, in place of the coefficients.
+        File with the columns sweep and deviation, each with its unit in the header, in place of the coefficients.
     radius_error
         Actual minus nominal nose radius. [mm]
     offset
-        Where the tip really is minus where it should be: along X, in height, along Z. [mm]
+        Actual minus nominal position of the tip: along X (tool centring error), in height (tool height error), along
+        Z. [mm]
     rake
         Angle of the rake face against the vertical, positive leaning back from the cutting direction. [rad]
     """
@@ -91,40 +92,40 @@ class ToolDeviations(Table):
     def __post_init__(self) -> None:
         check_numbers(self)
         if self.waviness is not None and self.waviness_file is not None:
-            raise JobError("waviness and waviness_file are both given, only one can be right: remove one")
+            raise JobError("only one of waviness and waviness_file can be stated, got both: remove one")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PassTable(Table):
-    """One pass: what it states otherwise than the strategy, and how much it leaves and takes off.
+    """One pass: values that differ from the strategy, its allowance and its depth of cut.
 
     Parameters
     ----------
     name
-        What the pass is called, in the program and in all results.
+        Name of the pass in the program and in all results.
     feed
-        Advance of X per revolution of the spindle, in this pass. [mm/rev]
+        Feed per revolution of the spindle, in this pass. [mm/rev]
     spindle_rpm
         Spindle speed in this pass; that of the strategy if left out. [rpm]
     spindle_speeds
-        Speeds, each with the radius at which it is reached, in this pass.
+        Spindle speeds, each with its radius, in this pass.
     points_per_rev
-        Program points in a revolution, in this pass.
+        Program points per revolution, in this pass.
     arc_length
         Distance between program points along the spiral, in this pass. [mm]
     max_step
         Largest angle between program points, in this pass. [rad]
     chord
-        Largest height between the exact path and straight lines between the points, in this pass. [mm]
+        Largest chord error: distance of straight lines between points from the exact path, in this pass. [mm]
     lead_in
-        How far beyond the clear radius the tip starts, in this pass. [mm]
+        Distance beyond the clear aperture at which the tip starts, in this pass. [mm]
     scallop
-        Largest height of cusps, in this pass. [mm]
+        Largest cusp height, in this pass. [mm]
     allowance
-        Material that is left above the finished surface when the pass is done; the last pass leaves none. [mm]
+        Material left above the finished surface after the pass; the last pass leaves none. [mm]
     depth
-        Thickness taken off at a time: the pass is repeated, each time deeper, until its allowance is reached;
-        all at once if left out. [mm]
+        Depth of cut: the pass is repeated, each time deeper, until its allowance is reached; a single cut if left
+        out. [mm]
     """
 
     key_names = MappingProxyType({"spindle_rpm": "spindle_speed"})
@@ -143,17 +144,17 @@ class PassTable(Table):
 
     @property
     def choices(self) -> dict[str, Any]:
-        """What the pass states otherwise than the strategy."""
-        own = (name for name in types_of(PassTable) if name not in ("name", "allowance", "depth"))
-        return {name: value for name in own if (value := getattr(self, name)) is not None}
+        """The values of the strategy that the pass replaces."""
+        names = (name for name in types_of(PassTable) if name not in ("name", "allowance", "depth"))
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     def __post_init__(self) -> None:
         check_numbers(self)
         if self.spindle_rpm is not None and self.spindle_speeds is not None:
-            raise JobError("spindle_speed and spindle_speeds are both given, only one can be right: remove one")
+            raise JobError("only one of spindle_speed and spindle_speeds can be stated, got both: remove one")
 
     def repeats(self, stock: float) -> int:
-        """Return how often the pass is cut, each time deeper, to take ``stock`` [mm] down to its allowance."""
+        """Return the number of repetitions of the pass that remove ``stock`` [mm] down to its allowance."""
         return max(1, math.ceil((stock - self.allowance) / self.depth - 1e-9)) if self.depth else 1
 
     def names(self, stock: float) -> list[str]:
@@ -164,18 +165,18 @@ class PassTable(Table):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Patch(Table):
-    """A rectangle on the part to be predicted.
+    """A rectangle on the part where the surface is predicted.
 
     Parameters
     ----------
     name
-        What the place is called.
+        Name of the patch.
     centre
-        Its middle on the part. [mm]
+        Centre of the patch on the part (x, y). [mm]
     size
-        Along x and y. [mm]
+        Size along x and y. [mm]
     pixel
-        Distance between heights; a quarter of the feed or less shows the cusps. [mm]
+        Pixel size; a quarter of the feed or less resolves the cusps. [mm]
     """
 
     name: Name
@@ -185,13 +186,13 @@ class Patch(Table):
 
     @property
     def axes(self) -> tuple[Floats, Floats]:
-        """Columns and rows of the grid, centred, the pixel exact. [mm]."""
+        """Coordinates of the columns and rows of the grid, centred, at exactly the pixel size. [mm]."""
         axes = []
         for middle, size in zip(self.centre, self.size, strict=True):
             count = math.floor(size / self.pixel + 1e-9) + 1
             if count < 2:
                 raise JobError(
-                    f"pixel is {self.pixel:g} mm on a size of {size:g} mm, it must fit at least once: reduce it"
+                    f"pixel must be at most the size of the patch, {size:g} mm, got {self.pixel:g} mm: reduce it"
                 )
             axes.append(np.asarray(middle + (np.arange(count) - (count - 1) / 2) * self.pixel, dtype=np.float64))
         return axes[0], axes[1]
@@ -199,9 +200,9 @@ class Patch(Table):
     def __post_init__(self) -> None:
         check_numbers(self)
         points = math.prod(size / self.pixel + 1 for size in self.size)
-        if points > MOST_SAMPLES:
+        if points > MAX_SAMPLES:
             raise JobError(
-                f"{self.name!r} has {points:.3g} points, the limit is {MOST_SAMPLES:.0e}: take a larger pixel"
+                f"patch {self.name!r} has {points:.3g} points, the limit is {MAX_SAMPLES:.0e}: increase pixel"
             )
         _ = self.axes
 
@@ -213,9 +214,9 @@ class WholePart(Table):
     Parameters
     ----------
     radii
-        Rings from the axis to the clear radius.
+        Number of rings from the axis to the edge of the clear aperture.
     angles
-        Heights around each ring.
+        Number of heights on each ring.
     """
 
     radii: Annotated[int, Strict(), Ge(2)] = 400
@@ -223,24 +224,24 @@ class WholePart(Table):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        if self.radii * self.angles > MOST_SAMPLES:
+        if self.radii * self.angles > MAX_SAMPLES:
             raise JobError(
-                f"radii times angles is {self.radii * self.angles}, the limit is {MOST_SAMPLES:.0e}: take fewer"
+                f"radii times angles is {self.radii * self.angles}, the limit is {MAX_SAMPLES:.0e}: reduce them"
             )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulationTable(Table):
-    """What to predict, and whether the axes move as the machine's servos let them.
+    """Which maps to predict, and whether to simulate the servos.
 
     Parameters
     ----------
     tracking
-        Whether the axes move as the machine's servos let them; otherwise they go where they are sent.
+        Whether to simulate the response of the servos; otherwise the axes follow the program exactly.
     whole_part
         The polar map of the whole part.
     patches
-        Small places at a fine pixel, of which the roughness is told.
+        Small maps with a fine pixel, for the surface finish.
     """
 
     tracking: Flag = False
@@ -248,18 +249,18 @@ class SimulationTable(Table):
     patches: tuple[Patch, ...] = ()
 
 
-def _form(value: object) -> int | str:
-    known = ("none", "mean", "plane", "sphere")
-    if value in known or (isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= 10):
+def _check_form(value: object) -> int | str:
+    names = ("none", "mean", "plane", "sphere")
+    if value in names or (isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= 10):
         return value
     raise JobError(
-        f"{value!r} is neither one of {', '.join(known)} nor the degree of a polynomial, 0 to 10: give one of them"
+        f"form removal must be one of {', '.join(names)}, or the degree of a polynomial, 0 to 10, got {value!r}"
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RoughnessTable(Table):
-    """What is removed before the roughness of a patch is computed: see `turnwright.roughness`.
+    """Form removal before the roughness of a patch is computed: see `turnwright.roughness`.
 
     Parameters
     ----------
@@ -267,83 +268,84 @@ class RoughnessTable(Table):
         "none", "mean", "plane", "sphere", or the degree of a polynomial, 0 to 10.
     """
 
-    form: Annotated[int | str, PlainValidator(_form)] = "plane"
+    form: Annotated[int | str, PlainValidator(_check_form)] = "plane"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasurementTable(Table):
-    """What is known of the instrument that measures the part, and what its map may be off by: see `turnwright.measure`.
+    """How the part is measured, and how its map is registered and corrected for: see `turnwright.measure`.
 
-    A map that the instrument shows from the other side is ``mirrored`` left to right, one whose heights grow into the
+    A map that shows the part from the other side is ``mirrored`` left to right, one whose heights increase into the
     material is ``inverted``.
 
     Parameters
     ----------
     pixel_size
-        Distance between the instrument's pixels, for a file that does not say it: one size, or one along x and
-        one along y. [mm]
+        Pixel size of the map, for a file that does not state it: one size, or one along x and one along y. [mm]
     units
-        Of x and y of a text file that states none.
+        Unit of x and y of a text file that states none.
     sag_units
-        Of the heights of such a file.
+        Unit of the heights of such a file.
     quantity
-        What the map holds: heights, or departures from a reference along z or along its normal.
+        Content of the map: heights, or departures from a reference along z or along its normal.
     departure_from
-        What departures count from: "design", or any prescription.
+        Reference of the departures: "design", or any prescription.
     mirrored
-        Whether the map shows the part from the other side, left for right.
+        Whether the map shows the part from the other side, left and right exchanged.
     inverted
-        Whether its heights grow into the material.
+        Whether its heights increase into the material.
     spikes
-        How single wrong heights are told from the part and taken out.
+        Method of outlier removal.
     trim
         Width of the edge of the map that is left out. [mm]
     shift
-        Roughly where the middle of the map lies on the part, along x, y and z. [mm]
+        Approximate position of the centre of the map on the part, along x, y and z. [mm]
     rotation
-        Roughly how the map is turned on the part. [rad]
+        Approximate clocking of the map on the part. [rad]
     reach
-        How far the map may lie from where it is said to lie. [mm]
+        Largest distance of the map from its stated position. [mm]
     clocking
-        How far it may be turned from there. [rad]
+        Largest rotation of the map from its stated clocking. [rad]
     free
-        Which of its place and angles are found; the others stay as they are stated.
+        Degrees of freedom of the pose that are fitted; the others keep their stated values.
     terms
-        Forms whose amplitude is found along with the pose, each a prescription; see `turnwright.register`.
+        Forms whose amplitude is fitted along with the pose, each a prescription; see `turnwright.register`.
     form_error
-        Height at the rim by which low forms may be off, for what they do to the pose. [mm]
+        Largest low-order form error at the rim, for its effect on the pose. [mm]
     weak
-        What becomes of directions that such a form may pass for: "fit", "hold" where the map is said to lie, "raise".
+        How to treat degrees of freedom that such a form error can imitate: "fit", "hold" at the stated pose, or
+        "raise" an error.
     mask
-        File with a map of the same grid: heights that are missing there, or 0 in a mask of 0 and 1, do not count.
+        File with a map of the same grid: heights that are missing there, or 0 in a mask of 0 and 1, are ignored.
     instrument
-        Through which design and predicted cusps are seen before the map is compared with them: the name of a known
-        one, a ``.toml`` file, or a table of its values. What is left out does nothing.
+        Instrument whose transfer function is applied to the design and to predicted cusps before the comparison: a
+        name, a ``.toml`` file, or a table of its values. Values left out have no effect.
     loss
-        How residuals count: "linear", "huber" or "tukey"; robust until spikes are out, then linear, if left out.
+        Weighting of residuals: "linear", "huber" or "tukey"; if left out, robust until outliers are removed, then
+        linear.
     noise
-        Standard deviation of a height; found from the map if left out. [mm]
+        Standard deviation of a height; estimated from the map if left out. [mm]
     reference
-        What the form error is told against.
+        Reference surface of the form error.
     causes
-        Which causes are looked for; all that a single map can tell if left out.
+        Error sources to look for; if left out, all that a single map can separate.
     fixed
-        What fiducials fix, so that it counts as an error of the part.
+        Degrees of freedom fixed by fiducials, so that they count as errors of the part.
     waviness
-        Powers of the sweep that the waviness of the edge is found in.
+        Powers of the sweep used to fit the waviness of the edge.
     worth
-        Least rms by which a correction must make the form better for certain, and least effect of a cause. [mm]
+        Least certain improvement of the rms that justifies a correction, and least effect of an error source. [mm]
     cutoff
-        Shortest wavelength to which the part itself is corrected; found from part and feed if left out. [mm]
+        Shortest wavelength of the form correction; derived from part and feed if left out. [mm]
     correct
-        Which causes tool and machine are corrected for if they are certain, all if left out; the rest is compensated as
-        form of the part.
+        Error sources for which tool and machine are corrected if they are certain, all if left out; the residual is
+        compensated as form of the part.
     repeats
-        Whether drift, and form without a cause, that a single map shows are taken to come back on the next part.
+        Whether drift, and form error without a known source, of a single map are assumed to repeat on the next part.
     corrected
-        Maps that this job was corrected by, as `correct` notes them, so that none is taken into account twice.
+        Maps that this job was corrected with, as `correct` records them, so that none is applied twice.
     cut_by
-        "this job", if a part was cut by it as corrected though it shows what was corrected: the error came back.
+        "this job", if the measured part was cut by the corrected job though it shows the corrected error again.
     """
 
     pixel_size: Size | tuple[Size, Size] | None = None
@@ -382,7 +384,7 @@ class MeasurementTable(Table):
 
     @property
     def pose(self) -> Pose | None:
-        """Roughly where the map lies on the part."""
+        """Approximate pose of the map on the part, if the job states one."""
         if self.shift is None and self.rotation is None:
             return None
         return Pose(shift=self.shift or (0.0, 0.0, 0.0), rotation=self.rotation or 0.0)
@@ -392,28 +394,28 @@ class MeasurementTable(Table):
         for key in ("causes", "correct"):
             for cause in getattr(self, key) or ():
                 if cause not in CAUSES:
-                    raise JobError(f"{key} has {cause!r}, it can have {', '.join(CAUSES)}: name one of them")
+                    raise JobError(f"{key} must name some of {', '.join(CAUSES)}, got {cause!r}")
         if (self.quantity == "height") != (self.departure_from is None):
             raise JobError(
                 f"quantity is {self.quantity!r} and departure_from is "
-                f"{'missing' if self.departure_from is None else 'stated'}: a departure needs what it counts from, "
-                '"design" or a prescription, and a height counts from nothing'
+                f"{'missing' if self.departure_from is None else 'stated'}: a departure needs its reference, "
+                '"design" or a prescription, a height must not have one'
             )
         for key in ("free", "causes", "waviness"):
-            if (given := getattr(self, key)) is not None and not given:
-                raise JobError(f"{key} is empty, it needs at least 1 entry: name one, or leave it out")
+            if (entries := getattr(self, key)) is not None and not entries:
+                raise JobError(f"{key} needs at least 1 entry, got none: add one, or leave it out")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tolerances(Table):
-    """What the part must keep; what it does not keep becomes a warning.
+    """Tolerances of the part; a missed tolerance becomes a warning.
 
     Parameters
     ----------
     form_pv
-        Peak to valley of the error over the whole part. [mm]
+        Peak to valley of the form error over the whole part. [mm]
     sq
-        Root mean square roughness of each patch. [mm]
+        Root mean square roughness Sq of each patch. [mm]
     """
 
     form_pv: Size | None = None
@@ -422,14 +424,14 @@ class Tolerances(Table):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Actual(Table):
-    """What to simulate with where it differs from what is planned with.
+    """Deviations of the actual tool and machine, for the simulation.
 
     Parameters
     ----------
     tool
-        What the real tool has otherwise than the one planned with.
+        Deviations of the actual tool from the nominal tool.
     machine
-        What the real machine has otherwise than the one planned with.
+        Deviations of the actual machine from the nominal machine.
     """
 
     tool: ToolDeviations = ToolDeviations()
@@ -443,17 +445,17 @@ class ProgramTable(Table):
     Parameters
     ----------
     name
-        Of the files of the program, without their ending.
+        Name of the program files, without extension.
     max_lines
         Most lines in one file; the limit of the controller if left out.
     fast_tool
-        How the table of a fast tool is read: by position of the spindle, or by time.
+        How the fast tool reads its table: by position of the spindle, or by time.
     fast_tool_rate
         Heights per second of a table by time. [Hz]
     precorrect
-        Whether the program is corrected beforehand for what the servos will make of it.
+        Whether the program compensates the predicted tracking errors of the servos.
     plunge_feed
-        Fastest plunge into the material where a pass cannot begin beside it; C turns meanwhile. [mm/s]
+        Fastest plunge into the material while C turns, where a pass cannot begin outside the blank. [mm/s]
     """
 
     name: Annotated[str, Strict(), Field(pattern=r"^[A-Za-z0-9_-]{1,30}$")] = "part"
@@ -472,42 +474,42 @@ class ProgramTable(Table):
             )
 
 
-def _all_different(what: str, names: list[str]) -> None:
-    """Raise if two names would share a file."""
+def _require_unique(what: str, names: list[str]) -> None:
+    """Raise if two names would give the same file name."""
     alike = [re.sub("[ -]+", "-", name).casefold() for name in names]
     for name, plain in zip(names, alike, strict=True):
         if alike.count(plain) > 1:
             raise JobError(
-                f"{what} has the name {name!r} {alike.count(plain)} times as a file name, the limit is 1: rename one"
+                f"names in {what} must differ as file names, {name!r} occurs {alike.count(plain)} times: rename one"
             )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Job(Table):
-    """A job: everything that a run needs, as data. A wrong one cannot exist.
+    """A job: everything that a run needs, as data. It is checked when it is created.
 
     Parameters
     ----------
     part, tool, machine, strategy
-        What is to be cut, with what, on what and how.
+        The part, the tool and the machine to cut it with, and the strategy of the tool path.
     passes
-        In the order of cutting, the last one leaves no allowance; one pass called "finish" if not given.
+        In the order of cutting, the last one leaves no allowance; one pass named "finish" if not given.
     simulation, actual
-        What to predict, and what the tool and the machine have otherwise than planned.
+        Maps to predict, and deviations of the actual tool and machine.
     roughness, tolerances
-        What is removed before roughness is computed, and what the part must keep.
+        Form removal before roughness is computed, and tolerances of the part.
     measurement
-        What is known of the instrument that measures the part.
+        How the part is measured.
     program
         How the program is written.
     accept
-        Findings that the shop accepts: those of `check_access` by name, "limits" of the machine, "gouge" of a path
-        along the normal or of the predicted surface. Without it they end the run, with it they are warnings.
+        Findings that are accepted: those of `check_access` by name, "limits" of the machine, "gouge" of a path along
+        the normal or of the predicted surface. Accepted findings are warnings, all others end the run.
 
     Raises
     ------
     JobError
-        One sentence a line for each field that is wrong.
+        One line for each invalid field.
 
     >>> job = Job.read({
     ...     "part": {"surface": {"family": "sphere", "radius": "61.5 mm"}, "radius": "5 mm"},
@@ -534,16 +536,16 @@ class Job(Table):
 
     @classmethod
     def from_table(cls, table: dict[str, Any]) -> dict[str, Any]:
-        """Refuse what is too long to be a job, before each of its values is judged."""
+        """Reject a table with too many values, before each of them is validated."""
         count, waiting = 0, [cast("object", table)]
         while waiting:
             one = waiting.pop()
             if isinstance(one, dict | list | tuple):
                 count += len(one)
-                if count > MOST_VALUES:
+                if count > MAX_VALUES:
                     raise JobError(
-                        f"the job has more than {MOST_VALUES:,} values, the limit: keep long tables of numbers in "
-                        "files of their own, which it names"
+                        f"a job can have at most {MAX_VALUES:,} values, this one has more: store long tables of "
+                        "numbers in separate files and state their names"
                     )
                 waiting.extend(one.values() if isinstance(one, dict) else one)
         return table
@@ -558,20 +560,22 @@ class Job(Table):
         self._check_servos()
 
     def _check_passes(self) -> None:
-        """Raise unless the passes follow each other, and all that the job names is on the part."""
+        """Raise unless each pass cuts deeper than the one before, and all patches are on the part."""
         if not self.passes:
-            raise JobError("passes is empty, it needs at least 1: add one, or leave it out for a finishing pass alone")
+            raise JobError(
+                "passes needs at least 1 entry, got none: add one, or leave it out for a single finishing pass"
+            )
         allowance, names = self.part.stock, []
         for number, cut in enumerate(self.passes, 1):
             if cut.allowance > allowance:
                 raise JobError(
-                    f"passes[{number}].allowance is {cut.allowance:g} mm, the limit is what is left before it, "
-                    f"{allowance:g} mm: reduce it, or state the stock of the part"
+                    f"passes[{number}].allowance is {cut.allowance:g} mm, the limit is the material before the pass, "
+                    f"{allowance:g} mm: reduce it, or state part.stock"
                 )
-            if cut.repeats(allowance) > MOST_REPEATS:
+            if cut.repeats(allowance) > MAX_REPEATS:
                 raise JobError(
                     f"passes[{number}].depth is {cut.depth:g} mm, so the pass repeats {cut.repeats(allowance)} times, "
-                    f"the limit is {MOST_REPEATS}: increase it"
+                    f"the limit is {MAX_REPEATS}: increase it"
                 )
             names += cut.names(allowance)
             allowance = cut.allowance
@@ -579,29 +583,29 @@ class Job(Table):
                 self.servo(cut)
             except InputError as error:
                 raise JobError(f"strategy of the pass {cut.name!r}: {error}") from error
-        _all_different("passes", names)
+        _require_unique("passes", names)
         if self.strategy.along != "z" and self.strategy.moves_fast_tool:
             raise JobError(
-                f'strategy.along is {self.strategy.along!r}, the {self.strategy.kind} plans for "z": choose that, or a '
-                "slow tool servo"
+                f'strategy.along must be "z" for the {self.strategy.kind}, got {self.strategy.along!r}: change it, or '
+                "use a slow tool servo"
             )
         self._check_fast_tool()
         if allowance > 0:
-            raise JobError(f"the last pass leaves {allowance:g} mm, the limit is 0 mm: let it finish the part")
-        _all_different("simulation.patches", ["whole part", *(patch.name for patch in self.simulation.patches)])
+            raise JobError(f"the allowance of the last pass must be 0 mm, got {allowance:g} mm: set it to 0 mm")
+        _require_unique("simulation.patches", ["whole part", *(patch.name for patch in self.simulation.patches)])
         for number, patch in enumerate(self.simulation.patches, 1):
             reach = max(math.hypot(x, y) for x in patch.axes[0][[0, -1]] for y in patch.axes[1][[0, -1]])
             if reach > self.part.radius:
                 raise JobError(
-                    f"simulation.patches[{number}] reaches {reach:.6g} mm from the axis, the limit is the clear radius "
+                    f"simulation.patches[{number}] extends {reach:.6g} mm from the axis, the limit is part.radius, "
                     f"{self.part.radius:g} mm: move or shrink it"
                 )
         _ = self.actual_tool, self.actual_machine
 
     def _check_servos(self) -> None:
-        """Raise unless it is known how the axes follow, where that counts."""
+        """Raise if tracking is simulated without servo data, or the program is precorrected without tracking."""
         if self.simulation.tracking:
-            from turnwright.job.contributions import require_servos  # noqa: PLC0415 - the stages, which data does not need
+            from turnwright.job.contributions import require_servos  # noqa: PLC0415 - imports the simulation
 
             try:
                 require_servos(self.actual_machine)
@@ -609,27 +613,27 @@ class Job(Table):
                 raise JobError(f"simulation.tracking: {error}") from error
         elif self.program.precorrect:
             raise JobError(
-                "program.precorrect is true and simulation.tracking is false, so the prediction would take the "
-                "corrections for errors: set both"
+                "program.precorrect is true and simulation.tracking is false, so the prediction would show the "
+                "corrections as errors: set both to true"
             )
 
     def _check_fast_tool(self) -> None:
-        """Raise unless the job says how the table of a fast tool is written, if it has one."""
+        """Raise unless the table of a fast tool is stated exactly where the strategy moves one."""
         moves = self.strategy.moves_fast_tool
         by, rate = self.program.fast_tool, self.program.fast_tool_rate
         if moves != (by is not None) or (by == "time") != (rate is not None):
             raise JobError(
                 f"program.fast_tool is {repr(by) if by else 'not stated'} and fast_tool_rate "
-                f"{f'{rate:g} Hz' if rate else 'not stated'} with the {self.strategy.kind}: a fast tool takes its "
-                'heights by "position", or by "time" with a rate in Hz, and no other strategy has any'
+                f"{f'{rate:g} Hz' if rate else 'not stated'} with the {self.strategy.kind}: a fast tool needs "
+                '"position", or "time" and a rate in Hz, any other strategy needs neither'
             )
         if moves and (len(self.passes) > 1 or self.passes[0].repeats(self.part.stock) > 1):
             raise JobError(
-                "the job has several passes, the table of a fast tool belongs to 1: write a job for each of them"
+                "a job with a fast tool table must have 1 pass, this one has several: write one job for each pass"
             )
 
     def servo(self, cut: PassTable) -> Strategy:
-        """Return the strategy of one pass: what the pass states, else what all passes share."""
+        """Return the strategy of one pass, with the values that the pass replaces."""
         servo = self.strategy.stating(**cut.choices).on(self.tool, self.machine)
         if servo.spindle_speeds is not None:
             require_variable(self.machine)
@@ -637,12 +641,12 @@ class Job(Table):
 
     @property
     def actual_tool(self) -> Tool:
-        """The tool to simulate with."""
+        """The tool for the simulation: nominal plus deviations."""
         return replace(self.tool, **self.actual.tool.stated)
 
     @property
     def actual_machine(self) -> Machine:
-        """The machine to simulate with."""
+        """The machine for the simulation: nominal plus deviations."""
         return self.actual.machine.deviating(self.machine)
 
     @classmethod
@@ -652,15 +656,15 @@ class Job(Table):
         Parameters
         ----------
         data
-            As a TOML file reads.
+            Contents of a TOML file.
         folder
-            Where the files that it names are looked for.
+            Folder of the files that it names.
         """
         try:
-            found: Job = adapter(cls).validate_python(data, context=context_of(folder))
+            job: Job = adapter(cls).validate_python(data, context=context_of(folder))
         except ValidationError as error:
             raise JobError("\n".join(sentences(error, cls, {**FAMILIES, **STRATEGIES}))) from error
-        return found
+        return job
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Job:
@@ -669,7 +673,7 @@ class Job(Table):
         Raises
         ------
         JobError
-            If the file cannot be read, is not TOML, or describes no job; one sentence a line for each wrong field.
+            If the file cannot be read, is not TOML, or is not a valid job; one line for each invalid field.
         """
         path = File(path)
         try:
@@ -679,44 +683,44 @@ class Job(Table):
         return cls.read(table, folder=path.parent)
 
     def replace(self, name: str, value: Any) -> Job:
-        """Return the job with one field changed, all its checks made anew.
+        """Return the job with one field changed; the new job is checked again.
 
         Parameters
         ----------
         name
-            Of the field as the job file writes it, such as ``strategy.feed``, ``passes.finish.feed`` or
+            Name of the field as in the job file, such as ``strategy.feed``, ``passes.finish.feed`` or
             ``simulation.patches[1].pixel``; entries of a list by their name, or counted from 1.
         value
-            As the field holds it, lengths in mm and angles in rad, or as the job file states it.
+            Value of the field, lengths in mm and angles in rad, or text as in the job file.
 
         Raises
         ------
         JobError
-            If there is no such field, or the job cannot be with this value.
+            If there is no such field, or the job is invalid with this value.
         """
-        from turnwright.job.replacing import replaced  # noqa: PLC0415 - which reads the classes of this file
+        from turnwright.job.replacing import replaced  # noqa: PLC0415 - imports this module
 
         return replaced(self, name, value)
 
     def table(self, *, whole: bool = False) -> dict[str, Any]:
-        """Return the job as a TOML file states it: what is not as by default, or the whole of it."""
+        """Return the job as the table of a TOML file: only values other than the defaults, or all of them."""
         return written(self, whole=whole)
 
     def to_toml(self) -> str:
-        """Return the job as a file that `load` reads back to an equal job; files it names get their whole path."""
+        """Return the job as TOML text that `load` reads back to an equal job; names of files become absolute paths."""
         return tomli_w.dumps(self.table())
 
     def dump(self, path: str | PathLike[str]) -> None:
-        """Write the job as a file, which appears when it is whole. See `to_toml`."""
+        """Write the job to a file in one step, so that no incomplete file is ever seen. See `to_toml`."""
         write_whole(File(path), self.to_toml())
 
 
 def faults(error: ValidationError) -> list[tuple[str, str]]:
-    """Return the place of each thing that is wrong with a job, such as ``passes[1].feed``, and its sentence.
+    """Return the field and the message of each error in a job; a field is named like ``passes[1].feed``.
 
     Parameters
     ----------
     error
-        What pydantic found, as reading a `Job` raises it.
+        The error of pydantic, as reading a `Job` raises it.
     """
     return list(dict.fromkeys(faults_of(error, Job, {**FAMILIES, **STRATEGIES})))

@@ -1,4 +1,4 @@
-"""The highest spindle speed, or speeds over the radius, at which the servos keep their share of the form error."""
+"""Find the highest spindle speed, constant or over the radius, at which the servos keep their share of the error."""
 
 from __future__ import annotations
 
@@ -27,64 +27,64 @@ if TYPE_CHECKING:
     from turnwright.strategy import Strategy
     from turnwright.tool import Tool
 
-__all__ = ["NEAR", "ROUNDS", "Servos", "at_speed", "few_lines", "guess", "largest", "plain"]
+__all__ = ["NEAR", "ROUNDS", "Servos", "at_speed", "few_lines", "guess", "largest", "round_down"]
 
 TURN = 2 * math.pi
 
 NEAR = 0.93
-"""A share that is used up to here needs no better plan."""
+"""Fraction of a limit from which on a search stops."""
 
-AIM = (1 + NEAR) / 2
+TARGET = (1 + NEAR) / 2
 
 ROUNDS = 8
-"""Plans that are tried for one number."""
+"""Most iterations of a search."""
 
-SLOWEST = 0.05
-"""Share of its speed below which a profile is not lowered so that its motion can come to it and to rest."""
+MIN_SPEED_FRACTION = 0.05
+"""Smallest fraction to which a speed profile is lowered so that the axes can ramp to it and to rest."""
 
-COARSE = 4
-"""Where only the difference of two surfaces counts, one sample in so many will do."""
+SAMPLE_STEP = 4
+"""Only every n-th sample is used where only the difference of two surfaces counts."""
 
-NEAR_ENOUGH = 1e-5
-"""How finely the real motion is followed while a speed is sought. [mm]"""
+TRACKING_CHORD_MM = 1e-5
+"""Chord error of the simulated motion during a search. [mm]"""
 
-POWER = 1.6
-"""Servos err with the speed, or with its square where they look ahead: a power to begin with."""
+FIRST_EXPONENT = 1.6
+"""Exponent of the tracking error over the speed to begin with: 1, or 2 with feed forward."""
 
-POWERS = (0.5, 4.0)
-"""Powers that two tries of a number may suggest."""
+EXPONENT_RANGE = (0.5, 4.0)
+"""Range of the exponent from two iterations."""
 
-LEAP = 8.0
-"""A number is made smaller by at most this factor between two tries: its error may be less than two tries suggest."""
+MAX_STEP_RATIO = 8.0
+"""Largest ratio by which a value is reduced in one iteration, since the error may be overestimated."""
 
-SMALLER = 4.0
-FALLS = 0.95
-"""An error that is still more than FALLS of itself for a number so many times SMALLER does not come from the number."""
+VALUE_RATIO = 4.0
+ERROR_RATIO = 0.95
+"""A value does not cause an error that stays above ERROR_RATIO while the value is reduced by VALUE_RATIO."""
 
 RINGS = 24
-"""Rings that have a speed of their own."""
+"""Number of rings with their own speed."""
 
-SEEN = 3
-"""Blocks on either side of a ring that count for its limits: as far as a jerk is seen."""
+MARGIN_BLOCKS = 3
+"""Blocks on either side of a ring that count for its limits: the span of a jerk."""
 
-SLACK = 1e-3
-"""A limit counts as kept up to this share above it, as for `check_limits`."""
+LIMIT_TOL = 1e-3
+"""Relative excess up to which a limit counts as kept, as in `check_limits`."""
 
 
 def few_lines(part: Part, feed: float, passed: Floats) -> tuple[Floats, Floats]:
-    """Return radii and azimuths at which the difference of two surfaces shows. (n,) [mm], (m,) [rad]."""
-    radius, angle = lines(part, COARSE * feed, passed)
-    return radius, angle[:: min(COARSE, angle.size // FEWEST_ANGLES)]
+    """Return radii and azimuths that resolve the difference of two surfaces. (n,) [mm], (m,) [rad]."""
+    radius, angle = lines(part, SAMPLE_STEP * feed, passed)
+    return radius, angle[:: min(SAMPLE_STEP, angle.size // FEWEST_ANGLES)]
 
 
-def plain(value: float) -> float:
-    """Return the next lower number of four digits, as a person would write it."""
+def round_down(value: float) -> float:
+    """Round a number down to four digits."""
     places = 3 - math.floor(math.log10(value))
     return float(Decimal(math.floor(value * 10.0**places)).scaleb(-places))
 
 
 def at_speed(motion: Motion, factor: float) -> Motion:
-    """Return a motion at so many times its speed."""
+    """Return a motion with its speed multiplied by a factor."""
     faster = None
     if motion.velocity is not None:
         faster = {letter: values * factor for letter, values in motion.velocity.items()}
@@ -92,190 +92,197 @@ def at_speed(motion: Motion, factor: float) -> Motion:
 
 
 def guess(known: list[tuple[float, float]], limit: float) -> float:
-    """Return where an error will be just within its limit, from known (value, error), nearest in error; or infinity."""
-    seen = sorted((abs(math.log(error / limit)), value, error) for value, error in known if 0 < error < math.inf)
-    if not seen:
+    """Estimate the value whose error is just within its limit, from known (value, error); infinity if none is known.
+
+    The pairs with errors closest to the limit are used, with a power law between them.
+    """
+    pairs = sorted((abs(math.log(error / limit)), value, error) for value, error in known if 0 < error < math.inf)
+    if not pairs:
         return math.inf
-    _, value, error = seen[0]
-    power = POWER
-    for _, other, its in seen[1:]:
-        if other != value and its != error:
-            power = min(max(math.log(its / error) / math.log(other / value), POWERS[0]), POWERS[1])
+    _, value, error = pairs[0]
+    exponent = FIRST_EXPONENT
+    for _, other, other_error in pairs[1:]:
+        if other != value and other_error != error:
+            exponent = math.log(other_error / error) / math.log(other / value)
+            exponent = min(max(exponent, EXPONENT_RANGE[0]), EXPONENT_RANGE[1])
             break
-    return float(value * (AIM * limit / error) ** (1 / power))
+    return float(value * (TARGET * limit / error) ** (1 / exponent))
 
 
 def largest(error: Callable[[float], float], limit: float, first: float, most: float = math.inf) -> float:
-    """Return a value, up to ``most``, whose growing error is within its limit and near to it; 0 if none was found.
+    """Find a value, up to ``most``, whose increasing error is within its limit and close to it; 0 if there is none.
 
-    The search ends after some tries, and where a smaller value leaves the error as it was.
+    The search ends after a number of iterations, and where a smaller value does not reduce the error.
     """
     low, high = 0.0, math.inf
-    known: list[tuple[float, float]] = []
+    pairs: list[tuple[float, float]] = []
     value = min(first, most)
     for _ in range(2 * ROUNDS):
-        known.append((value, error(value)))
-        if known[-1][1] <= limit:
+        pairs.append((value, error(value)))
+        if pairs[-1][1] <= limit:
             low = value
-            if value == most or known[-1][1] >= NEAR * limit:
+            if value == most or pairs[-1][1] >= NEAR * limit:
                 break
         else:
             high = value
-            if any(other >= SMALLER * value and FALLS * its <= known[-1][1] for other, its in known if its < math.inf):
+            if any(
+                other >= VALUE_RATIO * value and ERROR_RATIO * other_error <= pairs[-1][1]
+                for other, other_error in pairs
+                if other_error < math.inf
+            ):
                 break
         top = min(high, most)
         if low and top / low < 1 / NEAR:
             break
-        value = guess(known, limit)
+        value = guess(pairs, limit)
         if value >= most and high > most:
             value = most
         elif not low < value < top:
             value = (low + top) / 2
-        value = max(value, known[-1][0] / LEAP)
+        value = max(value, pairs[-1][0] / MAX_STEP_RATIO)
     return low
 
 
 class Servos:
-    """What the servos of a machine make of the motions over a part.
+    """Surface errors from the servos of a machine, for motions over a part.
 
     Parameters
     ----------
     part, tool, machine
-        What is cut, with what and on what.
+        Part, tool and machine.
     spiral
-        Of any of the motions: its feed sets how densely the surface is sampled, and azimuths keep clear of its ends.
+        Spiral of any of the motions: its feed sets the sampling of the surface, and azimuths keep clear of its ends.
     corrected
-        Whether the motions are corrected for the servos beforehand.
+        Whether the motions are precorrected for the servos.
     """
 
     def __init__(self, part: Part, tool: Tool, machine: Machine, *, spiral: Spiral, corrected: bool) -> None:
         self.tool, self.machine, self.feed, self.corrected = tool, machine, spiral.feed, corrected
         self.ideal = without_servos(machine, corrected=corrected)
         self.radius, self.angle = few_lines(part, spiral.feed, spiral.angle)
-        self.known: list[tuple[float, float]] = []  # (spindle speed [rad/s], error [mm]), whatever the points
+        self.known: list[tuple[float, float]] = []  # (spindle speed [rad/s], error [mm]) for any points
 
-    def commanded(self, meant: Motion) -> Motion:
-        """Return what the program says so that the axes pass where they are meant to."""
-        return precorrect(meant, self.machine) if self.corrected else meant
+    def commanded(self, nominal: Motion) -> Motion:
+        """Return the motion of the program, precorrected so that the axes follow the nominal one."""
+        return precorrect(nominal, self.machine) if self.corrected else nominal
 
     def constant(self, top: Motion, share: float) -> Motion:
-        """Return a motion at the highest share of its speed at which limits and servos keep theirs.
+        """Return a motion at the highest constant speed within the limits and the share of the servos.
 
         Parameters
         ----------
         top
             At the highest speed within the limits of the machine.
         share
-            How far the real surface may be from that of the motion. [mm]
+            Largest difference between the real surface and that of the motion. [mm]
 
         Raises
         ------
         LimitError
-            If there is none.
+            If there is no such speed.
         """
-        wanted = self._surface(top, self.ideal)
+        nominal_surface = self._surface(top, self.ideal)
         speed = abs(float(top.axes["C"][-1] - top.axes["C"][0]) / float(top.time[-1] - top.time[0]))
 
         def error(factor: float) -> float:
-            meant = at_speed(top, factor)
-            command = self._possible(meant)
+            command = self._try_command(at_speed(top, factor))
             if command is None:
                 return math.inf
             if self.corrected and not (limits := check_limits(command, self.machine)).ok:
-                return share * max(*limits.utilisation.values(), 1 + 2 * SLACK)
-            found = float(self._off(command, wanted).max())
-            self.known.append((speed * factor, found))
-            return found
+                return share * max(*limits.utilisation.values(), 1 + 2 * LIMIT_TOL)
+            largest_error = float(self._error(command, nominal_surface).max())
+            self.known.append((speed * factor, largest_error))
+            return largest_error
 
         factor = largest(error, share, guess(self.known, share) / speed, 1.0)
         if not factor:
             raise LimitError(
-                f"the servos of {self.machine.name} err by more than {share * 1e6:.3g} nm at any speed: allow more "
-                f"form_pv, or {'choose another machine' if self.corrected else 'set precorrect = true in [program]'}"
+                f"the tracking error of {self.machine.name} exceeds {share * 1e6:.3g} nm at any speed: relax form_pv, "
+                f"or {'choose another machine' if self.corrected else 'set precorrect = true in [program]'}"
             )
         return at_speed(top, factor)
 
     def varied(
         self, path: Path, servo: Strategy, machine: Machine, share: float, steady: Motion
     ) -> tuple[SpeedProfile, Motion] | None:
-        """Return the quickest speed over the radius found at which limits and servos keep theirs, and its motion.
+        """Return the fastest speed over the radius within the limits and the share of the servos, and its motion.
 
-        Every ring begins with the speed that the error of a steady motion suggests for it, and is slowed down or sped
-        up by its own error, again and again.
+        The speed of every ring starts from the error of a motion at constant speed, and is then reduced or increased
+        iteratively by the error of the ring.
 
         Parameters
         ----------
         path, servo, machine
-            What moves, where the speed may vary.
+            Path, strategy, and machine with variable speed.
         share
-            How far the real surface may be from that of the motion. [mm]
+            Largest difference between the real surface and that of the motion. [mm]
         steady
-            The motion at one speed that keeps it.
+            Motion at a constant speed within the share.
         """
         top = drive(path, servo, machine)
-        wanted = self._surface(top, self.ideal)
+        nominal_surface = self._surface(top, self.ideal)
         rings = _Rings(path)
-        # Without velocities it is not brought to rest, which is no speed to keep.
+        # Without velocities the motion has no ramps, whose speeds must not count.
         even = drive(replace(path, z_rate=None), servo, machine)
         most = rings.least(np.abs(np.diff(even.axes["C"]) / np.diff(even.time)))
         speed = np.minimum(most, np.abs(np.diff(steady.axes["C"]) / np.diff(steady.time)).max())
-        meant, profile = steady, None
+        nominal, profile = steady, None
         best: tuple[SpeedProfile, Motion] | None = None
         for _ in range(ROUNDS):
-            command = self._possible(meant)
+            command = self._try_command(nominal)
             if command is None:
                 speed = speed * NEAR
             else:
-                ratio = rings.worst(self.radius, self._off(command, wanted), self.feed) / share
-                asked = rings.asked(command, self.machine)
-                ratio = np.maximum(ratio, asked if self.corrected else np.where(asked > 1 + SLACK, asked, 0.0))
-                if profile is not None and ratio.max() <= 1 + (SLACK if self.corrected else 0.0):
-                    if best is None or meant.time[-1] < best[1].time[-1]:
-                        best = profile, meant
+                ratio = rings.worst(self.radius, self._error(command, nominal_surface), self.feed) / share
+                used = rings.utilisation(command, self.machine)
+                ratio = np.maximum(ratio, used if self.corrected else np.where(used > 1 + LIMIT_TOL, used, 0.0))
+                if profile is not None and ratio.max() <= 1 + (LIMIT_TOL if self.corrected else 0.0):
+                    if best is None or nominal.time[-1] < best[1].time[-1]:
+                        best = profile, nominal
                     if ((ratio >= NEAR * NEAR) | (speed >= NEAR * most)).all():
                         break
-                speed = np.minimum(most, speed * (NEAR / np.maximum(ratio, 1e-3)) ** (1 / POWER))
-            speed, profile, meant = _reached(path, servo, machine, rings, speed)
+                speed = np.minimum(most, speed * (NEAR / np.maximum(ratio, 1e-3)) ** (1 / FIRST_EXPONENT))
+            speed, profile, nominal = _drive_rings(path, servo, machine, rings, speed)
         return best
 
-    def _possible(self, meant: Motion) -> Motion | None:
-        """Return the command, or nothing where the controller would slow it down so that it cannot be corrected."""
+    def _try_command(self, nominal: Motion) -> Motion | None:
+        """Return the command, or ``None`` where the controller would slow it down and it cannot be precorrected."""
         try:
-            return self.commanded(meant)
+            return self.commanded(nominal)
         except LimitError:
             return None
 
     def _surface(self, motion: Motion, machine: Machine) -> HeightMap:
-        real = track(motion, machine, chord=NEAR_ENOUGH)
+        real = track(motion, machine, chord=TRACKING_CHORD_MM)
         return generate_polar(real, self.tool, radius=self.radius, angle=self.angle)
 
-    def _off(self, command: Motion, wanted: HeightMap) -> Floats:
-        """Return how far the real surface of a command is from the one wanted, at each radius. (n,) [mm]."""
-        off: Floats = np.nanmax(np.abs(self._surface(command, self.machine).z - wanted.z), axis=0)
-        return off
+    def _error(self, command: Motion, nominal: HeightMap) -> Floats:
+        """Return the largest error of the real surface of a command at each radius. (n,) [mm]."""
+        error: Floats = np.nanmax(np.abs(self._surface(command, self.machine).z - nominal.z), axis=0)
+        return error
 
 
-def _reached(
-    path: Path, servo: Strategy, machine: Machine, rings: _Rings, wanted: Floats
+def _drive_rings(
+    path: Path, servo: Strategy, machine: Machine, rings: _Rings, target: Floats
 ) -> tuple[Floats, SpeedProfile, Motion]:
-    """Return the speed of each ring, lowered as far as coming to it and to rest asks for, its profile and motion."""
-    speed = wanted
+    """Return speed of each ring, profile and motion; the target speed is lowered until the axes can ramp to it."""
+    speed = target
     while True:
         profile = rings.profile(speed)
         try:
             return speed, profile, drive(path, servo, machine, profile=profile)
         except LimitError:
-            if speed[0] < SLOWEST * wanted[0]:
+            if speed[0] < MIN_SPEED_FRACTION * target[0]:
                 raise
             speed = speed * NEAR
 
 
 class _Rings:
-    """Rings of turns that a path goes through one after the other, each with a spindle speed of its own."""
+    """Rings of revolutions that a path passes through in order, each with its own spindle speed."""
 
     def __init__(self, path: Path) -> None:
         inward = path.radius[0] > path.radius[-1]
-        # A tool that swings along X passes into the next ring once it has gone as far as that for the first time.
+        # A tool that swings along X enters the next ring where it first reaches the radius of that ring.
         outermost = np.maximum.accumulate(path.radius[::-1] if inward else path.radius)
         self.borders = np.linspace(max(float(outermost[0]), 0.0), float(outermost[-1]), RINGS + 1).round(6)
         at = np.searchsorted(outermost, self.borders[1:-1])
@@ -288,30 +295,30 @@ class _Rings:
         self.reach = [(contact[piece].min(), contact[piece].max()) for piece in self.pieces]
 
     def least(self, speed: Floats) -> Floats:
-        """Return the least spindle speed in each ring, of those in every block of the path."""
+        """Return the lowest spindle speed in each ring, given the speed of every block of the path."""
         return np.array([speed[max(piece.start - 1, 0) : piece.stop].min() for piece in self.pieces])
 
     def worst(self, radius: Floats, off: Floats, feed: float) -> Floats:
-        """Return the largest error in the reach of each ring, of those at some radii."""
+        """Return the largest error within the contact radii of each ring, given the error at some radii."""
         return np.array(
             [off[(radius >= low - feed) & (radius <= high + feed)].max(initial=0.0) for low, high in self.reach]
         )
 
-    def asked(self, motion: Motion, machine: Machine) -> Floats:
-        """Return the largest share of a limit that is used in each ring."""
-        asked = np.zeros(len(self.pieces))
-        # A motion that comes to speed and to rest has more points than its path.
+    def utilisation(self, motion: Motion, machine: Machine) -> Floats:
+        """Return the highest utilisation of the limits in each ring."""
+        highest = np.zeros(len(self.pieces))
+        # A motion with ramps has more points than its path.
         turned = np.abs(motion.axes["C"] - motion.axes["C"][0])
         for ring, piece in enumerate(self.pieces):
             first, last = np.searchsorted(turned, self.turned[[piece.start, piece.stop - 1]])
-            here = slice(max(int(first) - SEEN, 0), int(last) + 1 + SEEN)
-            axes = {letter: values[here] for letter, values in motion.axes.items()}
-            velocity = motion.velocity and {letter: values[here] for letter, values in motion.velocity.items()}
-            own = replace(motion, time=motion.time[here], axes=axes, velocity=velocity, stated_blocks=None)
-            asked[ring] = max(check_limits(own, machine).utilisation.values())
-        return asked
+            blocks = slice(max(int(first) - MARGIN_BLOCKS, 0), int(last) + 1 + MARGIN_BLOCKS)
+            axes = {letter: values[blocks] for letter, values in motion.axes.items()}
+            velocity = motion.velocity and {letter: values[blocks] for letter, values in motion.velocity.items()}
+            section = replace(motion, time=motion.time[blocks], axes=axes, velocity=velocity, stated_blocks=None)
+            highest[ring] = max(check_limits(section, machine).utilisation.values())
+        return highest
 
     def profile(self, speed: Floats) -> SpeedProfile:
-        """Return the speed over the radius that is nowhere above that of a ring [rad/s]."""
+        """Return the speed over the radius that never exceeds the speed of a ring [rad/s]."""
         borders = np.minimum(np.append(speed, np.inf), np.append(np.inf, speed)) * (60 / TURN)
-        return SpeedProfile(radius=self.borders, spindle_rpm=np.array([plain(one) for one in borders.tolist()]))
+        return SpeedProfile(radius=self.borders, spindle_rpm=np.array([round_down(one) for one in borders.tolist()]))

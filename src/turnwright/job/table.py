@@ -1,4 +1,4 @@
-"""What the tables of a job share that are no things of their own, and the columns of the files that they name."""
+"""Base class of the tables of a job file, and a reader of CSV columns."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ __all__ = ["Table", "read_columns"]
 
 
 class Table(Stated, Value):
-    """A table of a job file that is no thing of its own."""
+    """Base class of the tables of a job file that only hold values."""
 
     __slots__ = ()
     like: ClassVar[Any] = None
-    """What has fields of the same names, whose texts explain them."""
+    """Class or function whose docstring explains the fields of the same names."""
 
 
 def read_columns(file: Path, columns: Mapping[str, str]) -> Iterator[Floats]:
@@ -36,9 +36,9 @@ def read_columns(file: Path, columns: Mapping[str, str]) -> Iterator[Floats]:
     Parameters
     ----------
     file
-        Rows of plain numbers below the names; lines starting with # are remarks.
+        Rows of plain numbers below the names; lines starting with # are comments.
     columns
-        The names wanted, and the unit to return each in.
+        Names of the columns to read, and the unit to return each in.
 
     Yields
     ------
@@ -48,7 +48,7 @@ def read_columns(file: Path, columns: Mapping[str, str]) -> Iterator[Floats]:
     Raises
     ------
     JobError
-        If the file is no table, a column is missing or a value is not a number.
+        If the file is not a CSV table, a column is missing or a value is not a number.
     UnitError
         If a column has the wrong unit.
     """
@@ -62,7 +62,7 @@ def read_columns(file: Path, columns: Mapping[str, str]) -> Iterator[Floats]:
     for name, wanted in columns.items():
         if name not in units:
             raise JobError(
-                f"{file.name} has no column {name!r} in its first row: head its columns like "
+                f"{file.name} has no column {name!r} in its first row: name its columns like "
                 f"{','.join(f'{key} [{value}]' for key, value in columns.items())!r}"
             )
         place, have = units[name]
@@ -72,5 +72,5 @@ def read_columns(file: Path, columns: Mapping[str, str]) -> Iterator[Floats]:
             try:
                 values[number] = parse(text, wanted)
             except UnitError as error:
-                raise UnitError(f"{file.name}, row {number + 1} below the head, column {name}: {error}") from error
+                raise UnitError(f"{file.name}, row {number + 1} below the header, column {name}: {error}") from error
         yield values

@@ -1,4 +1,4 @@
-"""A job to start from, with every key explained, and the tables of the job-file reference, both from the classes."""
+"""Generate a commented job file and the job-file reference from the classes."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 __all__ = ["KeyHelp", "TableHelp", "job_template", "reference_tables"]
 
 WIDTH = 110
-"""Characters in a line of a template."""
+"""Characters per line of a template."""
 
 _EXAMPLES: dict[str, dict[str, Any]] = {
     "part": {"name": "lens", "radius": "5 mm"},
     "tool": {"nose_radius": "0.5 mm", "included": "120 deg", "clearance": "20 deg", "rake": "0 deg"},
     "machine": {"name": "generic"},
 }
-"""What a template states of the tables whose classes have no example."""
+"""Example values of tables whose classes have none."""
 
 _ADDED: dict[str, dict[str, Any]] = {
     "simulation.patches": {"name": "zone", "centre": ["2 mm", "0 mm"], "size": ["0.1 mm", "0.1 mm"], "pixel": "1 um"},
     "tolerances": {"form_pv": "300 nm", "sq": "5 nm"},
 }
-"""Tables that a template adds: where to predict the finish, and what the part must keep."""
+"""Tables that a template adds: a patch for the surface finish, and tolerances."""
 
 _BY_KEY: dict[str, Any] = {
     "spindle_speeds": [["0 mm", "200 rpm"], ["5 mm", "100 rpm"]], "waviness": ["0.1 um/rad", "-0.2 um/rad^2"],
@@ -43,17 +43,17 @@ _BY_KEY: dict[str, Any] = {
     "placed": {"shift": ["0.1 mm", "0 mm", "0 mm"], "rotation": "5 deg"}, "free": ["x", "y", "z"],
     "blank": {"radius": "6 mm"}, "form": "plane",
 }  # fmt: skip
-"""Examples of keys whose type does not give a sensible one."""
+"""Examples of keys whose type gives no sensible one."""
 
 _BY_DISPLAY = {
     "mm": "1 mm", "um": "10 um", "nm": "5 nm", "deg": "5 deg", "urad": "1 urad", "um/rev": "8 um/rev",
     "rpm": "100 rpm", "Hz": "1000 Hz", "mm/min": "30 mm/min", "mm/s^2": "1000 mm/s^2",
 }  # fmt: skip
-"""Examples of quantities, by the unit in which a person states them."""
+"""Examples of quantities, by their unit in a job file."""
 
 
 class KeyHelp(NamedTuple):
-    """One key of a table: its text, its type, its limits or choices, its default, and how a file states it."""
+    """One key of a table: help text, type, limits or choices, default, and an example line."""
 
     name: str
     text: str
@@ -65,7 +65,7 @@ class KeyHelp(NamedTuple):
 
 
 class TableHelp(NamedTuple):
-    """One table of a job file: where it stands, which class reads it, what it is, and its keys."""
+    """One table of a job file: its place, the class that reads it, its help text and its keys."""
 
     place: str
     title: str
@@ -74,23 +74,23 @@ class TableHelp(NamedTuple):
 
 
 def job_template(family: str, strategy: str = "slow tool servo") -> str:
-    """Return a job file to start from, every key explained; optional keys are commented out.
+    """Return a job file to start from, with an explanation of every key; optional keys are commented out.
 
     Parameters
     ----------
     family
-        Of the surface, one of `turnwright.surface.FAMILIES`.
+        Surface family, one of `turnwright.surface.FAMILIES`.
     strategy
-        One of `turnwright.strategy.STRATEGIES`.
+        Kind of strategy, one of `turnwright.strategy.STRATEGIES`.
 
     Raises
     ------
     JobError
         If there is no such family or strategy.
     """
-    for name, known in ((family, FAMILIES), (strategy, STRATEGIES)):
-        if name not in known:
-            raise JobError(f"{name!r} is not known: {suggestion(name, known)}")
+    for name, classes in ((family, FAMILIES), (strategy, STRATEGIES)):
+        if name not in classes:
+            raise JobError(f"{name!r} is not known: {suggestion(name, classes)}")
     schema = job_schema()
     moves_fast_tool = "fast" in strategy or "hybrid" in strategy
     machine = {"name": "nanoform-fts-70"} if moves_fast_tool else _EXAMPLES["machine"]
@@ -123,42 +123,44 @@ def job_template(family: str, strategy: str = "slow tool servo") -> str:
 def reference_tables() -> tuple[TableHelp, ...]:
     """Return every table that a job file can have, in the order of the file, with its keys."""
     schema = job_schema()
-    found: list[TableHelp] = []
+    tables: list[TableHelp] = []
     seen: set[str] = set()
-    _collect(schema, "", schema, found, seen)
-    return tuple(found)
+    _collect(schema, "", schema, tables, seen)
+    return tuple(tables)
 
 
-def _collect(schema: dict[str, Any], place: str, table: dict[str, Any], found: list[TableHelp], seen: set[str]) -> None:
-    """Add a table and those below it."""
+def _collect(
+    schema: dict[str, Any], place: str, table: dict[str, Any], tables: list[TableHelp], seen: set[str]
+) -> None:
+    """Add a table and its sub-tables."""
     title = str(table.get("title", ""))
     if place:
         keys = _keys(table, {**_EXAMPLES.get(place, {}), **_ADDED.get(place, {}), **_example_of(title)})
-        found.append(TableHelp(place, title, str(table.get("description", "")), keys))
+        tables.append(TableHelp(place, title, str(table.get("description", "")), keys))
     for name, field in table["properties"].items():
         inner = f"{place}.{name}" if place else name
         for reference in _references(field):
-            known = reference.rsplit("/", 1)[-1]
-            if known in seen:
+            definition = reference.rsplit("/", 1)[-1]
+            if definition in seen:
                 continue
-            seen.add(known)
-            below = schema["$defs"][known]
+            seen.add(definition)
+            below = schema["$defs"][definition]
             kinds = below["discriminator"]["mapping"].values() if "discriminator" in below else (reference,)
             for kind in kinds:
-                _collect(schema, inner, schema["$defs"][kind.rsplit("/", 1)[-1]], found, seen)
+                _collect(schema, inner, schema["$defs"][kind.rsplit("/", 1)[-1]], tables, seen)
 
 
 def _example_of(title: str) -> Mapping[str, Any]:
-    """Return how a file may state a family or a strategy, by the name of its class."""
-    for key, known in (("family", FAMILIES), ("kind", STRATEGIES)):
-        for name, cls in known.items():
+    """Return the example of a surface family or a strategy, by the name of its class."""
+    for key, classes in (("family", FAMILIES), ("kind", STRATEGIES)):
+        for name, cls in classes.items():
             if cls.__name__ == title:
                 return {key: name, **cls.example}
     return {}
 
 
 def _references(field: Any) -> Iterator[str]:
-    """Yield the tables that a field may hold."""
+    """Yield the references to the tables that a field can contain."""
     if isinstance(field, dict):
         if "$ref" in field:
             yield field["$ref"]
@@ -170,14 +172,14 @@ def _references(field: Any) -> Iterator[str]:
 
 
 def _keys(table: dict[str, Any], values: Mapping[str, Any]) -> tuple[KeyHelp, ...]:
-    """Return the keys of a table, those that must be stated first."""
+    """Return the keys of a table, required ones first."""
     required = table.get("required", ())
     order = sorted(table["properties"].items(), key=lambda one: (one[0] not in required, one[0] not in values))
     return tuple(_key(name, field, values.get(name), required=name in required) for name, field in order)
 
 
 def _key(name: str, field: dict[str, Any], value: Any, *, required: bool) -> KeyHelp:
-    """Return what is to be known of a key."""
+    """Return the help of a key."""
     default = field.get("default")
     stated = default not in (None, "", [], {})
     example = next((one for one in (value, default if stated else None, _BY_KEY.get(name)) if one is not None), None)
@@ -190,7 +192,7 @@ def _key(name: str, field: dict[str, Any], value: Any, *, required: bool) -> Key
 
 
 def _takes(field: dict[str, Any]) -> str:
-    """Say of which type a key is."""
+    """Describe the type of a key."""
     if "unit" in field:
         return "a plain number" if field["unit"] == "1" else f"a quantity in {field['display']}"
     if "const" in field or "enum" in field:
@@ -203,7 +205,7 @@ def _takes(field: dict[str, Any]) -> str:
 
 
 def _limits(field: dict[str, Any]) -> str:
-    """Say what a key may hold."""
+    """Describe the choices or limits of a key."""
     if "enum" in field:
         return f"One of {', '.join(map(_toml, field['enum']))}."
     if "above" in field:
@@ -215,22 +217,22 @@ def _limits(field: dict[str, Any]) -> str:
 
 
 def _example(field: dict[str, Any]) -> Any:
-    """Return an example of what a key takes; ``None`` for tables and lists of tables."""
-    found: Any = None
+    """Return an example value of a key; ``None`` for tables and lists of tables."""
+    example: Any = None
     if "const" in field or "enum" in field:
-        found = field["const"] if "const" in field else field["enum"][0]
+        example = field["const"] if "const" in field else field["enum"][0]
     elif "unit" in field:
-        found = _BY_DISPLAY.get(field["display"], "1" if field["unit"] == "1" else f"1 {field['display']}")
+        example = _BY_DISPLAY.get(field["display"], "1" if field["unit"] == "1" else f"1 {field['display']}")
     elif "anyOf" in field:
-        found = next((one for one in map(_example, field["anyOf"]) if one is not None), None)
+        example = next((one for one in map(_example, field["anyOf"]) if one is not None), None)
     elif field.get("type") == "array":
         count = max(field.get("minItems", 1), 1)
         parts = [_example(one) for one in field.get("prefixItems") or [field.get("items", {})] * count]
-        found = None if None in parts else parts
+        example = None if None in parts else parts
     else:
         plain = {"integer": max(field.get("minimum", 1), 1), "number": 0.0, "boolean": True, "string": "..."}
-        found = plain.get(str(field.get("type")))
-    return found
+        example = plain.get(str(field.get("type")))
+    return example
 
 
 def _bare(key: str) -> str:

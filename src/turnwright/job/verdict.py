@@ -1,4 +1,4 @@
-"""Which stated tolerances a part keeps: the one judge of `run`, `plan`, `measure`, `correct` and every page."""
+"""Compare predicted or measured surfaces with the stated tolerances: for `run`, `plan`, `measure` and `correct`."""
 
 from __future__ import annotations
 
@@ -15,52 +15,52 @@ __all__ = ["Verdict", "judge", "judge_form", "missed", "tolerances_of", "unjudge
 
 NM = 1e6
 
-CALLED = {"form_pv": "form error PV", "sq": "Sq"}
-"""What a tolerance of a job file is called."""
+TOLERANCE_NAMES = {"form_pv": "form error PV", "sq": "Sq"}
+"""The name of each tolerance of a job file, as messages write it."""
 
 WHOLE = "whole part"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """Whether a stated tolerance is kept at one place.
+    """Whether a stated tolerance is met, on the whole part or in one patch.
 
     Parameters
     ----------
     tolerance
-        Its name in the job file: "form_pv" or "sq".
+        Key in the job file: "form_pv" or "sq".
     place
         "whole part", or the name of a patch.
     limit_nm
-        What the job states.
+        Tolerance that the job states.
     value_nm
-        What was found; ``None`` where nothing was.
-    kept
-        ``None`` if it was not judged.
+        Predicted or measured value; ``None`` where there is none.
+    is_kept
+        Whether the tolerance is met; ``None`` if it was not evaluated.
     reason
-        Why it was not judged, or is not kept for another reason than its value; empty else.
+        Why it was not evaluated, or why it is missed although its value is in tolerance; else empty.
     """
 
     tolerance: str
     place: str
     limit_nm: float
     value_nm: float | None
-    kept: bool | None
+    is_kept: bool | None
     reason: str = ""
 
     @property
     def sentence(self) -> str:
-        """What was found, and what is allowed."""
-        called = CALLED[self.tolerance]
-        if self.kept is None or self.value_nm is None:
-            return f"{self.place}: {called} is not judged ({self.reason}), the tolerance is {self.limit_nm:.4g} nm"
+        """The value and the tolerance."""
+        name = TOLERANCE_NAMES[self.tolerance]
+        if self.is_kept is None or self.value_nm is None:
+            return f"{self.place}: {name} was not evaluated ({self.reason}), the tolerance is {self.limit_nm:.4g} nm"
         also = f" and {self.reason}" if self.reason else ""
         value, limit = _distinct(self.value_nm, self.limit_nm)
-        return f"{self.place}: {called} is {value} nm{also}, the tolerance is {limit} nm"
+        return f"{self.place}: {name} is {value} nm{also}, the tolerance is {limit} nm"
 
 
 def _distinct(one: float, other: float) -> tuple[str, str]:
-    """Return two numbers with four digits, or as many as it takes to differ.
+    """Return two numbers with four digits, or with as many as they need to differ.
 
     >>> _distinct(225.049, 225.04)
     ('225.05', '225.04')
@@ -76,11 +76,11 @@ def tolerances_of(job: Job) -> dict[str, float]:
 
 
 def judge(job: Job, predictions: Iterable[Prediction]) -> tuple[Verdict, ...]:
-    """Return a verdict for each stated tolerance and each place that it holds at.
+    """Return a verdict for each stated tolerance, on the whole part and in the patches.
 
-    Form is judged by the highest and the lowest place of the whole part. Finish is judged in the patches, after the
-    form that the job's ``roughness`` removes; in a job without patches by the roughest ring of the whole part. A place
-    that no pass cuts keeps no tolerance.
+    Form error is the peak to valley between the highest and the lowest point of the whole part. Surface finish is the
+    Sq of each patch, after the form removal of the job's ``roughness``; without patches it is the Sq of the roughest
+    ring of the whole part. A patch or a part with points that no pass cuts misses every tolerance.
 
     Parameters
     ----------
@@ -89,32 +89,32 @@ def judge(job: Job, predictions: Iterable[Prediction]) -> tuple[Verdict, ...]:
     predictions
         Of the whole part and of the patches, see `predict`.
     """
-    limits, found = tolerances_of(job), list[Verdict]()
+    limits, verdicts = tolerances_of(job), list[Verdict]()
     by_name = {one.name: one for one in predictions}
 
-    def verdict(tolerance: str, place: str, value: float | None, reason: str) -> None:
+    def add(tolerance: str, place: str, value: float | None, reason: str) -> None:
         one, limit = by_name.get(place), limits[tolerance]
         uncut = 0 if one is None else one.uncut
         if value is None or one is None:
-            kept = None
+            is_kept = None
         else:
-            kept, reason = value <= limit and not uncut, ""
+            is_kept, reason = value <= limit and not uncut, ""
         if uncut and one is not None:
             reason = f"{uncut:,} of {one.error.z.size:,} points are not cut"
-        found.append(
-            Verdict(tolerance=tolerance, place=place, limit_nm=limit, value_nm=value, kept=kept, reason=reason)
+        verdicts.append(
+            Verdict(tolerance=tolerance, place=place, limit_nm=limit, value_nm=value, is_kept=is_kept, reason=reason)
         )
 
-    whole = by_name.get(WHOLE)
+    whole_part = by_name.get(WHOLE)
     if "form_pv" in limits:
-        verdict("form_pv", WHOLE, None if whole is None else whole.pv_nm, "the whole part was not predicted")
+        add("form_pv", WHOLE, None if whole_part is None else whole_part.pv_nm, "the whole part was not predicted")
     if "sq" in limits:
         for patch in job.simulation.patches:
             one = by_name.get(patch.name)
-            verdict("sq", patch.name, None if one is None else one.roughness.sq_nm, "this patch was not predicted")
+            add("sq", patch.name, None if one is None else one.roughness.sq_nm, "this patch was not predicted")
         if not job.simulation.patches:
-            verdict("sq", WHOLE, None if whole is None else whole.finish_nm, "the job has no patch")
-    return tuple(found)
+            add("sq", WHOLE, None if whole_part is None else whole_part.finish_nm, "the job has no patch")
+    return tuple(verdicts)
 
 
 def judge_form(job: Job, pv_nm: float, *, sq_reason: str) -> tuple[Verdict, ...]:
@@ -125,37 +125,37 @@ def judge_form(job: Job, pv_nm: float, *, sq_reason: str) -> tuple[Verdict, ...]
     job
         States the tolerances.
     pv_nm
-        Peak to valley of cut minus design.
+        Peak to valley of the surface minus the design. [nm]
     sq_reason
-        Why the finish is not judged.
+        Why the finish is not evaluated.
     """
-    found = []
+    verdicts = []
     for name, limit in tolerances_of(job).items():
-        form = name == "form_pv"
-        found += [
+        is_form = name == "form_pv"
+        verdicts += [
             Verdict(
-                tolerance=name, place=place, limit_nm=limit, value_nm=pv_nm if form else None,
-                kept=pv_nm <= limit if form else None, reason="" if form else sq_reason,
+                tolerance=name, place=place, limit_nm=limit, value_nm=pv_nm if is_form else None,
+                is_kept=pv_nm <= limit if is_form else None, reason="" if is_form else sq_reason,
             )
             for place in _places(job, name)
         ]  # fmt: skip
-    return tuple(found)
+    return tuple(verdicts)
 
 
 def unjudged(job: Job, reason: str) -> tuple[Verdict, ...]:
-    """Return every stated tolerance as not judged, for a reason."""
+    """Return every stated tolerance as not evaluated, for a reason."""
     return tuple(
-        Verdict(tolerance=name, place=place, limit_nm=limit, value_nm=None, kept=None, reason=reason)
+        Verdict(tolerance=name, place=place, limit_nm=limit, value_nm=None, is_kept=None, reason=reason)
         for name, limit in tolerances_of(job).items()
         for place in _places(job, name)
     )
 
 
 def _places(job: Job, tolerance: str) -> list[str]:
-    """Return where a tolerance is judged."""
+    """Return where a tolerance is evaluated: the patches, or the whole part."""
     return [patch.name for patch in job.simulation.patches if tolerance == "sq"] or [WHOLE]
 
 
 def missed(verdicts: Iterable[Verdict]) -> bool:
-    """Say whether a tolerance is known to be missed."""
-    return any(one.kept is False for one in verdicts)
+    """Return whether any tolerance is missed; one that was not evaluated does not count."""
+    return any(one.is_kept is False for one in verdicts)

@@ -217,7 +217,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
     elif not result.ok:
         verdict = _Verdict("warn", "Ready with exceptions", "exceeds a limit that the job accepts")
     else:
-        unevaluated = [one.sentence for one in verdicts if one.kept is None]
+        unevaluated = [one.sentence for one in verdicts if one.is_kept is None]
         met = (
             "tool access, machine limits and tolerances met"
             if len(unevaluated) < len(verdicts)
@@ -472,7 +472,7 @@ def _numbers(predictions: Sequence[Prediction], passes: Sequence[Limits], verdic
         if one is None:
             return _Number(label, _number(value), "nm", note)
         words = "; ".join([f"tolerance {_number(one.limit_nm)} nm, {note}", *filter(None, [one.reason])])
-        return _Number(label, _number(value), "nm", words, ok=one.kept is not False)
+        return _Number(label, _number(value), "nm", words, ok=one.is_kept is not False)
 
     whole_parts = [one for one in predictions if one.error.polar]
     patches = [one for one in predictions if not one.error.polar]
@@ -495,7 +495,7 @@ def _numbers(predictions: Sequence[Prediction], passes: Sequence[Limits], verdic
 
 def _failed(verdicts: Sequence[Verdict]) -> list[str]:
     """Return one sentence per missed tolerance."""
-    return [one.sentence for one in verdicts if one.kept is False]
+    return [one.sentence for one in verdicts if one.is_kept is False]
 
 
 def _facts(part: Part, tool: Tool, actual: Tool, machine: Machine, real: Machine) -> dict[str, list[_Row]]:

@@ -38,7 +38,7 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -102,7 +102,18 @@ def archive_run(result: Result, folder: str | PathLike[str]) -> None:
         "schema": 1,
         "turnwright": __version__,
         "ok": result.ok,
-        "verdicts": [{**asdict(one), "sentence": one.sentence} for one in result.verdicts],
+        "verdicts": [
+            {
+                "tolerance": one.tolerance,
+                "place": one.place,
+                "limit_nm": one.limit_nm,
+                "value_nm": one.value_nm,
+                "kept": one.is_kept,
+                "reason": one.reason,
+                "sentence": one.sentence,
+            }
+            for one in result.verdicts
+        ],
         "keeps_tolerances": result.keeps_tolerances,
         "part": result.part.name,
         "machine": result.machine.name,

@@ -230,8 +230,8 @@ def _judged(measured: Measured) -> dict[str, str]:
         return {"grade": "plain", "word": "Measured", "why": "The job states no tolerances.form_pv."}
     why = " ".join(f"{one.sentence}." for one in verdicts)
     return {
-        "grade": "good" if form.kept else "bad",
-        "word": "Form within tolerance" if form.kept else "Form out of tolerance",
+        "grade": "good" if form.is_kept else "bad",
+        "word": "Form within tolerance" if form.is_kept else "Form out of tolerance",
         "why": why,
     }
 

@@ -340,7 +340,7 @@ def planned(job: Job, reach: Reach, progress: Progress | None = None) -> Planned
     tool, machine = job.tool, job.machine
     told(0, 2)
     plan = PassPlan(job)
-    path, commanded, meant = plan.path, plan.commanded, plan.wanted
+    path, commanded, meant = plan.path, plan.commanded, plan.planned
     told(1, 2)
     real, actual = meant, job.actual_machine
     servos: dict[str, tuple[Floats, Floats]] = {}

@@ -106,7 +106,7 @@ def _psd(measured: Measured) -> dict[str, Any] | None:
 def write_predicted(better: Correction, out: Path) -> None:
     """Write the predicted residual of a correction and the tolerances it misses, for the page."""
     sizes = {name: {"pv_nm": pv, "rms_nm": rms} for name, (pv, rms) in better.numbers_nm.items()}
-    missed = [one.sentence for one in better.verdicts if one.kept is False]
+    missed = [one.sentence for one in better.verdicts if one.is_kept is False]
     summary = sizes | {"missed": missed, "sentences": better.sentences}
     (out / "shown.json").write_text(json.dumps(plain(summary)), encoding="utf-8")
 

@@ -180,7 +180,7 @@ def _cut(job: Job, out: Path, progress: _ProgressWriter) -> Ended:
     index(out, job.machine)
     minutes = sum(one.limits.cycle_time_s for one in result.passes) / 60
     points = sum(one.points for one in result.passes)
-    missing = sum(one.kept is False for one in result.verdicts)
+    missing = sum(one.is_kept is False for one in result.verdicts)
     clauses = [f"misses {missing} of {len(result.verdicts)} tolerances"] if missing else []
     clauses.append(f"{points} points, {minutes:.1f} min")
     if result.warnings:
