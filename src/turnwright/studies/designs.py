@@ -14,14 +14,14 @@ import numpy as np
 
 from turnwright import _validate as validate
 from turnwright.errors import InputError, UnitError
-from turnwright.studies.fields import Field, Token, changed, data_of, field_of
+from turnwright.studies.fields import Field, Token, apply_changes, find_field, get_job_data
 from turnwright.units import convert, parse
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.job import Job
 
-__all__ = ["DESIGNS", "MOST_CASES", "Design", "Varied", "Vary", "design_cases", "read_varied", "stated"]
+__all__ = ["DESIGNS", "MAX_CASES", "Design", "Varied", "Vary", "design_cases", "get_job_value", "read_varied"]
 
 Vary: TypeAlias = Any
 """A text such as "0.1..1 mm:10", a list of texts or numbers, or a frozen distribution of ``scipy.stats``."""
@@ -30,7 +30,7 @@ Design: TypeAlias = Literal["grid", "random", "sobol", "halton", "latin hypercub
 
 DESIGNS: tuple[str, ...] = get_args(Design)
 
-MOST_CASES = 1_000_000
+MAX_CASES = 1_000_000
 """Beyond this a study is a slip of a count."""
 
 LEAST_SHARE = 1e-12
@@ -83,18 +83,18 @@ class Varied:
         from scipy import stats  # noqa: PLC0415 - costly to import
 
         share = np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)
-        whole = self.field.kind == "whole"
+        is_whole = self.field.kind == "whole"
         if self.drawn is not None:
             drawn = self.drawn
         elif self.low is None or self.high is None:
             return [self.values[int(pick)] for pick in stats.randint(0, len(self.values)).ppf(share)]
         else:
             low, high = self.low, self.high
-            if whole:  # half a step beyond, so that the ends come as often as what is between
+            if is_whole:  # half a step beyond, so that the ends come as often as what is between
                 low, high = math.ceil(low) - 0.5, math.floor(high) + 0.5
             drawn = stats.loguniform(low, high) if self.log else stats.uniform(low, high - low)
-        found = drawn.ppf(share)
-        return [round(float(value)) if whole else float(value) for value in found]
+        drawn_values = drawn.ppf(share)
+        return [round(float(value)) if is_whole else float(value) for value in drawn_values]
 
 
 def read_varied(job: Job, name: str, given: Vary) -> Varied:
@@ -105,7 +105,7 @@ def read_varied(job: Job, name: str, given: Vary) -> Varied:
     job
         Whose field it is.
     name
-        Of the field, see `field_of`.
+        Of the field, see `find_field`.
     given
         See `Vary`. Numbers in a list, and distributions, are in the unit of the house (mm, rad, mm/rev, rpm).
 
@@ -114,16 +114,16 @@ def read_varied(job: Job, name: str, given: Vary) -> Varied:
     InputError
         If there is no such field, or it takes no such value.
     """
-    field = field_of(job, name)
-    found = _read(field, given)
-    tokens: list[Token] = [one for one in (found.low, found.high) if one is not None]
-    for token in (*found.values, *(tokens if not found.values and field.kind != "whole" else ())):
-        field.check(token, found.unit)
-    if field.kind == "whole" and math.floor(found.high or 0.0) < math.ceil(found.low or 0.0):
-        raise InputError(f"{name} takes whole numbers, {found.low:g} to {found.high:g} holds none: widen the range")
-    if found.log and not (found.low or 0.0) > 0:
-        raise InputError(f"{name}: a range that is even in the logarithm begins at {found.low:g}: begin above 0")
-    return found
+    field = find_field(job, name)
+    varied = _read(field, given)
+    tokens: list[Token] = [one for one in (varied.low, varied.high) if one is not None]
+    for token in (*varied.values, *(tokens if not varied.values and field.kind != "whole" else ())):
+        field.check(token, varied.unit)
+    if field.kind == "whole" and math.floor(varied.high or 0.0) < math.ceil(varied.low or 0.0):
+        raise InputError(f"{name} takes whole numbers, {varied.low:g} to {varied.high:g} holds none: widen the range")
+    if varied.log and not (varied.low or 0.0) > 0:
+        raise InputError(f"{name}: a range that is even in the logarithm begins at {varied.low:g}: begin above 0")
+    return varied
 
 
 def _read(field: Field, given: Vary) -> Varied:
@@ -154,9 +154,11 @@ def _read_list(field: Field, given: list[Any]) -> Varied:
     for one in plain:
         if isinstance(one, bool) or not isinstance(one, int | float):
             raise InputError(f"{field.name} cannot be {one!r}: give numbers, or texts with a unit")
-    whole = field.kind == "whole"
+    is_whole = field.kind == "whole"
     return Varied(
-        field=field, unit=_own(field), values=tuple(one if whole else validate.number(one, field.name) for one in plain)
+        field=field,
+        unit=_own(field),
+        values=tuple(one if is_whole else validate.number(one, field.name) for one in plain),
     )
 
 
@@ -199,15 +201,15 @@ def _in_one_unit(field: Field, texts: list[str]) -> Varied:
         if match is None:
             raise InputError(f"{field.name} cannot be {text.strip()!r}: write one number and one unit")
         read.append((match[1], match[2]))
-    own = next((units for _, units in reversed(read) if units), "")
-    unit = _unit(field, own, texts[-1])
+    written = next((units for _, units in reversed(read) if units), "")
+    unit = _unit(field, written, texts[-1])
     values = []
     for number, units in reversed(read):
-        value, own = _number(field, number), units or own
-        if own != unit:
-            _unit(field, own, f"{number} {own}")
+        value, written = _number(field, number), units or written
+        if written != unit:
+            _unit(field, written, f"{number} {written}")
             try:
-                value = convert(float(value), own, unit)
+                value = convert(float(value), written, unit)
             except UnitError as error:
                 raise UnitError(f"{field.name}: {error}") from error
         values.append(value)
@@ -234,15 +236,15 @@ def _unit(field: Field, written: str, quoted: str) -> str:
     if field.over_time(written):
         return written
     errors: list[UnitError] = []
-    for known in field.units:
+    for house_unit in field.units:
         try:
-            parse(f"1 {written}", known)
+            parse(f"1 {written}", house_unit)
         except UnitError as error:
             errors.append(error)
         else:
             return written
-    said = str(errors[0]).replace(repr(f"1 {written}"), repr(quoted.strip()))
-    raise UnitError(f"{field.name}: {said}")
+    reason = str(errors[0]).replace(repr(f"1 {written}"), repr(quoted.strip()))
+    raise UnitError(f"{field.name}: {reason}")
 
 
 def _read_drawn(field: Field, kind: str, first: str, second: str, units: str) -> Varied:
@@ -263,21 +265,21 @@ def _read_drawn(field: Field, kind: str, first: str, second: str, units: str) ->
 
 
 def _read_range(
-    field: Field, text: str, first: str, own: str, last: str, units: str, count: str | None, log: str | None
+    field: Field, text: str, first: str, first_units: str, last: str, units: str, count: str | None, log: str | None
 ) -> Varied:
     """Return a range; its values are those of exact decimals, so 0.1..1:10 holds 0.3 and not 0.30000000000000004."""
     unit = _unit(field, units, f"{last} {units}")
-    if own and own != units:
-        raise InputError(f"{field.name}: {text!r} has two units, {own!r} and {units!r}: write one, at the end")
+    if first_units and first_units != units:
+        raise InputError(f"{field.name}: {text!r} has two units, {first_units!r} and {units!r}: write one, at the end")
     low, high = float(first), float(last)
     if not math.isfinite(low) or not math.isfinite(high) or low == high:
         raise InputError(f"{field.name}: {text!r} has no width: give two different ends")
     if count is None:
         return Varied(field=field, unit=unit, low=min(low, high), high=max(low, high), log=bool(log))
     number = int(count)
-    if not 2 <= number <= MOST_CASES:
+    if not 2 <= number <= MAX_CASES:
         raise InputError(
-            f"{field.name}: {text!r} has {number} values, it needs from 2 to {MOST_CASES:_}: change the count"
+            f"{field.name}: {text!r} has {number} values, it needs from 2 to {MAX_CASES:_}: change the count"
         )
     if log:
         if not min(low, high) > 0:
@@ -347,7 +349,7 @@ def design_cases(
         rows = _gridded(fields, count) if design == "grid" else _drawn(fields, design, count, seed)
     if not rows:
         raise InputError("the design has 0 cases: give at least 1")
-    changed(data_of(job), [(one.field, one.unit, token) for one, token in zip(fields, rows[0], strict=True)])
+    apply_changes(get_job_data(job), [(one.field, one.unit, token) for one, token in zip(fields, rows[0], strict=True)])
     return fields, rows
 
 
@@ -361,9 +363,9 @@ def _gridded(fields: tuple[Varied, ...], count: int | None) -> list[tuple[Token,
                 "'0.1..1 mm:10', or choose another design, such as sobol"
             )
     cases = math.prod(len(one.values) for one in fields)
-    if cases > MOST_CASES:
+    if cases > MAX_CASES:
         raise InputError(
-            f"the grid has {cases:_} cases, the limit is {MOST_CASES:_}: take fewer values, or draw a design"
+            f"the grid has {cases:_} cases, the limit is {MAX_CASES:_}: take fewer values, or draw a design"
         )
     return list(product(*(one.values for one in fields)))
 
@@ -373,9 +375,9 @@ def _drawn(fields: tuple[Varied, ...], design: str, count: int | None, seed: int
         raise InputError(f"design is {design!r}, it can be {', '.join(DESIGNS)}: choose one of them")
     if count is None:
         raise InputError(
-            f"the design {design!r} has no number of cases, it needs from 1 to {MOST_CASES:_}: state how many cases"
+            f"the design {design!r} has no number of cases, it needs from 1 to {MAX_CASES:_}: state how many cases"
         )
-    count = validate.whole(count, f"the number of cases of the design {design!r}", 1, MOST_CASES)
+    count = validate.whole(count, f"the number of cases of the design {design!r}", 1, MAX_CASES)
     shares = _shares(design, len(fields), count, None if seed is None else validate.whole(seed, "the seed", 0))
     return list(zip(*(one.at(shares[:, number]) for number, one in enumerate(fields)), strict=True))
 
@@ -410,7 +412,7 @@ def _listed(job: Job, design: Sequence[Mapping[str, Any]]) -> tuple[tuple[Varied
     return fields, [tuple(one.values[number] for one in fields) for number in range(len(design))]
 
 
-def stated(job: Job, varied: Varied) -> Token | None:
+def get_job_value(job: Job, varied: Varied) -> Token | None:
     """Return the job's own value of a field, in the unit in which it is varied; ``None`` where it states none."""
     data: Any = job.table(whole=True)
     for step in varied.field.place:
@@ -425,9 +427,9 @@ def stated(job: Job, varied: Varied) -> Token | None:
     if varied.field.over_time(varied.unit):
         speed = job.strategy.spindle_rpm
         return None if speed is None else convert(parse(data, "mm/rev") * speed, "mm/min", varied.unit)
-    for known in varied.field.units:
+    for house_unit in varied.field.units:
         try:
-            parse(f"1 {varied.unit}", known)
+            parse(f"1 {varied.unit}", house_unit)
             return parse(data, varied.unit or "1")
         except UnitError:
             continue

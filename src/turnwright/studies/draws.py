@@ -16,21 +16,21 @@ from turnwright.heightmap import HeightMap
 from turnwright.job import Job, artefact
 from turnwright.metrology import remove_form
 from turnwright.studies.budget import ErrorBudget
-from turnwright.studies.files import at_hand, fetched, files_of, kept_files, moved
+from turnwright.studies.files import fetch_array, list_files, provide_files, relocate_paths, store_files
 from turnwright.studies.scenes import (
-    Left,
-    Planned,
-    Reach,
+    ContactShift,
+    CutSurface,
+    PlannedMotion,
     Scene,
-    answers,
+    add_drift,
     drift_share,
-    drifted,
-    kept,
-    lines_of,
-    planned,
+    make_lines,
+    make_scenes,
+    pack_motion,
+    plan_motion,
     scene_motion,
-    scenes_of,
-    stored,
+    select_points,
+    servos_respond,
 )  # fmt: skip
 from turnwright.surface import Zernike
 from turnwright.tool import WavinessTable
@@ -44,24 +44,33 @@ if TYPE_CHECKING:
     from turnwright.studies.store import Store
     from turnwright.tool import Tool
 
-__all__ = ["Bench", "Real", "carry_out", "deviated", "form_error", "laid_out", "reach_of", "residual"]
+__all__ = [
+    "ActualSetup",
+    "CaseContext",
+    "apply_draw",
+    "bound_shift",
+    "carry_out",
+    "form_error",
+    "plan_cuts",
+    "residual_setup",
+]
 
 NM = 1e6
 
-EDGE = 721
+EDGE_POINTS = 721
 """Sweeps at which the rest of a wavy edge is stated."""
 
-FLAT = 1e-6
+MIN_SLOPE = 1e-6
 """Slopes below this are none: such a surface looks the same wherever it lies."""
 
-RANK = 1e-9
+RANK_TOL = 1e-9
 """Rigid motions that a surface tells apart by less than this are one."""
 
-_benches: dict[str, Bench] = {}
+_benches: dict[str, CaseContext] = {}
 """The bench that this process works at: the same for all cases of a study."""
 
 
-class Real(NamedTuple):
+class ActualSetup(NamedTuple):
     """What a part is really cut with, and what holds it."""
 
     tool: Tool
@@ -72,7 +81,7 @@ class Real(NamedTuple):
     tilt: tuple[float, float]  # of the part in the chuck, about x and y [rad]
 
 
-def deviated(tool: Tool, machine: Machine, draw: Mapping[str, float], cut: str = "") -> Real:
+def apply_draw(tool: Tool, machine: Machine, draw: Mapping[str, float], cut: str = "") -> ActualSetup:
     """Return tool and machine with what was drawn.
 
     Parameters
@@ -85,22 +94,22 @@ def deviated(tool: Tool, machine: Machine, draw: Mapping[str, float], cut: str =
         The artefact that is cut; the part if not given.
     """
 
-    def one(name: str, *, own: bool = False) -> float:
-        return draw.get(f"{cut}: {name}" if own and cut else name, 0.0)
+    def one(name: str, *, per_cut: bool = False) -> float:
+        return draw.get(f"{cut}: {name}" if per_cut and cut else name, 0.0)
 
     def terms(of: str) -> dict[int, float]:
         head = f"{cut}: {of} Z" if cut else f"{of} Z"
         return {int(name[len(head) :]): value for name, value in draw.items() if name.startswith(head)}
 
-    x, y, z = (own + one(f"tool offset {axis}") for own, axis in zip(tool.offset, "xyz", strict=True))
+    x, y, z = (offset + one(f"tool offset {axis}") for offset, axis in zip(tool.offset, "xyz", strict=True))
     real = replace(tool, offset=(x, y, z), radius_error=tool.radius_error + one("radius error"))
-    return Real(
+    return ActualSetup(
         tool=_wavier(real, draw),
         machine=replace(machine, squareness=machine.squareness + one("squareness")),
         faster={name[-1]: value for name, value in draw.items() if name.startswith("servo ")},
-        drift=(one("drift x", own=True), one("drift z", own=True)),
+        drift=(one("drift x", per_cut=True), one("drift z", per_cut=True)),
         mounting=terms("mounting"),
-        tilt=(one("chuck tilt x", own=True), one("chuck tilt y", own=True)),
+        tilt=(one("chuck tilt x", per_cut=True), one("chuck tilt y", per_cut=True)),
     )
 
 
@@ -120,40 +129,44 @@ def _wavier(tool: Tool, draw: Mapping[str, float]) -> Tool:
     if not powers.any():
         return tool
     if isinstance(tool.waviness, WavinessTable):
-        own = tool.waviness
-        table = WavinessTable(sweep=own.sweep, deviation=own.deviation + np.polyval(powers[::-1], own.sweep))
+        table_of_tool = tool.waviness
+        table = WavinessTable(
+            sweep=table_of_tool.sweep, deviation=table_of_tool.deviation + np.polyval(powers[::-1], table_of_tool.sweep)
+        )
         return replace(tool, waviness=table)
     powers[1 : 1 + len(tool.waviness)] += tool.waviness
     return replace(tool, waviness=tuple(np.trim_zeros(powers[1:], "b")))
 
 
-def residual(real: Real, tool: Tool, machine: Machine, found: Diagnosis) -> Real:
+def residual_setup(real: ActualSetup, tool: Tool, machine: Machine, found: Diagnosis) -> ActualSetup:
     """Return what is left of the deviations where the part is planned with what was found.
 
     A part planned with the found tool and cut with the real one leaves, but for products of small errors, what one
     planned with the nominal tool leaves when it is cut with the nominal tool and the difference of the two.
     """
-    known, slide_known = found.likely_tool, found.likely_machine
-    x, y, z = (plan + is_ - was for plan, is_, was in zip(tool.offset, real.tool.offset, known.offset, strict=True))
-    radius = tool.radius_error + real.tool.radius_error - known.radius_error
-    left = replace(real.tool, offset=(x, y, z), radius_error=radius)
-    if known.waviness is not tool.waviness:
-        sweep = np.linspace(*tool.arc, EDGE)
-        rest = tool.deviation(sweep) + real.tool.deviation(sweep) - known.deviation(sweep)
-        left = replace(left, waviness=WavinessTable(sweep=sweep, deviation=rest))
-    square = machine.squareness + real.machine.squareness - slide_known.squareness
+    likely_tool, likely_machine = found.likely_tool, found.likely_machine
+    x, y, z = (
+        plan + is_ - was for plan, is_, was in zip(tool.offset, real.tool.offset, likely_tool.offset, strict=True)
+    )
+    radius = tool.radius_error + real.tool.radius_error - likely_tool.radius_error
+    tool_left = replace(real.tool, offset=(x, y, z), radius_error=radius)
+    if likely_tool.waviness is not tool.waviness:
+        sweep = np.linspace(*tool.arc, EDGE_POINTS)
+        deviation = tool.deviation(sweep) + real.tool.deviation(sweep) - likely_tool.deviation(sweep)
+        tool_left = replace(tool_left, waviness=WavinessTable(sweep=sweep, deviation=deviation))
+    square = machine.squareness + real.machine.squareness - likely_machine.squareness
     slide = replace(real.machine, squareness=square)
-    if slide_known.straightness is not None and slide_known.straightness is not machine.straightness:
-        at, wrong = slide_known.straightness
-        own_at, own = real.machine.straightness or (at, np.zeros_like(wrong))
+    if likely_machine.straightness is not None and likely_machine.straightness is not machine.straightness:
+        at, wrong = likely_machine.straightness
+        actual_at, actual = real.machine.straightness or (at, np.zeros_like(wrong))
         plan_at, plan = machine.straightness or (at, np.zeros_like(wrong))
-        every = np.unique(np.concatenate([at, own_at, plan_at]))
-        rest = np.interp(every, own_at, own) + np.interp(every, plan_at, plan) - np.interp(every, at, wrong)
-        slide = replace(slide, straightness=(every, rest))
-    return real._replace(tool=left, machine=slide)
+        every = np.unique(np.concatenate([at, actual_at, plan_at]))
+        deviation = np.interp(every, actual_at, actual) + np.interp(every, plan_at, plan) - np.interp(every, at, wrong)
+        slide = replace(slide, straightness=(every, deviation))
+    return real._replace(tool=tool_left, machine=slide)
 
 
-def reach_of(budget: ErrorBudget, job: Job) -> Reach:
+def bound_shift(budget: ErrorBudget, job: Job) -> ContactShift:
     """Return how far what a budget may draw moves the contact.
 
     Along the radius by the offset, by the slope of the edge's own waves, by the drift and by the share of the nose that
@@ -171,7 +184,7 @@ def reach_of(budget: ErrorBudget, job: Job) -> Reach:
             waves += spread.largest * order * far ** (order - 1)
     along = budget.largest("tool offset x", "drift x", "radius error") + waves
     servos = {name[-1]: spread.largest for name, spread in budget.errors.items() if name.startswith("servo ")}
-    return Reach(along=2 * along, across=2 * budget.largest("tool offset y"), servos=servos)
+    return ContactShift(along=2 * along, across=2 * budget.largest("tool offset y"), servos=servos)
 
 
 def artefact_job(job: Job, kind: str) -> Job:
@@ -181,7 +194,7 @@ def artefact_job(job: Job, kind: str) -> Job:
     return replace(made, simulation=replace(made.simulation, tracking=job.simulation.tracking), program=job.program)
 
 
-def laid_out(
+def plan_cuts(
     job: Job, budget: ErrorBudget, store: Store, *, correction: bool, progress: Progress | None = None
 ) -> dict[str, Any]:
     """Plan the part, and its artefacts, once; put what the cases need of it into a store and say where it is.
@@ -191,31 +204,31 @@ def laid_out(
     dict
         What is shared by all cases, as JSON could carry it.
     """
-    told = progress or (lambda _done, _total: None)
-    reach = reach_of(budget, job)
+    report = progress or (lambda _done, _total: None)
+    reach = bound_shift(budget, job)
     kinds = budget.artefacts if correction else ()
     jobs = {"": job} | {kind: artefact_job(job, kind) for kind in kinds}
     cuts: dict[str, Any] = {}
-    for number, (kind, own) in enumerate(jobs.items()):
+    for number, (kind, cut_job) in enumerate(jobs.items()):
 
         def tell(done: int, total: int, number: int = number) -> None:
-            told(number * total + done, len(jobs) * total)
+            report(number * total + done, len(jobs) * total)
 
-        plan = planned(own, reach, tell)
+        plan = plan_motion(cut_job, reach, tell)
         feed = plan.motion.feed
-        scenes = [lines_of(own, feed, even=True)] if kind else scenes_of(own, feed)
+        scenes = [make_lines(cut_job, feed, even=True)] if kind else make_scenes(cut_job, feed)
         cuts[kind] = {
-            "job": own.to_toml(),
+            "job": cut_job.to_toml(),
             "feed": feed,
             "scenes": [_put(plan, scene, reach, store) for scene in scenes],
         }
         del plan
-    files = files_of(job)
-    return {"budget": budget.table(), "cuts": cuts, "files": files, "kept": kept_files(files, store)}
+    files = list_files(job)
+    return {"budget": budget.table(), "cuts": cuts, "files": files, "kept": store_files(files, store)}
 
 
-def _put(plan: Planned, scene: Scene, reach: Reach, store: Store) -> dict[str, Any]:
-    head, rows = stored(plan, kept(plan, scene, reach), reach)
+def _put(plan: PlannedMotion, scene: Scene, reach: ContactShift, store: Store) -> dict[str, Any]:
+    head, rows = pack_motion(plan, select_points(plan, scene, reach), reach)
     word = "".join(one if one.isalnum() else "-" for one in scene.name if one.isascii()) or "patch"
     return {**head, "array": store.put_array(f"motion-{word}", rows)}
 
@@ -238,16 +251,16 @@ class _Cut:
     feed: float
     views: tuple[_View, ...]
 
-    def made(self, view: _View, real: Real) -> tuple[Left, Floats]:
+    def made(self, view: _View, real: ActualSetup) -> tuple[CutSurface, Floats]:
         """Return what is left at the places of a scene, and how far that is off the design, released. [mm]."""
         motion = scene_motion(view.head, view.rows, self.job.machine, real.faster)
-        motion = drifted(motion, *real.drift, view.share)
-        left = view.scene.generated(motion, real.tool, real.machine, view.head["near"])
+        motion = add_drift(motion, *real.drift, view.share)
+        cut = view.scene.generated(motion, real.tool, real.machine, view.head["near"])
         surface, radius = self.job.part.surface, self.job.part.radius
-        shape, x, y = left.z.shape, left.x.ravel(), left.y.ravel()
+        shape, x, y = cut.z.shape, cut.x.ravel(), cut.y.ravel()
         needed = 1 if any(real.tilt) else 0
         f, *slopes = surface.evaluate(np.ascontiguousarray(x), np.ascontiguousarray(y), needed)
-        error = left.z.ravel() - f
+        error = cut.z.ravel() - f
         if real.mounting:
             # Cut while it is bent, the part springs back by as much.
             error -= Zernike(terms=real.mounting, radius=radius, indexing="fringe").sag(x, y)
@@ -256,60 +269,63 @@ class _Cut:
             about_x, about_y = real.tilt
             fx, fy = slopes
             error -= about_x * (y + f * fy) - about_y * (x + f * fx)
-        return left, error.reshape(shape)
+        return cut, error.reshape(shape)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Bench:
+class CaseContext:
     """Everything that the cases of a study share."""
 
     budget: ErrorBudget
     cuts: Mapping[str, _Cut]
 
     @classmethod
-    def of(cls, shared: Mapping[str, Any], store: Store) -> Bench:
-        """Return the bench of what `laid_out` has put into a store."""
+    def of(cls, shared: Mapping[str, Any], store: Store) -> CaseContext:
+        """Return the bench of what `plan_cuts` has put into a store."""
         cuts, budget = {}, ErrorBudget.read(shared["budget"])
-        with at_hand(shared["files"], shared["kept"], store) as places:
-            jobs = {kind: Job.read(moved(tomllib.loads(own["job"]), places)) for kind, own in shared["cuts"].items()}
+        with provide_files(shared["files"], shared["kept"], store) as places:
+            jobs = {
+                kind: Job.read(relocate_paths(tomllib.loads(head_of_cut["job"]), places))
+                for kind, head_of_cut in shared["cuts"].items()
+            }
             for job in jobs.values():  # what reads a file reads it now
                 _ = job.actual_tool, job.actual_machine, job.part.aimed
-        for kind, own in shared["cuts"].items():
+        for kind, head_of_cut in shared["cuts"].items():
             job = jobs[kind]
-            feed = own["feed"]
-            scenes = [lines_of(job, feed, even=True)] if kind else scenes_of(job, feed)
+            feed = head_of_cut["feed"]
+            scenes = [make_lines(job, feed, even=True)] if kind else make_scenes(job, feed)
             views = []
-            for scene, head in zip(scenes, own["scenes"], strict=True):
-                rows = fetched(store, head["array"])
+            for scene, head in zip(scenes, head_of_cut["scenes"], strict=True):
+                rows = fetch_array(store, head["array"])
                 share = drift_share(rows[0], head["duration"], budget.settling)
                 views.append(_View(scene=scene, head=head, rows=rows, share=share))
             cuts[kind] = _Cut(job=job, feed=feed, views=tuple(views))
         return cls(budget=budget, cuts=cuts)
 
-    def real(self, draw: Mapping[str, float], cut: str = "") -> Real:
+    def real(self, draw: Mapping[str, float], cut: str = "") -> ActualSetup:
         """Return what a draw makes of tool and machine."""
         job = self.cuts[""].job
-        real = deviated(job.actual_tool, job.actual_machine, draw, cut)
-        return real if answers(job) else real._replace(faster={})
+        real = apply_draw(job.actual_tool, job.actual_machine, draw, cut)
+        return real if servos_respond(job) else real._replace(faster={})
 
-    def judged(self, real: Real) -> tuple[dict[str, float], Floats]:
+    def judged(self, real: ActualSetup) -> tuple[dict[str, float], Floats]:
         """Return the numbers of a part, and its form error at the lines. [nm]."""
         part = self.cuts[""]
         numbers: dict[str, float] = {}
         form: Floats | None = None
         for view in part.views:
-            left, error = part.made(view, real)
+            cut, error = part.made(view, real)
             if view.scene.polar:
-                form = form_error(part.job, left, error)
-                weight = np.broadcast_to(left.weight, form.shape)[np.isfinite(form)]
+                form = form_error(part.job, cut, error)
+                weight = np.broadcast_to(cut.weight, form.shape)[np.isfinite(form)]
                 there = form[np.isfinite(form)]
                 numbers["form_pv_nm"] = float(np.ptp(there)) * NM
                 numbers["form_rms_nm"] = math.sqrt(float(np.average(there**2, weights=weight))) * NM
                 continue
             patch = HeightMap(z=error, x=view.scene.columns, y=view.scene.rows)
-            rest = remove_form(patch, part.job.roughness.form).z
-            numbers[f"sq_nm@{view.scene.name}"] = math.sqrt(float(np.nanmean(rest**2))) * NM
-            numbers[f"sa_nm@{view.scene.name}"] = float(np.nanmean(np.abs(rest))) * NM
+            residual = remove_form(patch, part.job.roughness.form).z
+            numbers[f"sq_nm@{view.scene.name}"] = math.sqrt(float(np.nanmean(residual**2))) * NM
+            numbers[f"sa_nm@{view.scene.name}"] = float(np.nanmean(np.abs(residual))) * NM
         assert form is not None  # noqa: S101 - the lines are always among the scenes
         return numbers, form * NM
 
@@ -317,14 +333,14 @@ class Bench:
         """Return what the artefacts tell: cut with the real tool on the real machine, measured, diagnosed."""
         rng = np.random.default_rng(seed)  # type: ignore[arg-type] # a list of whole numbers
         job = self.cuts[""].job
-        asked = job.measurement
+        measurement = job.measurement
         maps, parts = [], []
         for kind, cut in self.cuts.items():
             if not kind:
                 continue
-            left, error = cut.made(cut.views[0], self.real(draw, kind))
+            surface, error = cut.made(cut.views[0], self.real(draw, kind))
             design = cut.job.part
-            x, y = left.x.ravel(), left.y.ravel()
+            x, y = surface.x.ravel(), surface.y.ravel()
             seen = error.ravel() + rng.normal(0.0, 1.0, x.size) * self.budget.noise
             head = f"{kind}: instrument Z"
             terms = {int(name[len(head) :]): value for name, value in draw.items() if name.startswith(head)}
@@ -334,24 +350,24 @@ class Bench:
             parts.append(design)
         return diagnose(
             maps, parts, job.tool, job.machine,
-            causes=asked.causes or DEFAULT, free=[one for one in FREE if one not in asked.fixed],
-            waviness=asked.waviness, sense=job.strategy.sense, feed=next(iter(self.cuts.values())).feed,
-            worth_nm=asked.worth * NM,
+            causes=measurement.causes or DEFAULT, free=[one for one in FREE if one not in measurement.fixed],
+            waviness=measurement.waviness, sense=job.strategy.sense, feed=next(iter(self.cuts.values())).feed,
+            worth_nm=measurement.worth * NM,
         )  # fmt: skip
 
 
-def form_error(job: Job, left: Left, error: Floats) -> Floats:
+def form_error(job: Job, cut: CutSurface, error: Floats) -> Floats:
     """Return the departure from the design beyond the rigid motions that measuring leaves free.
 
     They are the motions of the job's ``measurement``, ``free`` but for what is ``fixed``, fitted with each place by its
     area.
     """
-    asked = job.measurement
+    measurement = job.measurement
     fixed = {"piston": ("z",), "tilt": ("tilt_x", "tilt_y"), "decentre": ("x", "y"), "clocking": ("rotation",)}
-    held = {name for one in asked.fixed for name in fixed[one]}
-    x, y = (np.ascontiguousarray(one.ravel()) for one in (left.x, left.y))
+    fixed_motions = {name for one in measurement.fixed for name in fixed[one]}
+    x, y = (np.ascontiguousarray(one.ravel()) for one in (cut.x, cut.y))
     f, fx, fy = job.part.surface.evaluate(x, y, 1)
-    marks = {
+    signatures = {
         "z": np.ones(x.size),
         "tilt_x": y + f * fy,
         "tilt_y": x + f * fx,
@@ -361,35 +377,37 @@ def form_error(job: Job, left: Left, error: Floats) -> Floats:
     }
     # In units of what a mark is made of, so that the rounding of one that should be zero, such as that of the rotation
     # of a sphere, counts as zero and is not fitted.
-    far, steep = float(np.hypot(x, y).max()), max(float(np.hypot(fx, fy).max()), FLAT)
-    sizes = dict.fromkeys(marks, far) | {"z": 1.0, "x": steep, "y": steep, "rotation": far * steep}
-    columns = [marks[name] / sizes[name] for name in marks if name in asked.free and name not in held]
+    far, steep = float(np.hypot(x, y).max()), max(float(np.hypot(fx, fy).max()), MIN_SLOPE)
+    sizes = dict.fromkeys(signatures, far) | {"z": 1.0, "x": steep, "y": steep, "rotation": far * steep}
+    columns = [
+        signatures[name] / sizes[name] for name in signatures if name in measurement.free and name not in fixed_motions
+    ]
     flat = error.ravel()
     if not columns:
         return error
     there = np.isfinite(flat)
-    root = np.sqrt(np.broadcast_to(left.weight, error.shape)).ravel()
+    root = np.sqrt(np.broadcast_to(cut.weight, error.shape)).ravel()
     matrix = np.stack(columns, axis=1)
-    share = np.linalg.lstsq(matrix[there] * root[there, None], flat[there] * root[there], rcond=RANK)[0]
+    share = np.linalg.lstsq(matrix[there] * root[there, None], flat[there] * root[there], rcond=RANK_TOL)[0]
     return np.asarray((flat - matrix @ share).reshape(error.shape), dtype=np.float64)
 
 
 def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store | None) -> Row:
-    """Return the row of one case: a worker's function, see `turnwright.studies.conduct`.
+    """Return the row of one case: a worker's function, see `turnwright.studies.run_cases`.
 
     Parameters
     ----------
     data
         The ``draw``, its ``seed`` for the noise, whether there is a ``correction``, and the ``study`` it belongs to.
     shared
-        What `laid_out` returned.
+        What `plan_cuts` returned.
     store
         Where the motions lie, and the form errors go.
     """
     assert store is not None  # noqa: S101 - a study of tolerances always has one
     bench = _benches.get(data["study"])
     if bench is None:
-        bench = Bench.of(shared, store)
+        bench = CaseContext.of(shared, store)
         _benches.clear()
         _benches[data["study"]] = bench
     draw = data["draw"]
@@ -398,12 +416,12 @@ def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store |
     row: Row = {**numbers, "map": store.put_array("form", form)}
     if data["correction"]:
         job = bench.cuts[""].job
-        found = bench.found(draw, data["seed"])
+        diagnosis = bench.found(draw, data["seed"])
         # Where `turnwright.correct` would write nothing the part is cut as it was planned.
-        draws = found.on(job.part)
+        draws = diagnosis.on(job.part)
         certain = prove(draws, np.zeros(draws.x.size), worth_nm=job.measurement.worth * NM).ok
-        left = residual(real, job.tool, job.machine, found) if certain else real
-        better, form = bench.judged(left)
+        setup = residual_setup(real, job.tool, job.machine, diagnosis) if certain else real
+        better, form = bench.judged(setup)
         row |= {f"corrected {name}": value for name, value in better.items()}
         row["corrected map"] = store.put_array("form", form)
     return row

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from turnwright.job import Job, Pipeline
-from turnwright.studies.files import at_hand, moved
+from turnwright.studies.files import provide_files, relocate_paths
 from turnwright.studies.measures import Measure, evaluate, measure_of
 
 if TYPE_CHECKING:
@@ -35,11 +35,11 @@ def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store |
         Where to find files that this machine does not have.
     """
     start = time.perf_counter()
-    with at_hand(data["files"], shared.get("files", {}), store) as places:
-        job = Job.read(moved(data["job"], places))
+    with provide_files(data["files"], shared.get("files", {}), store) as places:
+        job = Job.read(relocate_paths(data["job"], places))
         pipeline = Pipeline(job)
-        own = shared.get("own", {})
-        measures = [_measure(job, name, own) for name in shared["measures"]]
+        functions = shared.get("own", {})
+        measures = [_measure(job, name, functions) for name in shared["measures"]]
         row = evaluate(pipeline, measures)
     if pipeline.refused:
         row[REFUSED] = "; ".join(pipeline.refused)
@@ -48,4 +48,4 @@ def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store |
 
 
 def _measure(job: Job, name: str, own: Mapping[str, Any]) -> Measure:
-    return Measure(name=name, unit="", stage="place", own=own[name]) if name in own else measure_of(job, name)
+    return Measure(name=name, unit="", stage="place", function=own[name]) if name in own else measure_of(job, name)

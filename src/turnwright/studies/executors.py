@@ -35,20 +35,20 @@ __all__ = [
     "LocalPool",
     "WorkerDied",
     "cluster",
-    "fitting",
+    "count_threads",
+    "count_workers",
     "local",
     "require_reach",
-    "share_of",
 ]
 
 MEMORY_GB = 2.0
 """What a worker may need if nobody says: a whole run of the freeform infrared lens with its maps takes 1.6 GB."""
-MOST_WORKERS = 1000
+MAX_WORKERS = 1000
 """Processes of one machine: each has a thread of its own here."""
-_REACH_S = 5.0
+_CONNECT_TIMEOUT_S = 5.0
 _GRACE_S = 0.7  # for a worker whose driver is gone: within a second so is it
-_FAREWELL_S = 5.0  # for a worker that is told to stop; nearly all go at once
-_ASK_AGAIN_S = 5.0
+_TERMINATE_TIMEOUT_S = 5.0  # for a worker that is told to stop; nearly all go at once
+_REFRESH_S = 5.0
 _LIBRARIES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _starting = threading.Lock()
 
@@ -115,7 +115,7 @@ class LocalPool(Executor):
             processes = [worker.process for worker in self._running]
         for process in processes:
             process.terminate()
-        until = time.monotonic() + _FAREWELL_S
+        until = time.monotonic() + _TERMINATE_TIMEOUT_S
         for process in processes:
             process.join(max(0.0, until - time.monotonic()))
             process.kill()
@@ -177,9 +177,9 @@ class _Worker(SpawnContext):
 
 
 def _none_starts(error: Exception) -> StudyError:
-    said = str(error).split("\n\n")[0].strip()
+    reason = str(error).split("\n\n")[0].strip()
     return StudyError(
-        f"no worker process can be started ({' '.join(said.split())}): start the work of a script below "
+        f"no worker process can be started ({' '.join(reason.split())}): start the work of a script below "
         'if __name__ == "__main__":, or use fewer workers'
     )
 
@@ -214,12 +214,12 @@ class Cluster(Executor):
         self._client = client
         self._executor = client.get_executor(pure=False)  # equal cases are told apart by their keys, not by Dask
         self._workers = 1
-        self._asked = -_ASK_AGAIN_S
+        self._asked = -_REFRESH_S
 
     @property
     def workers(self) -> int:
         """Cases that the cluster carries out at a time; workers come and go, so it is asked now and then."""
-        if time.monotonic() - self._asked > _ASK_AGAIN_S:
+        if time.monotonic() - self._asked > _REFRESH_S:
             with suppress(OSError):  # a lost scheduler is told of by the cases that it had
                 self._workers = max(1, sum(self._client.nthreads().values()))
             self._asked = time.monotonic()
@@ -257,14 +257,14 @@ def local(
         If a number is not positive.
     """
     if workers is not None:
-        workers = validate.whole(workers, "the number of workers", 1, MOST_WORKERS)
+        workers = validate.whole(workers, "the number of workers", 1, MAX_WORKERS)
     if memory_gb is not None and not validate.number(memory_gb, "the memory of a worker") > 0:
         raise InputError(f"a worker cannot do with {memory_gb} GB of memory: use more than 0")
     if threads is not None:
-        threads = validate.whole(threads, "the number of threads", 1, MOST_WORKERS)
+        threads = validate.whole(threads, "the number of threads", 1, MAX_WORKERS)
     if workers is None:
-        workers = fitting(memory_gb)
-        threads = threads or share_of(workers)
+        workers = count_workers(memory_gb)
+        threads = threads or count_threads(workers)
     pool = LocalPool(workers=workers, threads=threads or 1)
     try:
         yield pool
@@ -301,12 +301,12 @@ def require_reach(place: str, executor: Executor, *, arrays: bool = False) -> No
         )
 
 
-def share_of(workers: int) -> int:
+def count_threads(workers: int) -> int:
     """Return how many threads each of so many workers can have of all cores, at least one."""
     return max(1, cores() // max(workers, 1))
 
 
-def fitting(memory_gb: float | None = None) -> int:
+def count_workers(memory_gb: float | None = None) -> int:
     """Return how many workers there are cores and memory for, at least one."""
     free = free_memory_gb()
     return max(1, cores() if free is None else min(cores(), int(free / (memory_gb or MEMORY_GB))))
@@ -340,7 +340,7 @@ def cluster(address: str) -> Iterator[Cluster]:
     # They tell of a lost scheduler by tracebacks, this by a sentence.
     with _quiet("distributed"), _quiet("distributed.client"):
         try:
-            client = distributed.Client(address, timeout=_REACH_S, set_as_default=False)
+            client = distributed.Client(address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise _no_scheduler(address, error) from None
         try:
@@ -360,7 +360,7 @@ def _knock(address: str) -> None:
     if parts.scheme not in {"tcp", "tls"} or not host or not port:
         raise InputError(f"{address!r} is no address of a Dask scheduler: write tcp://host:port, or tls://host:port")
     try:
-        socket.create_connection((host, port), timeout=_REACH_S).close()  # Dask would try a closed door for long
+        socket.create_connection((host, port), timeout=_CONNECT_TIMEOUT_S).close()  # Dask retries a closed port
         with ThreadPoolExecutor(1) as thread:  # a notebook has a loop of its own in this one
             kind = thread.submit(asyncio.run, _kind_of(address)).result()
     except Exception as error:  # noqa: BLE001 - who is no scheduler may answer anything
@@ -372,8 +372,8 @@ def _knock(address: str) -> None:
 async def _kind_of(address: str) -> str:
     distributed = import_module("distributed")
     connection = distributed.Security().get_connection_args("client")
-    async with asyncio.timeout(_REACH_S):
-        there = distributed.rpc(address, connection_args=connection, timeout=_REACH_S)
+    async with asyncio.timeout(_CONNECT_TIMEOUT_S):
+        there = distributed.rpc(address, connection_args=connection, timeout=_CONNECT_TIMEOUT_S)
         try:
             return str((await there.identity())["type"])
         finally:

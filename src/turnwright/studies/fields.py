@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from turnwright.job import Job
 
-__all__ = ["Data", "Field", "Token", "changed", "data_of", "field_of"]
+__all__ = ["Data", "Field", "Token", "apply_changes", "find_field", "get_job_data"]
 
 Token: TypeAlias = float | int | str | bool
 """A value of a field: a number in the field's unit, a whole or plain number, a text or a flag."""
@@ -92,10 +92,10 @@ class Field:
     def spelled(self, text: str) -> Token:
         """Return what a text means where a field takes words: a whole number if one of its words is that number."""
         for one in _alternatives(self.annotation):
-            known = get_args(_bare(one)) if get_origin(_bare(one)) is Literal else ()
+            words = get_args(_bare(one)) if get_origin(_bare(one)) is Literal else ()
             if _bare(one) is int and text.isdigit():
                 return int(text)
-            for word in known:
+            for word in words:
                 if str(word) == text:
                     return word  # type: ignore[no-any-return] # a text or a number
         return text
@@ -125,12 +125,12 @@ class Data(NamedTuple):
     whole: dict[str, Any]  # with the defaults of what it does not
 
 
-def data_of(job: Job) -> Data:
+def get_job_data(job: Job) -> Data:
     """Return the data of a job."""
     return Data(job.table(), job.table(whole=True))
 
 
-def field_of(job: Job, name: str) -> Field:
+def find_field(job: Job, name: str) -> Field:
     """Return a field of a job by its dotted name, as the file writes it.
 
     Entries of a list are named by their name, or counted from 1 in brackets, as in the messages of a job; a field need
@@ -292,8 +292,8 @@ def _index(name: str, before: str, step: str, value: Any, annotation: Any) -> in
     tables = any(_table(one, None) is not None for one in value or ())
     index = int(step[1:-1]) - 1 if step.startswith("[") else -1
     if index < 0 or _element(annotation, index) is None or (tables and index >= len(names)):
-        known = [one for one in names if one] or [f"[1] to [{max(_length(value, annotation), 1)}]"]
-        raise InputError(_unknown(name, before, step, known))
+        choices = [one for one in names if one] or [f"[1] to [{max(_length(value, annotation), 1)}]"]
+        raise InputError(_unknown(name, before, step, choices))
     if value is None and _table(None, _element(annotation, 0)) is not None:
         raise InputError(f"{name} is not a field of this job, {before} has no entries: add one to the job")
     return index
@@ -332,13 +332,13 @@ def _unit_in(annotation: Any) -> unit | None:
     if isinstance(annotation, unit):
         return annotation
     for inner in get_args(annotation):
-        found = _unit_in(inner)
-        if found is not None:
-            return found
+        inner_unit = _unit_in(inner)
+        if inner_unit is not None:
+            return inner_unit
     return None
 
 
-def changed(base: Data, changes: list[tuple[Field, str, Token]]) -> dict[str, Any]:
+def apply_changes(base: Data, changes: list[tuple[Field, str, Token]]) -> dict[str, Any]:
     """Return the data of a job with some fields changed.
 
     Parameters
@@ -382,12 +382,12 @@ def _per_turn(field: Field, token: float, units: str, data: Mapping[str, Any]) -
     )
 
 
-def _put(whole: Any, data: dict[str, Any], field: Field, value: Token) -> None:
+def _put(complete: Any, data: dict[str, Any], field: Field, value: Token) -> None:
     """Put a value where a field is, with whatever must be there first, such as the lists that the file leaves out."""
     node: Any = data
     for number, step in enumerate(field.place):
         last = number == len(field.place) - 1
-        whole = _below(whole, step)
+        complete = _below(complete, step)
         if isinstance(step, int):
             while len(node) <= max(step, field.among - 1 if last else 0):
                 node.append(_nothing(field, len(node)))
@@ -401,8 +401,8 @@ def _put(whole: Any, data: dict[str, Any], field: Field, value: Token) -> None:
             return
         if isinstance(node, dict) and node.get(key) is None:
             node[key] = [] if isinstance(field.place[number + 1], int) else {}
-            if isinstance(whole, list):
-                node[key] = _stated(whole)
+            if isinstance(complete, list):
+                node[key] = _stated(complete)
         node = node[key]
 
 

@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from turnwright.job import Job
     from turnwright.studies.store import Store
 
-__all__ = ["at_hand", "fetched", "files_of", "kept_files", "moved"]
+__all__ = ["fetch_array", "list_files", "provide_files", "relocate_paths", "store_files"]
 
 
-def files_of(job: Job) -> dict[str, str]:
+def list_files(job: Job) -> dict[str, str]:
     """Return the files that a job names, and those that these name, by whole path with the digest of the content."""
-    found: set[str] = set()
+    paths: set[str] = set()
     for text in _texts(job.table()):
         if Path(text).is_absolute() and os.path.isfile(text):  # noqa: PTH113 - false of a name that no system takes, too
-            _add(Path(text), found)
-    return {path: hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in sorted(found)}
+            _add(Path(text), paths)
+    return {path: hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in sorted(paths)}
 
 
 def _add(file: Path, found: set[str]) -> None:
@@ -53,14 +53,14 @@ def _texts(value: Any) -> Iterator[str]:
             yield from _texts(one)
 
 
-def kept_files(files: Mapping[str, str], store: Store | None) -> dict[str, str]:
+def store_files(files: Mapping[str, str], store: Store | None) -> dict[str, str]:
     """Keep files in a store, for workers on machines that do not have them; return what the store calls them."""
     if store is None:
         return {}
     return {path: store.put_array("file", np.frombuffer(Path(path).read_bytes(), dtype=np.uint8)) for path in files}
 
 
-def fetched(store: Store, name: str) -> np.ndarray:
+def fetch_array(store: Store, name: str) -> np.ndarray:
     """Return an array that the driver has put into a store, as a worker finds it.
 
     Raises
@@ -79,7 +79,7 @@ def fetched(store: Store, name: str) -> np.ndarray:
 
 
 @contextmanager
-def at_hand(files: Mapping[str, str], kept: Mapping[str, str], store: Store | None) -> Iterator[dict[str, str]]:
+def provide_files(files: Mapping[str, str], kept: Mapping[str, str], store: Store | None) -> Iterator[dict[str, str]]:
     """Yield where the files of a job are on this machine, if they are elsewhere than the job says.
 
     If one is missing or another, all are put into a folder, at the same places as seen from each other.
@@ -110,7 +110,7 @@ def at_hand(files: Mapping[str, str], kept: Mapping[str, str], store: Store | No
     with tempfile.TemporaryDirectory(prefix="turnwright-") as folder:
         places = {path: str(Path(folder) / path.replace(":", "").lstrip("/\\")) for path in files}
         for path, place in places.items():
-            content = np.asarray(fetched(store, kept[path])).tobytes()
+            content = np.asarray(fetch_array(store, kept[path])).tobytes()
             if path.endswith(".toml"):  # it may name others by their whole path
                 for other, there in places.items():
                     content = content.replace(other.encode(), there.encode())
@@ -126,12 +126,12 @@ def _is_there(path: str, digest: str) -> bool:
         return False
 
 
-def moved(value: Any, places: Mapping[str, str]) -> Any:
+def relocate_paths(value: Any, places: Mapping[str, str]) -> Any:
     """Return data with files where they are on this machine."""
     if not places:
         return value
     if isinstance(value, str):
         return places.get(value, value)
     if isinstance(value, Mapping):
-        return {key: moved(one, places) for key, one in value.items()}
-    return [moved(one, places) for one in value] if isinstance(value, list) else value
+        return {key: relocate_paths(one, places) for key, one in value.items()}
+    return [relocate_paths(one, places) for one in value] if isinstance(value, list) else value

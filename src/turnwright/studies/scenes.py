@@ -28,74 +28,74 @@ if TYPE_CHECKING:
     from turnwright.tool import Tool
 
 __all__ = [
-    "Left",
-    "Planned",
-    "Reach",
+    "ContactShift",
+    "CutSurface",
+    "PlannedMotion",
     "Scene",
-    "answers",
+    "add_drift",
     "drift_share",
-    "drifted",
-    "kept",
-    "lines_of",
-    "planned",
+    "make_lines",
+    "make_scenes",
+    "pack_motion",
+    "plan_motion",
     "scene_motion",
-    "scenes_of",
-    "stored",
+    "select_points",
+    "servos_respond",
 ]
 
 TURN = 2 * math.pi
 
-INWARD = 2
+RING_RATIO = 2
 """How many times nearer to the axis each ring is than the one before, where lines go on inward."""
 
-GAP = 0.25
+CUSP_RING_FEEDS = 0.25
 """Where the last turn of a spiral leaves its highest cusp, in feeds from the axis: the passes on either side of it are
 half a turn apart, so that the middle between them is a quarter of a feed aside."""
 
-AROUND = 12
+CUSP_OVERSAMPLING = 12
 """How many times as finely that cusp is looked at: it rises along half a turn and falls at once, where the cut ends."""
 
-GOLDEN = (math.sqrt(5) - 1) / 2
+GOLDEN_FRACTION = (math.sqrt(5) - 1) / 2
 """Where these places lie between lines, in steps: never at the azimuth of that fall, which is a fraction of a turn, so
 that the least turn of the surface does not lift or drop one."""
 
-NEAR_RIM = 4
+RIM_RINGS = 4
 """How many times as finely as by one ring, whose azimuths meet each cusp once a turn, the cusps at the rim are met."""
 
-PER_FEATURE = 6
+PLACES_PER_FEATURE = 6
 """Places to a feature of the surface, along the radius and around the rim."""
 
-FEWEST_RADII, MOST_RADII = 40, 300
-FEWEST_ANGLES, MOST_ANGLES = 48, 360
+MIN_RADII, MAX_RADII = 40, 300
+MIN_ANGLES, MAX_ANGLES = 48, 360
 
-RIM = 1 - 1e-4
+RIM_FRACTION = 1 - 1e-4
 """Where lines end, in clear radii: a tip beside the axis may still turn them outward within the surface."""
 
-MOST_IN_PATCH = 8_000
+MAX_PATCH_HEIGHTS = 8_000
 """Heights of a patch that its finish is told from, about."""
 
-FEWEST_ACROSS = 12
+MIN_PATCH_ROWS = 12
 """Rows or columns of a patch along the passes, which repeat there."""
 
-CORE = 4.0
+CORE_RATIO = 4.0
 """How far from the axis the core reaches that a tool above or below centre leaves, in distances of its tip from there:
 farther out each place is cut from both sides, nearer hardly or not at all."""
 
-FEEDS = 5.0
+MARGIN_FEEDS = 5.0
 """How far from its contact a pass is kept, in feeds, at least."""
 
-BLOCK = 1 << 20
+BLOCK_POINTS = 1 << 20
 """Points of a program at a time."""
 
-GOUGED = 1e-9
+GOUGE_TOL_MM = 1e-9
 """Clearance below zero that is rounding. [mm]"""
 
-NODES = 5
+SERVO_NODES = 5
 """Natural frequencies of an axis between which its motion is interpolated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reach:
+class ContactShift:
     """How far what is drawn may move the contact, at most.
 
     Parameters
@@ -113,7 +113,7 @@ class Reach:
     servos: Mapping[str, float]
 
 
-class Left(NamedTuple):
+class CutSurface(NamedTuple):
     """A surface at some places, each (rows, columns) [mm], and the area that those of a column stand for (columns,)."""
 
     x: Floats
@@ -137,7 +137,7 @@ class Scene(NamedTuple):
     twist: Floats
     weight: Floats
 
-    def generated(self, motion: Motion, tool: Tool, machine: Machine, near: float) -> Left:
+    def generated(self, motion: Motion, tool: Tool, machine: Machine, near: float) -> CutSurface:
         """Return what a motion leaves there.
 
         Parameters
@@ -155,8 +155,8 @@ class Scene(NamedTuple):
         """
         if not self.polar:
             made = generate(motion, tool, x=self.columns, y=self.rows, machine=machine)
-            return Left(*made.points(), made.z, self.weight)
-        scene, there = self._beyond(min(CORE * abs(tool.offset[1]), float(self.columns[-1]) / 2))
+            return CutSurface(*made.points(), made.z, self.weight)
+        scene, there = self._beyond(min(CORE_RATIO * abs(tool.offset[1]), float(self.columns[-1]) / 2))
         x, y = scene.points()
         z = np.full(x.shape, np.nan)
         fine = there & (scene.twist > 0)
@@ -166,15 +166,15 @@ class Scene(NamedTuple):
             z[:, fine] = ring.reshape(scene.rows.size, -1)
         plain = there & ~fine
         x[:, plain], y[:, plain], z[:, plain] = self._along(scene.columns[plain], motion, tool, machine, near)
-        return Left(x, y, z, scene.weight)
+        return CutSurface(x, y, z, scene.weight)
 
     def _along(
         self, radius: Floats, motion: Motion, tool: Tool, machine: Machine, near: float
     ) -> tuple[Floats, Floats, Floats]:
         """Return places at some radii of the lines, and what is left there. Each (rows, radii) [mm]."""
-        aside = tool.offset[1]
+        height = tool.offset[1]
         outer = radius > near
-        if not aside or tool.rake or "Y" in motion.axes or not outer.any():
+        if not height or tool.rake or "Y" in motion.axes or not outer.any():
             made = generate_polar(motion, tool, radius=radius, angle=self.rows, machine=machine)
             return *made.points(), made.z
         # A whole edge that stands beside the plane through the axis cuts what it would cut in that plane, a little
@@ -183,7 +183,7 @@ class Scene(NamedTuple):
         r = radius[outer]
         made = generate_polar(motion, level, radius=r, angle=self.rows, machine=machine)
         x, y = made.points()
-        turned = aside / r
+        turned = height / r
         parts = [(x - turned * y, y + turned * x, made.z)]
         if not outer.all():
             inner = self._inner(motion, near)
@@ -206,9 +206,9 @@ class Scene(NamedTuple):
     def _inner(motion: Motion, near: float) -> Motion:
         """Return the turns about the axis."""
         at = np.flatnonzero(np.abs(motion.axes["X"]) <= 3 * near)
-        own = slice(max(int(at[0]) - 1, 0), int(at[-1]) + 2)
-        axes = {letter: values[own] for letter, values in motion.axes.items()}
-        return Motion(time=motion.time[own], axes=axes, machine=motion.machine)
+        near_axis = slice(max(int(at[0]) - 1, 0), int(at[-1]) + 2)
+        axes = {letter: values[near_axis] for letter, values in motion.axes.items()}
+        return Motion(time=motion.time[near_axis], axes=axes, machine=motion.machine)
 
     def points(self) -> tuple[Floats, Floats]:
         """Return x and y of every place. Each (rows, columns) [mm]."""
@@ -219,7 +219,7 @@ class Scene(NamedTuple):
         return x, y
 
 
-def lines_of(job: Job, feed: float, *, even: bool = False) -> Scene:
+def make_lines(job: Job, feed: float, *, even: bool = False) -> Scene:
     """Return lines across the whole part, as many as its features need.
 
     They run from the axis, by the ring of the highest cusp there, to the rim, where most errors are largest. These
@@ -235,30 +235,30 @@ def lines_of(job: Job, feed: float, *, even: bool = False) -> Scene:
         Whether every place stands for the same area, as for a map of an instrument, which sees neither.
     """
     part = job.part
-    asked = PER_FEATURE * part.radius / part.surface.feature_size
-    radii = int(np.clip(math.ceil(asked), FEWEST_RADII, MOST_RADII))
-    angles = 2 * int(np.clip(math.ceil(TURN * asked / 2), FEWEST_ANGLES // 2, MOST_ANGLES // 2))
+    places = PLACES_PER_FEATURE * part.radius / part.surface.feature_size
+    radii = int(np.clip(math.ceil(places), MIN_RADII, MAX_RADII))
+    angles = 2 * int(np.clip(math.ceil(TURN * places / 2), MIN_ANGLES // 2, MAX_ANGLES // 2))
     share = (np.arange(radii) + 0.5) / radii
     azimuth = np.linspace(0, TURN, angles, endpoint=False)
     if even:
         radius, weight = np.sqrt(share), np.full(radii, 1 / radii)
         twist = np.zeros(radii)
     else:
-        rings = [GAP * feed / part.radius]
-        while INWARD * rings[-1] < share[0]:
-            rings.append(INWARD * rings[-1])
-        fine = (np.arange(AROUND) + GOLDEN) / AROUND * azimuth[1]
+        rings = [CUSP_RING_FEEDS * feed / part.radius]
+        while RING_RATIO * rings[-1] < share[0]:
+            rings.append(RING_RATIO * rings[-1])
+        fine = (np.arange(CUSP_OVERSAMPLING) + GOLDEN_FRACTION) / CUSP_OVERSAMPLING * azimuth[1]
         # Rings a whole number of feeds apart would meet all cusps alike, and a tilt would take that off.
         across, area = feed / part.radius, 2 * share / radii
         if across * radii < 1:
-            share = (np.floor(share / across) + np.arange(1, radii + 1) * GOLDEN % 1) * across
+            share = (np.floor(share / across) + np.arange(1, radii + 1) * GOLDEN_FRACTION % 1) * across
             share = np.where(share > 1 - across, share - across, share)
-        rim = RIM - np.arange(NEAR_RIM) / NEAR_RIM * across / angles
-        radius = np.concatenate([[0.0], np.full(AROUND, rings[0]), rings[1:], share, rim])
+        rim = RIM_FRACTION - np.arange(RIM_RINGS) / RIM_RINGS * across / angles
+        radius = np.concatenate([[0.0], np.full(CUSP_OVERSAMPLING, rings[0]), rings[1:], share, rim])
         twist = np.zeros(radius.size)
-        twist[1 : 1 + AROUND] = fine
+        twist[1 : 1 + CUSP_OVERSAMPLING] = fine
         weight = np.zeros(radius.size)
-        weight[-NEAR_RIM - radii : -NEAR_RIM] = area
+        weight[-RIM_RINGS - radii : -RIM_RINGS] = area
         order = np.argsort(radius, kind="stable")
         radius, twist, weight = radius[order], twist[order], weight[order]
     return Scene(
@@ -271,19 +271,19 @@ def lines_of(job: Job, feed: float, *, even: bool = False) -> Scene:
     )
 
 
-def scenes_of(job: Job, feed: float) -> list[Scene]:
+def make_scenes(job: Job, feed: float) -> list[Scene]:
     """Return the lines for the form of a part, and its patches, in as many rows as their finish needs."""
-    scenes = [lines_of(job, feed)]
+    scenes = [make_lines(job, feed)]
     for patch in job.simulation.patches:
         x, y = patch.axes
-        every = max(1.0, x.size * y.size / MOST_IN_PATCH)
+        every = max(1.0, x.size * y.size / MAX_PATCH_HEIGHTS)
         over_axis = x[0] <= 0 <= x[-1] and y[0] <= 0 <= y[-1]
         if over_axis:
             steps = round(math.sqrt(every)), round(math.sqrt(every))
         elif abs(x.mean()) > abs(y.mean()):  # the passes run along y
-            steps = 1, max(1, min(round(every), y.size // FEWEST_ACROSS))
+            steps = 1, max(1, min(round(every), y.size // MIN_PATCH_ROWS))
         else:
-            steps = max(1, min(round(every), x.size // FEWEST_ACROSS)), 1
+            steps = max(1, min(round(every), x.size // MIN_PATCH_ROWS)), 1
         x, y = (axis[step // 2 :: step] for axis, step in zip((x, y), steps, strict=True))
         one = np.ones(x.size)
         scenes.append(Scene(patch.name, polar=False, rows=y, columns=x, twist=0 * one, weight=one))
@@ -291,7 +291,7 @@ def scenes_of(job: Job, feed: float) -> list[Scene]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Planned:
+class PlannedMotion:
     """A finishing pass as the axes move, and where each point is cut.
 
     Parameters
@@ -325,50 +325,50 @@ class Planned:
     upright: bool
     servos: Mapping[str, tuple[Floats, Floats]]
 
-    def near(self, reach: Reach) -> float:
+    def near(self, reach: ContactShift) -> float:
         """Return how near to the axis a place must be for passes from beyond it to matter. [mm].
 
         Farther out they would have to use more of the nose than any does.
         """
         beyond = max(-float(self.motion.axes["X"].min()), 0.0)
-        return self.edge + beyond + self.blend + reach.along + FEEDS * self.motion.feed
+        return self.edge + beyond + self.blend + reach.along + MARGIN_FEEDS * self.motion.feed
 
 
-def planned(job: Job, reach: Reach, progress: Progress | None = None) -> Planned:
+def plan_motion(job: Job, reach: ContactShift, progress: Progress | None = None) -> PlannedMotion:
     """Return the finishing pass of a job, planned once for all cases."""
-    told = progress or (lambda _done, _total: None)
+    report = progress or (lambda _done, _total: None)
     tool, machine = job.tool, job.machine
-    told(0, 2)
+    report(0, 2)
     plan = PassPlan(job)
-    path, commanded, meant = plan.path, plan.commanded, plan.wanted
-    told(1, 2)
-    real, actual = meant, job.actual_machine
+    path, commanded, wanted = plan.path, plan.commanded, plan.wanted
+    report(1, 2)
+    real, actual = wanted, job.actual_machine
     servos: dict[str, tuple[Floats, Floats]] = {}
     if job.simulation.tracking:
         real = track(commanded, actual)
         for letter, most in reach.servos.items():
             if letter in real.axes and letter in actual.axes and actual.axes[letter].response is not None:
-                shares = most * np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
+                shares = most * np.cos(np.pi * (np.arange(SERVO_NODES) + 0.5) / SERVO_NODES)
                 at = real.time + commanded.time[0]
-                rows = [track(commanded, _quicker(actual, letter, one), at=at).axes[letter] for one in shares]
+                rows = [track(commanded, _raise_frequency(actual, letter, one), at=at).axes[letter] for one in shares]
                 servos[letter] = shares, np.stack(rows)
     elif machine.controller.interpolation != "linear":
-        real = track(meant, without_servos(actual, corrected=job.program.precorrect))
+        real = track(wanted, without_servos(actual, corrected=job.program.precorrect))
     contact = np.hypot(path.contact_x, path.contact_y)
     if real.time.size != contact.size:
-        way = meant.sense
-        contact = np.interp(way * real.axes["C"], way * meant.axes["C"], contact)
+        way = wanted.sense
+        contact = np.interp(way * real.axes["C"], way * wanted.axes["C"], contact)
     low, high = float(path.sweep.min()), float(path.sweep.max())
     radius = tool.actual_radius
     edge = radius * math.sin(min(max(-low, high, 0.0), math.pi / 2))
     sine = abs(math.sin(tool.rake))
     lean = radius * (1 - math.cos(min(max(-low, high, 0.0), math.pi / 2))) * sine
-    aside = max((float(np.abs(axis).max()) for letter, axis in real.axes.items() if letter == "Y"), default=0.0)
+    lateral = max((float(np.abs(axis).max()) for letter, axis in real.axes.items() if letter == "Y"), default=0.0)
     # Where the nose does not fit, one place is cut by passes that touch the part elsewhere.
-    tight = job.part.aimed.surface.in_pieces or float(path.clearance.min()) < -GOUGED or not _fits(job)
-    told(2, 2)
-    return Planned(
-        motion=real, contact=contact, across=lean + aside + abs(tool.offset[1]), edge=edge + abs(tool.offset[0]),
+    tight = job.part.aimed.surface.in_pieces or float(path.clearance.min()) < -GOUGE_TOL_MM or not _fits(job)
+    report(2, 2)
+    return PlannedMotion(
+        motion=real, contact=contact, across=lean + lateral + abs(tool.offset[1]), edge=edge + abs(tool.offset[0]),
         blend=2 * edge if tight else 0.0, core=1.5 * math.sqrt(2 * radius / sine) if sine else 0.0,
         upright=not tool.rake and "Y" not in real.axes, servos=servos,
     )  # fmt: skip
@@ -380,7 +380,7 @@ def _fits(job: Job) -> bool:
     return all(one.ok for one in access.findings if one.name in {"nose radius", "valley", "step"})
 
 
-def _quicker(machine: Machine, letter: str, share: float) -> Machine:
+def _raise_frequency(machine: Machine, letter: str, share: float) -> Machine:
     """Return a machine one of whose axes has a natural frequency that is higher by a share."""
     axis = machine.axes[letter]
     assert axis.response is not None  # noqa: S101 - asked before
@@ -388,7 +388,7 @@ def _quicker(machine: Machine, letter: str, share: float) -> Machine:
     return replace(machine, axes={**machine.axes, letter: quick})
 
 
-def kept(plan: Planned, scene: Scene, reach: Reach) -> Bools:
+def select_points(plan: PlannedMotion, scene: Scene, reach: ContactShift) -> Bools:
     """Return which points of a program a scene needs.
 
     A pass cuts at its planned contact, give or take what the tool, the slides and the cusps move that by; it cuts at
@@ -410,7 +410,7 @@ def kept(plan: Planned, scene: Scene, reach: Reach) -> Bools:
         half = math.pi if nearest == 0 else float(np.abs((places - middle + math.pi) % TURN - math.pi).max())
         many = 1
     across = plan.across + reach.across
-    along = plan.blend + plan.core * math.sqrt(across) + FEEDS * plan.motion.feed + reach.along
+    along = plan.blend + plan.core * math.sqrt(across) + MARGIN_FEEDS * plan.motion.feed + reach.along
     near = np.flatnonzero((plan.contact >= nearest - along) & (plan.contact <= farthest + along))
     # Along lines a tip that stands aside cuts at another place, not at another azimuth; see `Scene.generated`.
     level = plan.near(reach) + along if scene.polar and plan.upright else math.inf
@@ -419,14 +419,16 @@ def kept(plan: Planned, scene: Scene, reach: Reach) -> Bools:
         return keep
     first, last = max(int(near[0]) - 1, 0), min(int(near[-1]) + 2, c.size)
     turns = many / TURN
-    for start in range(first, last - 1, BLOCK):
-        stop = min(start + BLOCK, last - 1)
+    for start in range(first, last - 1, BLOCK_POINTS):
+        stop = min(start + BLOCK_POINTS, last - 1)
         a = (c[start : stop + 1] - middle) * turns
         low, high = np.minimum(a[:-1], a[1:]), np.maximum(a[:-1], a[1:])
         served = np.maximum(plan.contact[start:stop] - along, max(nearest, 1e-9))
-        aside = np.where(plan.contact[start:stop] > level, plan.across, across)
+        lateral = np.where(plan.contact[start:stop] > level, plan.across, across)
         # The axis itself is met at every azimuth.
-        window = half + np.where(served > np.maximum(aside, 1e-9), np.arcsin(np.minimum(aside / served, 1.0)), math.pi)
+        window = half + np.where(
+            served > np.maximum(lateral, 1e-9), np.arcsin(np.minimum(lateral / served, 1.0)), math.pi
+        )
         wide = window * turns
         crosses = np.floor(high + wide) >= np.ceil(low - wide)
         if not scene.polar:
@@ -438,7 +440,7 @@ def kept(plan: Planned, scene: Scene, reach: Reach) -> Bools:
     return keep
 
 
-def stored(plan: Planned, keep: Bools, reach: Reach) -> tuple[dict[str, Any], Floats]:
+def pack_motion(plan: PlannedMotion, keep: Bools, reach: ContactShift) -> tuple[dict[str, Any], Floats]:
     """Return what is kept of a motion: what its rows are, and they. (m, n)."""
     motion = plan.motion
     letters = list(motion.axes)
@@ -460,9 +462,9 @@ def scene_motion(head: Mapping[str, Any], rows: Floats, machine: Machine, faster
     axes = {letter: rows[1 + k] for k, letter in enumerate(letters)}
     after = 1 + len(letters)
     for letter, shares in head["nodes"].items():
-        own = rows[after : after + len(shares)]
+        positions = rows[after : after + len(shares)]
         after += len(shares)
-        axes[letter] = _lagrange(np.asarray(shares), faster.get(letter, 0.0)) @ own
+        axes[letter] = _lagrange(np.asarray(shares), faster.get(letter, 0.0)) @ positions
     return Motion(time=rows[0], axes=axes, machine=machine)
 
 
@@ -484,13 +486,13 @@ def drift_share(time: Floats, duration: float, settling: float | None) -> Floats
     return np.asarray(np.expm1(-time / settling) / math.expm1(-duration / settling))
 
 
-def drifted(motion: Motion, x: float, z: float, share: Floats) -> Motion:
+def add_drift(motion: Motion, x: float, z: float, share: Floats) -> Motion:
     """Return a motion whose tool drifts along X and Z, by so much at the end of the cut; see `drift_share`."""
     if not x and not z:
         return motion
     return replace(motion, axes={**motion.axes, "X": motion.axes["X"] + x * share, "Z": motion.axes["Z"] + z * share})
 
 
-def answers(job: Job) -> bool:
+def servos_respond(job: Job) -> bool:
     """Say whether servos count in the prediction of a job."""
     return job.simulation.tracking and has_servos(job.actual_machine)

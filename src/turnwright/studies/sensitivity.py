@@ -24,18 +24,18 @@ __all__ = [
     "Indices",
     "Interval",
     "MapModel",
-    "chance",
-    "grouped",
+    "binomial_interval",
+    "group_inputs",
     "neighbour_indices",
     "percentile",
     "sobol_indices",
     "unit_points",
 ]
 
-MISSED = 0.05
+MISS_PROBABILITY = 0.05
 """An interval misses the truth this often."""
 
-PIECE = 2_000
+MAPS_PER_BLOCK = 2_000
 """Maps at a time."""
 
 
@@ -47,7 +47,7 @@ class Interval(NamedTuple):
     high: float
 
 
-def chance(successes: int, trials: int) -> Interval:
+def binomial_interval(successes: int, trials: int) -> Interval:
     """Return how likely success is, with the interval of Clopper and Pearson.
 
     It never misses the truth more often than it says, at 0 and at all successes too.
@@ -64,8 +64,8 @@ def chance(successes: int, trials: int) -> Interval:
     if not 0 <= successes <= trials or trials < 1:
         raise InputError(f"{successes} of {trials} cases are good, which cannot be: give at least 1 case")
     k, n = successes, trials
-    low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, MISSED / 2))
-    high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1 - MISSED / 2))
+    low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, MISS_PROBABILITY / 2))
+    high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1 - MISS_PROBABILITY / 2))
     return Interval(k / n, low, high)
 
 
@@ -83,8 +83,8 @@ def percentile(values: Floats, share: float) -> Interval:
     ordered = np.sort(values)
     n = ordered.size
     below = bdtr(np.arange(n + 1.0), n, share)  # chance that at most so many draws lie below
-    first = int(np.searchsorted(below, MISSED / 2, side="right"))
-    last = int(np.searchsorted(below, 1 - MISSED / 2, side="left")) + 1
+    first = int(np.searchsorted(below, MISS_PROBABILITY / 2, side="right"))
+    last = int(np.searchsorted(below, 1 - MISS_PROBABILITY / 2, side="left")) + 1
     low = -np.inf if first == 0 else float(ordered[first - 1])
     high = np.inf if last > n else float(ordered[last - 1])
     return Interval(float(np.quantile(ordered, share)), low, high)
@@ -169,14 +169,14 @@ def neighbour_indices(inputs: Floats, result: Floats, groups: Sequence[Sequence[
         return indices
     centred = result - result.mean()
     for k, group in enumerate(groups):
-        own = inputs[:, group]
+        columns = inputs[:, group]
         if len(group) == 1:
-            order = np.argsort(own[:, 0])
+            order = np.argsort(columns[:, 0])
             partner = np.roll(order, -1)
             products = centred[order] * centred[partner]
         else:
-            nearest = np.asarray(KDTree(own).query(own, k=2)[1])
-            other = np.where(nearest[:, 0] == np.arange(own.shape[0]), nearest[:, 1], nearest[:, 0])
+            nearest = np.asarray(KDTree(columns).query(columns, k=2)[1])
+            other = np.where(nearest[:, 0] == np.arange(columns.shape[0]), nearest[:, 1], nearest[:, 0])
             products = centred * centred[other]
         indices[k] = products.mean() / variance
     return indices
@@ -227,8 +227,8 @@ class MapModel:
         columns = cls.columns(inputs, squares=inputs.shape[0] >= 4 * (2 * inputs.shape[1] + 1))
         if inputs.shape[0] < cls.fewest(inputs.shape[1]):
             return None
-        own, seen = (columns, maps) if chosen is None else (columns[chosen], maps[chosen])
-        share = np.asarray(np.linalg.lstsq(own, seen, rcond=None)[0], dtype=np.float64)
+        terms, seen = (columns, maps) if chosen is None else (columns[chosen], maps[chosen])
+        share = np.asarray(np.linalg.lstsq(terms, seen, rcond=None)[0], dtype=np.float64)
         q = np.linalg.qr(columns)[0]
         return cls(share=share, weight=weight, leverage=(q**2).sum(axis=1), left=maps - columns @ share, maps=maps)
 
@@ -249,9 +249,9 @@ class MapModel:
         """Return peak to valley of draws. (n, d) to (n,) [nm]."""
         squares = self.share.shape[0] > 1 + inputs.shape[1]
         pv = np.empty(inputs.shape[0])
-        for start in range(0, inputs.shape[0], PIECE):
-            own = slice(start, start + PIECE)
-            pv[own] = np.ptp(self.columns(inputs[own], squares=squares) @ self.share, axis=1)
+        for start in range(0, inputs.shape[0], MAPS_PER_BLOCK):
+            block = slice(start, start + MAPS_PER_BLOCK)
+            pv[block] = np.ptp(self.columns(inputs[block], squares=squares) @ self.share, axis=1)
         return pv
 
     def _rms(self, maps: Floats) -> Floats:
@@ -264,16 +264,16 @@ class MapModel:
         """
         without = self.maps - self.left / (1 - self.leverage)[:, None]
         shares = []
-        for real, told in (
+        for observed, predicted in (
             (np.ptp(self.maps, axis=1), np.ptp(without, axis=1)),
             (self._rms(self.maps), self._rms(without)),
         ):
-            variance = float(np.var(real))
-            shares.append(1 - float(np.mean((real - told) ** 2)) / variance if variance > 0 else 1.0)
+            variance = float(np.var(observed))
+            shares.append(1 - float(np.mean((observed - predicted) ** 2)) / variance if variance > 0 else 1.0)
         return shares[0], shares[1]
 
 
-def grouped(names: Sequence[str], group_of: Callable[[str], str]) -> Mapping[str, list[int]]:
+def group_inputs(names: Sequence[str], group_of: Callable[[str], str]) -> Mapping[str, list[int]]:
     """Return the numbers of the inputs in each group."""
     groups: dict[str, list[int]] = {}
     for k, name in enumerate(names):

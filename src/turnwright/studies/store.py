@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Store"]
 
-FULL = frozenset(getattr(errno, name) for name in ("ENOSPC", "EDQUOT", "EFBIG") if hasattr(errno, name))
+DISK_FULL = frozenset(getattr(errno, name) for name in ("ENOSPC", "EDQUOT", "EFBIG") if hasattr(errno, name))
 """What the system says when there is no room."""
 
 Row = dict[str, Any]
@@ -255,7 +255,7 @@ class Store:
             raise
 
     def _trouble(self, error: OSError, what: str = "written") -> StudyError:
-        if error.errno in FULL:
+        if error.errno in DISK_FULL:
             return StudyError(
                 f"the store {self.place!r} is full ({error.strerror}), what is finished stays: free some space there "
                 "and start again"

@@ -22,37 +22,37 @@ import numpy as np
 from turnwright import _validate as validate
 from turnwright._arrays import Bools, Floats
 from turnwright.errors import InputError, StudyError
-from turnwright.studies.store import FULL
+from turnwright.studies.store import DISK_FULL
 from turnwright.studies.tile_layout import Layout
 
 if TYPE_CHECKING:
     import zarr
 
 __all__ = [
-    "ASKED",
-    "EDGES",
-    "MOTION",
-    "PLANE",
+    "EDGE_START",
+    "MOTION_FOLDER",
+    "PART_PIXELS",
+    "PLANE_SUMS",
     "Files",
     "bytes_needed",
-    "forget_motion",
-    "named_place",
-    "require_own",
+    "remove_motion",
     "require_room",
-    "told",
+    "require_same_map",
+    "resolve_place",
+    "translate_disk_errors",
 ]
 
 FORMAT = 1
-MOTION = ".motion"
+MOTION_FOLDER = ".motion"
 """Where the arrays of the motion lie while workers need them."""
 
-PLANE = 12
+PLANE_SUMS = 12
 """Numbers that `plane_sums` makes of a tile."""
 
-ASKED = PLANE
+PART_PIXELS = PLANE_SUMS
 """Where a record says how many pixels of the part the tile has."""
 
-EDGES = PLANE + 1
+EDGE_START = PLANE_SUMS + 1
 """Where the first row of its heights begins, and after it the first column."""
 
 
@@ -113,19 +113,19 @@ class Files:
         """
         import zarr  # noqa: PLC0415 - costly, and only for whole parts
 
-        require_own(place, layout)
+        require_same_map(place, layout)
         group = _group(place, mode="r+")
-        known = _about(group)
-        if known is None:
-            said = {**about, "format": FORMAT, "layout": layout.plain(), "complete": False}
-            group = zarr.open_group(place, mode="w-", attributes={"turnwright": said})
-        elif known.get("key") != about["key"]:
+        about_stored = _about(group)
+        if about_stored is None:
+            attributes = {**about, "format": FORMAT, "layout": layout.plain(), "complete": False}
+            group = zarr.open_group(place, mode="w-", attributes={"turnwright": attributes})
+        elif about_stored.get("key") != about["key"]:
             raise _another(place)
         assert group is not None  # noqa: S101 - opened or made
         for level in range(layout.levels):
             _require_level(group, layout, level)
         if "tiles" not in group:
-            numbers = EDGES + sum(layout.tile)
+            numbers = EDGE_START + sum(layout.tile)
             group.create_array(
                 "tiles", shape=(*layout.count, numbers), chunks=(1, 1, numbers), dtype="float64", compressors=None,
                 fill_value=np.nan,
@@ -147,7 +147,7 @@ class Files:
         group.attrs["turnwright"] = {**self.about, "complete": True}
 
 
-def require_own(place: str, layout: Layout) -> None:
+def require_same_map(place: str, layout: Layout) -> None:
     """Raise if something else is at a place than a map on the same grid, in whichever tiles.
 
     Raises
@@ -158,11 +158,11 @@ def require_own(place: str, layout: Layout) -> None:
     if "://" not in place and not os.path.lexists(place):
         return
     group = _group(place)
-    known = _about(group)
-    if known is None:
+    about = _about(group)
+    if about is None:
         if group is not None or ("://" not in place and any(Path(place).iterdir())):
             raise InputError(f"{place!r} already exists and holds other files: choose another folder")
-    elif known.get("format") != FORMAT or Layout.read(known["layout"]).in_tiles(layout.tile) != layout:
+    elif about.get("format") != FORMAT or Layout.read(about["layout"]).in_tiles(layout.tile) != layout:
         raise _another(place)
 
 
@@ -173,7 +173,7 @@ def _another(place: str) -> InputError:
     )
 
 
-def named_place(store: str | os.PathLike[str]) -> str:
+def resolve_place(store: str | os.PathLike[str]) -> str:
     """Return the whole path of a folder, or a URL as it is."""
     place = validate.path(store, "the store").removeprefix("file://")
     return place if "://" in place else str(Path(place).expanduser().absolute())
@@ -197,17 +197,17 @@ def _group(place: str, mode: str = "r") -> zarr.Group | None:
 
 
 def _about(group: zarr.Group | None) -> dict[str, Any] | None:
-    found = None if group is None else group.attrs.asdict().get("turnwright")
-    return dict(found) if isinstance(found, dict) else None
+    about = None if group is None else group.attrs.asdict().get("turnwright")
+    return dict(about) if isinstance(about, dict) else None
 
 
 def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
     import zarr  # noqa: PLC0415
 
-    found = group.get(name)
-    if not isinstance(found, zarr.Array):
+    array = group.get(name)
+    if not isinstance(array, zarr.Array):
         raise InputError(f"the map {str(group.store)!r} lacks {name}: make it anew")
-    return found
+    return array
 
 
 def _require_level(group: zarr.Group, layout: Layout, level: int) -> None:
@@ -232,19 +232,19 @@ def bytes_needed(layout: Layout) -> int:
     tiles = sum(1 for _ in layout.tiles())
     pixels = layout.tile[0] * layout.tile[1]
     overviews = sum(4.0**-level for level in range(layout.levels))
-    return int(8 * tiles * (pixels * overviews + EDGES + sum(layout.tile)))
+    return int(8 * tiles * (pixels * overviews + EDGE_START + sum(layout.tile)))
 
 
-def forget_motion(place: str) -> None:
+def remove_motion(place: str) -> None:
     """Remove the arrays that workers made the tiles from."""
     if "://" not in place:
-        shutil.rmtree(Path(place) / MOTION, ignore_errors=True)
+        shutil.rmtree(Path(place) / MOTION_FOLDER, ignore_errors=True)
         return
     from fsspec.core import url_to_fs  # noqa: PLC0415 - of an extra
 
     files, root = url_to_fs(place)
     with suppress(FileNotFoundError):
-        files.rm(f"{root}/{MOTION}", recursive=True)
+        files.rm(f"{root}/{MOTION_FOLDER}", recursive=True)
 
 
 def require_room(place: str, layout: Layout) -> None:
@@ -273,12 +273,12 @@ def require_room(place: str, layout: Layout) -> None:
 
 
 @contextmanager
-def told(place: str, done: int, total: int) -> Iterator[None]:
+def translate_disk_errors(place: str, done: int, total: int) -> Iterator[None]:
     """Turn what the system says of a disk into a sentence."""
     try:
         yield
     except OSError as error:
-        if error.errno not in FULL:
+        if error.errno not in DISK_FULL:
             raise StudyError(
                 f"{place!r} cannot be used ({error.strerror or error}), {done} of {total} tiles are finished, which "
                 "stay: check name and rights"

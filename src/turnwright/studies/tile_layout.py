@@ -14,18 +14,18 @@ from turnwright._arrays import Bools, Floats
 from turnwright._validate import positive
 from turnwright.errors import InputError
 
-__all__ = ["DEFAULT", "INNER", "Layout", "Tile", "require_tile", "tile_sides"]
+__all__ = ["DEFAULT_TILE_PIXELS", "TILE_LEVELS", "Layout", "Tile", "require_tile", "tile_sides"]
 
-INNER = 3
+TILE_LEVELS = 3
 """Overviews that a tile makes of itself; the coarser ones are made of these when all tiles are there."""
 
-COARSEST = 512
+MAX_OVERVIEW_PIXELS = 512
 """Pixels along the longer side of the coarsest overview, at most."""
 
-DEFAULT = 1024
+DEFAULT_TILE_PIXELS = 1024
 """Pixels along a tile, about: its arrays fit the memory of any machine, its file takes milliseconds to write."""
 
-FEWEST, MOST = 64, 1 << 15
+MIN_TILE_PIXELS, MAX_TILE_PIXELS = 64, 1 << 15
 """Pixels along a tile."""
 
 
@@ -134,7 +134,7 @@ class Layout:
     def levels(self) -> int:
         """The map itself and its overviews."""
         longer = max(self.shape)
-        return max(INNER + 1, 1 + math.ceil(math.log2(max(longer / COARSEST, 1))))
+        return max(TILE_LEVELS + 1, 1 + math.ceil(math.log2(max(longer / MAX_OVERVIEW_PIXELS, 1))))
 
     def level_shape(self, level: int) -> tuple[int, int]:
         """Return rows and columns of an overview."""
@@ -142,16 +142,16 @@ class Layout:
 
     def level_chunk(self, level: int) -> tuple[int, int]:
         """Return rows and columns of its files."""
-        by = 2 ** min(level, INNER)
+        by = 2 ** min(level, TILE_LEVELS)
         return self.tile[0] // by, self.tile[1] // by
 
     def axes(self, level: int = 0) -> tuple[Floats, Floats]:
         """Return x and y of the middles of an overview's pixels. (nx,), (ny,) [mm]."""
         rows, columns = self.level_shape(level)
-        found = []
+        axes = []
         for step, first, count in zip(self.pixel, self.origin, (columns, rows), strict=True):
-            found.append(first + step * (2**level * np.arange(count) + (2**level - 1) / 2))
-        return found[0], found[1]
+            axes.append(first + step * (2**level * np.arange(count) + (2**level - 1) / 2))
+        return axes[0], axes[1]
 
     def at(self, j: int, i: int) -> Tile:
         """Return a tile by its place."""
@@ -191,20 +191,20 @@ class Layout:
 
 def require_tile(asked: object) -> None:
     """Raise unless a tile can be about so many pixels wide."""
-    validate.whole(asked, "the width of a tile in pixels", FEWEST, MOST)
+    validate.whole(asked, "the width of a tile in pixels", MIN_TILE_PIXELS, MAX_TILE_PIXELS)
 
 
-def tile_sides(asked: int, sides: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
+def tile_sides(requested: int, sides: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
     """Return rows and columns of a tile: near what is asked, and a whole number of groups of the generation's tiles.
 
     So each point meets the same neighbours as in one piece, and gets the same height to the last bit; and three
     overviews of a tile end where it ends.
     """
-    found = []
+    rounded = []
     for side, size in zip(sides, shape, strict=True):
-        whole = math.lcm(4 * side, 2**INNER)
-        found.append(whole * max(1, round(min(asked, size + whole) / whole)))
-    return found[0], found[1]
+        group = math.lcm(4 * side, 2**TILE_LEVELS)
+        rounded.append(group * max(1, round(min(requested, size + group) / group)))
+    return rounded[0], rounded[1]
 
 
 def _tupled(value: Any) -> Any:

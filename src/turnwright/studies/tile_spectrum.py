@@ -14,7 +14,7 @@ from turnwright._arrays import Floats, frozen
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import FEWEST, AreaSpectrum, Spectrum, Window, area_psd, line_psd
-from turnwright.studies.bands import in_order
+from turnwright.studies.bands import map_in_order
 
 if TYPE_CHECKING:
     from turnwright.metrology import Form
@@ -82,21 +82,21 @@ def _mean(
                 count += 1
         return total, count, pattern
 
-    whole, number, like = None, 0, None
-    for done, (total, count, pattern) in enumerate(in_order(spectra, pieces), 1):
+    merged, number, like = None, 0, None
+    for done, (total, count, pattern) in enumerate(map_in_order(spectra, pieces), 1):
         if total is not None:
-            whole = total if whole is None else whole + total
+            merged = total if merged is None else merged + total
             number, like = number + count, pattern
         if progress is not None:
             progress(done, len(pieces))
-    if whole is None or like is None:
+    if merged is None or like is None:
         raise InputError(f"no segment of {segment} x {segment} pixels is whole: take a smaller one")
     note = (
         f"the mean of {number} segments of {segment} x {segment} pixels side by side, {rows * columns - number} with "
     )
-    density = frozen(whole / number, "density", ndim=whole.ndim)
-    found = replace(like, density=density, notes=(f"{note}missing heights left out",))
-    return replace(found, count=found.count * number) if isinstance(found, Spectrum) else found
+    density = frozen(merged / number, "density", ndim=merged.ndim)
+    spectrum = replace(like, density=density, notes=(f"{note}missing heights left out",))
+    return replace(spectrum, count=spectrum.count * number) if isinstance(spectrum, Spectrum) else spectrum
 
 
 def _segment(layout: Layout, segment: int | None) -> int:

@@ -14,7 +14,7 @@ from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import AreaSpectrum, Roughness, Spectrum, Window
 from turnwright.progress import Progress
-from turnwright.studies.tile_files import ASKED, Files, named_place
+from turnwright.studies.tile_files import PART_PIXELS, Files, resolve_place
 from turnwright.studies.tile_roughness import tiled_roughness
 from turnwright.studies.tile_spectrum import tiled_area_psd, tiled_line_psd
 
@@ -47,7 +47,7 @@ class TiledMap:
         InputError
             If there is none, or some of its tiles are missing.
         """
-        place = named_place(store)
+        place = resolve_place(store)
         try:
             files = Files.open(place)
         except OSError as error:
@@ -94,7 +94,7 @@ class TiledMap:
     def unreached(self) -> int:
         """Number of pixels of the part that no pass covers."""
         records = self.files.read_records()
-        return int(np.nansum(records[:, :, ASKED] - records[:, :, 0]))
+        return int(np.nansum(records[:, :, PART_PIXELS] - records[:, :, 0]))
 
     def height_map(self, level: int = 0) -> HeightMap:
         """Return the whole map, or a whole overview, in memory.
@@ -130,21 +130,21 @@ class TiledMap:
         """
         x, y = validate.span(x, "the window along x"), validate.span(y, "the window along y")
         pixels = validate.whole(pixels, "the width of a window in pixels", 1)
-        found: tuple[slice, slice] | None = None
+        selection: tuple[slice, slice] | None = None
         for level in reversed(range(self.levels)):
             spans = [_within(axis, span) for axis, span in zip(self.files.layout.axes(level), (x, y), strict=True)]
             sizes = [span.stop - span.start for span in spans]
-            found = spans[1], spans[0]
+            selection = spans[1], spans[0]
             if min(sizes) > 0 and max(sizes) >= pixels:
                 break
-        assert found is not None  # noqa: S101 - there is at least one level
-        if min(span.stop - span.start for span in found) < 1:
+        assert selection is not None  # noqa: S101 - there is at least one level
+        if min(span.stop - span.start for span in selection) < 1:
             low_x, high_x, low_y, high_y = self.extent
             raise InputError(
                 f"the window x {x[0]:g} to {x[1]:g}, y {y[0]:g} to {y[1]:g} mm holds no pixel of the map, which is x "
                 f"{low_x:g} to {high_x:g}, y {low_y:g} to {high_y:g} mm: move or widen it"
             )
-        return self._read(level, *found)
+        return self._read(level, *selection)
 
     def roughness(
         self, *, form: Literal["none", "mean", "plane"] = "plane", progress: Progress | None = None

@@ -20,23 +20,23 @@ from turnwright.heightmap import HeightMap
 from turnwright.machine import Machine
 from turnwright.path import Motion
 from turnwright.progress import Progress, cores
-from turnwright.studies.cases import finished, line, program_version
+from turnwright.studies.cases import iter_finished, join_lines, program_version
 from turnwright.studies.digests import digest_of
 from turnwright.studies.executors import require_reach
 from turnwright.studies.store import Store
 from turnwright.studies.tile_files import (
-    ASKED,
-    EDGES,
-    MOTION,
-    PLANE,
+    EDGE_START,
+    MOTION_FOLDER,
+    PART_PIXELS,
+    PLANE_SUMS,
     Files,
-    forget_motion,
-    named_place,
-    require_own,
+    remove_motion,
     require_room,
-    told,
+    require_same_map,
+    resolve_place,
+    translate_disk_errors,
 )
-from turnwright.studies.tile_layout import DEFAULT, INNER, Layout, Tile, require_tile, tile_sides
+from turnwright.studies.tile_layout import DEFAULT_TILE_PIXELS, TILE_LEVELS, Layout, Tile, require_tile, tile_sides
 from turnwright.studies.tiled_map import TiledMap
 from turnwright.tool import Tool
 
@@ -94,20 +94,20 @@ class _Painter:
         z = z.reshape(tile.shape)
         if inside is not None:
             z[~inside] = np.nan
-        asked = z.size if inside is None else int(np.count_nonzero(inside))
-        return (z if self.minus is None else HeightMap(x=x, y=y, z=z).minus(self.minus).z), asked
+        pixels = z.size if inside is None else int(np.count_nonzero(inside))
+        return (z if self.minus is None else HeightMap(x=x, y=y, z=z).minus(self.minus).z), pixels
 
     def paint(self, tile: Tile) -> None:
         """Make a tile and its overviews, put them into the store, and then the record that it is there."""
-        z, asked = self.heights(tile)
+        z, pixels = self.heights(tile)
         record = np.zeros(self.files.records.shape[2])
-        kernel.plane_sums(only_read(z), record[:PLANE])
+        kernel.plane_sums(only_read(z), record[:PLANE_SUMS])
         wide = self.files.layout.tile[1]
-        record[ASKED] = asked
-        record[EDGES : EDGES + z.shape[1]] = z[0]
-        record[EDGES + wide : EDGES + wide + z.shape[0]] = z[:, 0]
+        record[PART_PIXELS] = pixels
+        record[EDGE_START : EDGE_START + z.shape[1]] = z[0]
+        record[EDGE_START + wide : EDGE_START + wide + z.shape[0]] = z[:, 0]
         rows, columns = tile.rows.start, tile.columns.start
-        for level in range(INNER + 1):
+        for level in range(TILE_LEVELS + 1):
             if level > 0:
                 finer, z = z, np.empty((-(-z.shape[0] // 2), -(-z.shape[1] // 2)))
                 kernel.halved(only_read(finer), z)
@@ -132,7 +132,7 @@ def generate_tiled(
     x: tuple[float, float] | None = None,
     y: tuple[float, float] | None = None,
     minus: Surface | None = None,
-    tile: int = DEFAULT,
+    tile: int = DEFAULT_TILE_PIXELS,
     machine: Machine | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
@@ -193,7 +193,7 @@ def generate_tiled(
     validate.listener(progress)
     if minus is not None and not callable(getattr(minus, "sag", None)):
         raise InputError(f"what is subtracted is a {type(minus).__name__}, it must be a surface: give one")
-    place = named_place(store)
+    place = resolve_place(store)
     layout = planned_layout(place, pixel, radius=radius, x=x, y=y, tile=tile)
     if executor is not None:
         require_reach(place, executor, arrays=True)
@@ -202,7 +202,7 @@ def generate_tiled(
     layout = layout.in_tiles(tile_sides(tile, sides, layout.shape))
     key = _key(ready, layout, minus)
     tiles = list(layout.tiles())
-    with told(place, 0, len(tiles)):
+    with translate_disk_errors(place, 0, len(tiles)):
         files = Files.begin(place, layout, {"key": key, "error": minus is not None})
     if files.about["complete"]:
         return TiledMap(files)
@@ -214,13 +214,13 @@ def generate_tiled(
         with ThreadPoolExecutor(cores() + 1) as pool:
             _make(lambda one: pool.submit(painter.paint, one), missing, pool, place, len(tiles), progress)
     else:
-        task, own = _Task.of(place, key, motion, tool, machine, minus), executor
-        _make(lambda one: own.submit(_paint, task, one.j, one.i), missing, own, place, len(tiles), progress)
-    with told(place, len(tiles), len(tiles)):
+        task, workers = _Task.of(place, key, motion, tool, machine, minus), executor
+        _make(lambda one: workers.submit(_paint, task, one.j, one.i), missing, workers, place, len(tiles), progress)
+    with translate_disk_errors(place, len(tiles), len(tiles)):
         _coarser(files)
         files.complete()
         if executor is not None:
-            forget_motion(place)
+            remove_motion(place)
     return TiledMap(Files.open(place))
 
 
@@ -231,15 +231,15 @@ def planned_layout(
     radius: float | None = None,
     x: tuple[float, float] | None = None,
     y: tuple[float, float] | None = None,
-    tile: int = DEFAULT,
+    tile: int = DEFAULT_TILE_PIXELS,
 ) -> Layout:
     """Return the grid of a map, not yet in tiles, if it can be begun or gone on with there; see `generate_tiled`."""
     layout = Layout.of(pixel, radius=radius, x=x, y=y)
     require_tile(tile)
-    place = named_place(store)
-    with told(place, 0, 0):
-        require_own(place, layout)
-        require_room(place, layout.in_tiles((DEFAULT, DEFAULT)))
+    place = resolve_place(store)
+    with translate_disk_errors(place, 0, 0):
+        require_same_map(place, layout)
+        require_room(place, layout.in_tiles((DEFAULT_TILE_PIXELS, DEFAULT_TILE_PIXELS)))
     return layout
 
 
@@ -257,12 +257,12 @@ def _make(
 
     def lost(error: BaseException) -> StudyError:
         return StudyError(
-            f"the executor broke with {done} of {total} tiles finished ({line(error)}), which stay: start again with a "
-            "new one"
+            f"the executor broke with {done} of {total} tiles finished ({join_lines(error)}), which are kept: start "
+            "again with a new one"
         )
 
     tell(done, total)
-    with closing(finished(submit, missing, executor, lost=lost)) as made:
+    with closing(iter_finished(submit, missing, executor, lost=lost)) as made:
         for tile, future, deaths in made:
             if deaths:
                 raise StudyError(
@@ -270,7 +270,7 @@ def _make(
                     f"({future.exception()}), the finished tiles stay: use fewer workers or smaller tiles, and start "
                     "again"
                 )
-            with told(place, done, total):
+            with translate_disk_errors(place, done, total):
                 future.result()
             done += 1
             tell(done, total)
@@ -293,7 +293,7 @@ class _Task:
     def of(
         cls, place: str, key: str, motion: Motion, tool: Tool, machine: Machine | None, minus: Surface | None
     ) -> _Task:
-        arrays = Store.open(f"{place}/{MOTION}")
+        arrays = Store.open(f"{place}/{MOTION_FOLDER}")
         columns = {"time": motion.time, **motion.axes}
         names = {letter: arrays.put_array(letter, values) for letter, values in columns.items()}
         return cls(
@@ -324,7 +324,7 @@ def _paint(task: _Task, j: int, i: int) -> None:
 def _coarser(files: Files) -> None:
     """Make the overviews that are smaller than a tile's own, each of the one before, a band of rows at a time."""
     layout = files.layout
-    for level in range(INNER + 1, layout.levels):
+    for level in range(TILE_LEVELS + 1, layout.levels):
         finer, coarse = files.levels[level - 1], files.levels[level]
         tall = layout.level_chunk(level)[0]
         rows, columns = layout.level_shape(level)

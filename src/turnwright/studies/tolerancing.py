@@ -18,17 +18,17 @@ from turnwright import _validate as validate
 from turnwright._io import write_whole
 from turnwright.errors import InputError, JobError, StudyError
 from turnwright.job import Job
-from turnwright.studies.budget import MOST_DRAWS, ErrorBudget, Spread, group_of
-from turnwright.studies.cases import Case, case_key, conduct
-from turnwright.studies.draws import carry_out, laid_out
+from turnwright.studies.budget import MAX_DRAWS, ErrorBudget, Spread, group_of
+from turnwright.studies.cases import Case, case_key, run_cases
+from turnwright.studies.draws import carry_out, plan_cuts
 from turnwright.studies.executors import local, require_reach
-from turnwright.studies.files import files_of
-from turnwright.studies.scenes import answers, lines_of
+from turnwright.studies.files import list_files
+from turnwright.studies.scenes import make_lines, servos_respond
 from turnwright.studies.sensitivity import (
     Interval,
     MapModel,
-    chance,
-    grouped,
+    binomial_interval,
+    group_inputs,
     neighbour_indices,
     percentile,
     sobol_indices,
@@ -48,7 +48,7 @@ __all__ = ["Outcome", "Sensitivity", "Tightening", "ToleranceStudy", "tolerance"
 
 NM = 1e6
 
-FEWEST = 10
+MIN_CASES = 10
 """Cases of which anything can be said."""
 
 PERCENTILES = (0.05, 0.5, 0.9, 0.95, 0.99)
@@ -56,19 +56,19 @@ PERCENTILES = (0.05, 0.5, 0.9, 0.95, 0.99)
 SAMPLES_LOG2 = 10
 """Exponent of the points at which the indices are estimated."""
 
-HEIGHTS, BOOTSTRAP_HEIGHTS = 1500, 300
+MODEL_HEIGHTS, BOOTSTRAP_HEIGHTS = 1500, 300
 """Places of a map that tell what it depends on, about."""
 
-BOOTSTRAPS = 40
+BOOTSTRAP_COUNT = 40
 """Times that the cases are drawn again for the intervals of the indices."""
 
-POOR = 0.5
+POOR_VARIANCE = 0.5
 """Share of the variance below which sums of marks are a poor model."""
 
-EFFECTIVE = 20
+MIN_EFFECTIVE_CASES = 20
 """Cases that must count after they are weighted, else their finish is taken as it is."""
 
-USUAL = ("C", "X", "Z")
+USUAL_AXES = ("C", "X", "Z")
 """Axes that a lathe may have."""
 
 AS_PLANNED, CORRECTED = "as planned", "corrected"
@@ -84,7 +84,7 @@ class Sensitivity:
         Such as ``"tool offset"``; ``"concave sphere: drift"`` is that of an artefact's own cut.
     first, total
         Sobol' indices of the form error PV, of maps as sums of marks; ``None`` where the cases are too few.
-    given
+    neighbour_index
         First-order index of the same by nearest neighbours among the cases themselves.
     probability
         Of keeping all tolerances if the spread of the group were halved; ``None`` where the cases are too few.
@@ -95,7 +95,7 @@ class Sensitivity:
     group: str
     first: Interval | None
     total: Interval | None
-    given: float
+    neighbour_index: float
     probability: float | None
     percentile_nm: float | None
 
@@ -258,13 +258,13 @@ def tolerance(
     """
     validate.thing(job, Job, "the job")
     validate.listener(progress)
-    told = progress or (lambda _stage, _done, _total: None)
+    report = progress or (lambda _stage, _done, _total: None)
     validate.thing(correction, bool, "whether there is a correction")
     validate.thing(confirm, bool, "whether the advice is confirmed")
     limits = _limits(job)
-    count, seed = validate.whole(count, "the number of cases", 0, MOST_DRAWS), validate.whole(seed, "the seed", 0)
-    if count < FEWEST:
-        raise InputError(f"the study has {count} cases, it needs at least {FEWEST}: give a larger count")
+    count, seed = validate.whole(count, "the number of cases", 0, MAX_DRAWS), validate.whole(seed, "the seed", 0)
+    if count < MIN_CASES:
+        raise InputError(f"the study has {count} cases, it needs at least {MIN_CASES}: give a larger count")
     budget = ErrorBudget.typical() if budget is None else validate.thing(budget, ErrorBudget, "the budget")
     _check_axes(job, budget)
     with ExitStack() as stack:
@@ -274,24 +274,26 @@ def tolerance(
         if executor is None:
             executor = stack.enter_context(local(workers))
         require_reach(place.place, executor, arrays=True)
-        shared = _shared(job, budget, place, correction=correction, told=told)
+        shared = _shared(job, budget, place, correction=correction, report=report)
         study = _Cases(
-            shared=shared, executor=executor, store=place, seed=seed, correction=correction, told=told,
+            shared=shared, executor=executor, store=place, seed=seed, correction=correction, report=report,
             study=case_key({"shared": shared}),
         )  # fmt: skip
         inputs = {
             name: spread
             for name, spread in budget.inputs(correction=correction).items()
-            if answers(job) or not name.startswith("servo ")
+            if servos_respond(job) or not name.startswith("servo ")
         }
         drawn = budget.draw(count, seed=seed, correction=correction)
         draws = {name: drawn[name] for name in inputs}
         rows = study.carried_out("cases", draws)
         good = [k for k, row in enumerate(rows) if "reason" not in row]
         reasons = tuple(str(row["reason"]) for row in rows if "reason" in row)
-        if len(good) < FEWEST:
-            raise StudyError(f"{len(good)} of {count} cases could be carried out, the limit is {FEWEST}: {reasons[0]}")
-        kept = {name: values[good] for name, values in draws.items()}
+        if len(good) < MIN_CASES:
+            raise StudyError(
+                f"{len(good)} of {count} cases could be carried out, the limit is {MIN_CASES}: {reasons[0]}"
+            )
+        used = {name: values[good] for name, values in draws.items()}
         columns = {
             name: np.array([rows[k][name] for k in good], dtype=np.float64)
             for name in rows[good[0]]
@@ -299,20 +301,20 @@ def tolerance(
         }
         outcomes: dict[str, Outcome] = {}
         for number, kind in enumerate((AS_PLANNED, CORRECTED)[: 1 + correction]):
-            told("sensitivity", number, 1 + correction)
-            own = set(budget.inputs(correction=kind == CORRECTED))
+            report("sensitivity", number, 1 + correction)
+            names = set(budget.inputs(correction=kind == CORRECTED))
             maps = np.stack([place.array(rows[k][_named("map", kind)]).ravel() for k in good])
             outcomes[kind] = _outcome(
-                job, {name: inputs[name] for name in inputs if name in own}, kept, columns, maps, limits, kind, seed,
+                job, {name: inputs[name] for name in inputs if name in names}, used, columns, maps, limits, kind, seed,
                 failed=len(reasons), feed=shared["cuts"][""]["feed"],
             )  # fmt: skip
-        told("sensitivity", 1, 1)
+        report("sensitivity", 1, 1)
         tightening = None
         kind = CORRECTED if correction else AS_PLANNED
         if confirm and outcomes[kind].explained_variance is not None:
             tightening = _confirmed(study, inputs, draws, outcomes[kind], limits, kind)
     return ToleranceStudy(
-        job=job, budget=budget, seed=seed, draws=MappingProxyType(kept), columns=MappingProxyType(columns),
+        job=job, budget=budget, seed=seed, draws=MappingProxyType(used), columns=MappingProxyType(columns),
         reasons=reasons, limits=MappingProxyType(limits), outcomes=MappingProxyType(outcomes), tightening=tightening,
     )  # fmt: skip
 
@@ -321,7 +323,7 @@ def _check_axes(job: Job, budget: ErrorBudget) -> None:
     """Raise unless the machine has the axes whose servos a budget is about; the usual ones may always be named."""
     axes = job.machine.axes
     for name in budget.errors:
-        if name.startswith("servo ") and name[-1] not in {*axes, *USUAL}:
+        if name.startswith("servo ") and name[-1] not in {*axes, *USUAL_AXES}:
             raise InputError(
                 f"{name}: {job.machine.name} has no axis {name[-1]}, it has {', '.join(sorted(axes))}: name "
                 "one of them, or leave it out"
@@ -343,17 +345,17 @@ def _limits(job: Job) -> dict[str, float]:
     return limits
 
 
-def _shared(job: Job, budget: ErrorBudget, store: Store, *, correction: bool, told: StageProgress) -> dict[str, Any]:
+def _shared(job: Job, budget: ErrorBudget, store: Store, *, correction: bool, report: StageProgress) -> dict[str, Any]:
     """Return what all cases share, planned now or by an earlier study in the same store."""
-    planned = {"job": job.to_toml(), "files": files_of(job)}
+    planned = {"job": job.to_toml(), "files": list_files(job)}
     key = case_key({"planned": planned, "budget": budget.table(), "correction": correction})
     row = store.row(key)
     if row is None:
-        row = laid_out(
-            job, budget, store, correction=correction, progress=lambda done, total: told("plan", done, total)
+        row = plan_cuts(
+            job, budget, store, correction=correction, progress=lambda done, total: report("plan", done, total)
         )
         store.put_row(key, row)
-    told("plan", 1, 1)
+    report("plan", 1, 1)
     return row
 
 
@@ -367,7 +369,7 @@ class _Cases:
     seed: int
     study: str
     correction: bool
-    told: StageProgress
+    report: StageProgress
 
     def carried_out(self, stage: str, draws: Mapping[str, Floats]) -> list[Row]:
         """Return a row for each draw."""
@@ -380,9 +382,9 @@ class _Cases:
                 "study": self.study,
             }
             cases.append(Case(key=case_key(data), data=data))
-        return conduct(
+        return run_cases(
             carry_out, cases, shared=self.shared, executor=self.executor, store=self.store,
-            progress=lambda done, total: self.told(stage, done, total),
+            progress=lambda done, total: self.report(stage, done, total),
         )  # fmt: skip
 
 
@@ -411,15 +413,15 @@ def _outcome(
     """Return what the cases say, as planned or corrected; those that failed keep nothing."""
     keeps = _keeps(columns, limits, kind)
     every = np.logical_and.reduce(list(keeps.values()))
-    probability = chance(int(every.sum()), every.size + failed)
-    groups = grouped(list(inputs), group_of)
+    probability = binomial_interval(int(every.sum()), every.size + failed)
+    groups = group_inputs(list(inputs), group_of)
     scaled = np.stack([(draws[name] - one.mean) / one.deviation for name, one in inputs.items()], axis=1)
-    given = neighbour_indices(scaled, columns[_named("form_pv_nm", kind)], list(groups.values()))
-    lines = lines_of(job, feed)
+    neighbour = neighbour_indices(scaled, columns[_named("form_pv_nm", kind)], list(groups.values()))
+    lines = make_lines(job, feed)
     weight = np.broadcast_to(lines.weight, (lines.rows.size, lines.columns.size)).ravel()
     seen = np.flatnonzero(np.isfinite(maps).all(axis=0))
-    if seen.size > HEIGHTS:  # at random, so that no pattern of the part is met at one phase only
-        seen = np.sort(np.random.default_rng(seed).choice(seen, HEIGHTS, replace=False))
+    if seen.size > MODEL_HEIGHTS:  # at random, so that no pattern of the part is met at one phase only
+        seen = np.sort(np.random.default_rng(seed).choice(seen, MODEL_HEIGHTS, replace=False))
     maps, weight = maps[:, seen], weight[seen]
     pv = columns[_named("form_pv_nm", kind)]
     # Few places see a little less of every map, so that their peak to valley is scaled to that of the whole.
@@ -427,8 +429,10 @@ def _outcome(
     model = MapModel.fitted(scaled, maps, weight)
     study = _Sums(inputs=inputs, groups=groups, scaled=scaled, maps=maps, weight=weight, pv=pv, seed=seed)
     sensitivities = [
-        Sensitivity(group=group, first=None, total=None, given=float(share), probability=None, percentile_nm=None)
-        for group, share in zip(groups, given, strict=True)
+        Sensitivity(
+            group=group, first=None, total=None, neighbour_index=float(share), probability=None, percentile_nm=None
+        )
+        for group, share in zip(groups, neighbour, strict=True)
     ]
     if model is not None:
         first, total = study.indices(model)
@@ -442,7 +446,9 @@ def _outcome(
     sensitivities.sort(key=lambda one: -_matters(one))
     return Outcome(
         probability=probability,
-        each=MappingProxyType({name: chance(int(one.sum()), one.size + failed) for name, one in keeps.items()}),
+        each=MappingProxyType(
+            {name: binomial_interval(int(one.sum()), one.size + failed) for name, one in keeps.items()}
+        ),
         sensitivities=tuple(sensitivities),
         explained_variance=None if model is None else model.explained_variance(),
         advice=_with_doubt(
@@ -459,7 +465,7 @@ def _outcome(
 
 
 def _matters(one: Sensitivity) -> float:
-    return one.given if one.total is None else one.total.value
+    return one.neighbour_index if one.total is None else one.total.value
 
 
 def _first(sensitivities: Sequence[Sensitivity], before: float) -> Sensitivity:
@@ -488,7 +494,7 @@ def _advice(
 
 def _with_doubt(advice: str, model: MapModel | None) -> str:
     """Return what is advised, and that it is a rough guess where it rests on a poor model."""
-    if model is None or (share := model.explained_variance()[0]) >= POOR:
+    if model is None or (share := model.explained_variance()[0]) >= POOR_VARIANCE:
         return advice
     return f"{advice}; a rough guess, for sums of marks explain only {max(share, 0.0):.0%} of the spread of a case"
 
@@ -536,12 +542,12 @@ class _Sums:
         rng = np.random.default_rng([self.seed, 1])
         again = []
         thin = slice(None, None, max(1, self.maps.shape[1] // BOOTSTRAP_HEIGHTS))
-        for _ in range(BOOTSTRAPS):
+        for _ in range(BOOTSTRAP_COUNT):
             chosen = np.asarray(rng.integers(0, self.scaled.shape[0], size=self.scaled.shape[0]))
             other = MapModel.fitted(self.scaled, self.maps[:, thin], self.weight[thin], chosen)
             assert other is not None  # noqa: S101 - as many cases as before
-            found = sobol_indices(other.pv, groups, a, b)
-            again.append((found.first, found.total))
+            indices = sobol_indices(other.pv, groups, a, b)
+            again.append((indices.first, indices.total))
         both = []
         for values, error, spread in zip(best[:2], best[2:], np.std(np.array(again), axis=0), strict=True):
             half = 1.96 * np.hypot(error, spread)
@@ -561,11 +567,11 @@ class _Sums:
         The form is that of sums of marks; the finish that of the cases, weighted by how much more often the halved
         spread would draw them.
         """
-        whole = self.points(unit_points(len(self.inputs), SAMPLES_LOG2 + 2, self.seed))
+        samples = self.points(unit_points(len(self.inputs), SAMPLES_LOG2 + 2, self.seed))
         names = list(self.inputs)
 
         def form(group: Sequence[int]) -> tuple[float, float]:
-            tight = whole.copy()
+            tight = samples.copy()
             tight[:, group] /= 2
             pv = model.pv(tight)
             return 1.0 if limit is None else float(np.mean(pv <= limit)), float(np.quantile(pv, 0.95))
@@ -573,17 +579,17 @@ class _Sums:
         now, percentile_nm = form([])
         # What the marks do not explain of the spread is there with any of the groups halved.
         real = float(np.quantile(self.pv, 0.95)) / percentile_nm
-        found = []
+        outcomes = []
         for group in self.groups.values():
             keeps, percentile_nm = form(group)
             weight = np.ones(fine.size)
             for k in group:
                 weight *= self.inputs[names[k]].density_halved(draws[names[k]])
             effective = weight.sum() ** 2 / max(float((weight**2).sum()), 1e-300)
-            better = float(weight @ fine / weight.sum()) if effective >= EFFECTIVE else float(fine.mean())
+            better = float(weight @ fine / weight.sum()) if effective >= MIN_EFFECTIVE_CASES else float(fine.mean())
             rise = keeps * better - now * float(fine.mean())
-            found.append((float(np.clip(before + rise, 0.0, 1.0)), real * percentile_nm))
-        return found
+            outcomes.append((float(np.clip(before + rise, 0.0, 1.0)), real * percentile_nm))
+        return outcomes
 
 
 def _confirmed(
@@ -605,4 +611,4 @@ def _confirmed(
         "reason" not in row and all(row[_named(measure, kind)] <= limit for measure, limit in limits.items())
         for row in rows
     ]
-    return Tightening(group=best.group, probability=chance(sum(good), len(good)), before=outcome.probability)
+    return Tightening(group=best.group, probability=binomial_interval(sum(good), len(good)), before=outcome.probability)

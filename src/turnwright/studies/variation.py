@@ -20,13 +20,13 @@ from turnwright._arrays import Bools, Floats, frozen
 from turnwright._io import write_whole
 from turnwright.errors import InputError, JobError, StudyError
 from turnwright.job import Job
-from turnwright.studies.cases import Case, case_key, conduct
-from turnwright.studies.designs import MOST_CASES, Vary, design_cases, read_varied, stated
+from turnwright.studies.cases import Case, case_key, run_cases
+from turnwright.studies.designs import MAX_CASES, Vary, design_cases, get_job_value, read_varied
 from turnwright.studies.evaluate import REFUSED, SECONDS, carry_out
 from turnwright.studies.executors import local
-from turnwright.studies.fields import changed, data_of
-from turnwright.studies.files import files_of, kept_files
-from turnwright.studies.measures import Measure, Own, measure_of
+from turnwright.studies.fields import apply_changes, get_job_data
+from turnwright.studies.files import list_files, store_files
+from turnwright.studies.measures import Measure, MeasureFunction, measure_of
 from turnwright.studies.store import Store
 
 if TYPE_CHECKING:
@@ -55,14 +55,14 @@ class Column:
         Of its values; empty for what has none, or what carries its unit in its name.
     values
         One for each case; nan, or an empty text, where there is none. (n,)
-    own
+    job_value
         Of a field, what the job itself states, in the same unit; ``None`` where it states nothing.
     """
 
     name: str
     unit: str
     values: NDArray[Any]
-    own: float | int | str | bool | None = None
+    job_value: float | int | str | bool | None = None
 
     @property
     def heading(self) -> str:
@@ -176,7 +176,7 @@ class Study:
         """Return the values of a column by its name, or a case by its number."""
         if isinstance(which, str):
             return self.column(which).values
-        if isinstance(which, bool) or not isinstance(which, int | np.integer) or abs(which) > MOST_CASES:
+        if isinstance(which, bool) or not isinstance(which, int | np.integer) or abs(which) > MAX_CASES:
             raise InputError(f"{which!r} is neither a column nor the number of a case: give one of them")
         reason = self.reasons[which]  # raises IndexError where there is no such case, which ends a loop over all
         return {**{one.name: one.values[which].item() for one in self.columns}, REASON: reason}
@@ -229,15 +229,15 @@ class Study:
             raise InputError(f"a map is over {over!r}, it must be over 2 fields: name them")
         if at is not None:
             validate.thing(at, Mapping, "where the other fields stand")
-        kept = np.ones(len(self), dtype=np.bool_)
+        selected = np.ones(len(self), dtype=np.bool_)
         for name, value in (at or {}).items():
             column = self.column(name).values
             if column.dtype.kind == "f":
-                kept &= np.isclose(column, validate.number(value, name), rtol=1e-12, atol=0)
+                selected &= np.isclose(column, validate.number(value, name), rtol=1e-12, atol=0)
             else:
-                kept &= np.array([one == value for one in column.tolist()], dtype=np.bool_)
-        rows, row = np.unique(self.column(over[0]).values[kept], return_inverse=True)
-        columns, place = np.unique(self.column(over[1]).values[kept], return_inverse=True)
+                selected &= np.array([one == value for one in column.tolist()], dtype=np.bool_)
+        rows, row = np.unique(self.column(over[0]).values[selected], return_inverse=True)
+        columns, place = np.unique(self.column(over[1]).values[selected], return_inverse=True)
         if rows.size * columns.size == 0:
             raise InputError(f"no case stands at {dict(at or {})}: name values that the study has")
         if np.unique(row * columns.size + place).size < row.size:
@@ -246,8 +246,8 @@ class Study:
                 f"several cases stand at the same {over[0]} and {over[1]}: fix {', '.join(others) or 'the cases'} by at"
             )
         values, ok = np.full((rows.size, columns.size), np.nan), np.zeros((rows.size, columns.size), dtype=np.bool_)
-        values[row, place] = self.column(measure).values[kept]
-        ok[row, place] = self.ok[kept]
+        values[row, place] = self.column(measure).values[selected]
+        ok[row, place] = self.ok[selected]
         return Grid(rows, columns, values, ok)
 
     @property
@@ -312,15 +312,17 @@ class Study:
         """Write the study into a folder: ``study.csv``, ``study.json`` and ``job.toml``, which `load` reads again."""
         folder = Path(validate.path(folder, "the folder of a study"))
         folder.mkdir(parents=True, exist_ok=True)
-        said = {
+        header = {
             "form": FORM,
             "design": self.design,
             "cases": len(self),
-            "fields": [{"name": one.name, "unit": one.unit, "kind": one.kind, "own": one.own} for one in self.fields],
+            "fields": [
+                {"name": one.name, "unit": one.unit, "kind": one.kind, "own": one.job_value} for one in self.fields
+            ],
             "measures": [{"name": one.name, "unit": one.unit, "kind": one.kind} for one in self.measures],
         }
         self.job.dump(folder / "job.toml")
-        write_whole(folder / "study.json", json.dumps(said, indent=1) + "\n")
+        write_whole(folder / "study.json", json.dumps(header, indent=1) + "\n")
         self.to_csv(folder / "study.csv")
 
     @classmethod
@@ -334,17 +336,17 @@ class Study:
         """
         folder = Path(validate.path(folder, "the folder of a study"))
         try:
-            said = json.loads((folder / "study.json").read_text(encoding="utf-8"))
-            if said["form"] != FORM:
+            header = json.loads((folder / "study.json").read_text(encoding="utf-8"))
+            if header["form"] != FORM:
                 raise StudyError(
-                    f"the study in {str(folder)!r} has the form {said['form']}, this program reads {FORM}: update it"
+                    f"the study in {str(folder)!r} has the form {header['form']}, this program reads {FORM}: update it"
                 )
-            cells = _cells(folder / "study.csv", said["cases"])
+            cells = _cells(folder / "study.csv", header["cases"])
             return cls(
                 job=Job.load(folder / "job.toml"),
-                design=said["design"],
-                fields=tuple(_column(one, cells) for one in said["fields"]),
-                measures=tuple(_column(one, cells) for one in said["measures"]),
+                design=header["design"],
+                fields=tuple(_column(one, cells) for one in header["fields"]),
+                measures=tuple(_column(one, cells) for one in header["measures"]),
                 reasons=tuple(cells[REASON]),
                 seconds=_array("number", cells["seconds"]),
             )
@@ -366,11 +368,11 @@ def _cells(file: Path, count: int) -> dict[str, tuple[str, ...]]:
     return dict(zip(head, zip(*rows, strict=True), strict=True))
 
 
-def _column(said: Mapping[str, Any], cells: Mapping[str, Sequence[str]]) -> Column:
+def _column(header: Mapping[str, Any], cells: Mapping[str, Sequence[str]]) -> Column:
     """Return a column as it was saved."""
-    name, unit = said["name"], said["unit"]
-    values = _array(said["kind"], cells[f"{name} [{unit}]" if unit else name])
-    return Column(name=name, unit=unit, values=values, own=said.get("own"))
+    name, unit = header["name"], header["unit"]
+    values = _array(header["kind"], cells[f"{name} [{unit}]" if unit else name])
+    return Column(name=name, unit=unit, values=values, job_value=header.get("own"))
 
 
 def _cell(value: Any) -> str:
@@ -392,19 +394,19 @@ def _array(kind: str, values: Sequence[Any]) -> NDArray[Any]:
 
 def _kind(values: Sequence[Any]) -> Kind:
     """Return what kind of column values make."""
-    known = [value for value in values if value is not None]
-    if any(isinstance(value, str) for value in known):
+    numbers = [value for value in values if value is not None]
+    if any(isinstance(value, str) for value in numbers):
         return "text"
-    if known and all(isinstance(value, bool) for value in known):
+    if numbers and all(isinstance(value, bool) for value in numbers):
         return "flag"
-    return "whole" if len(known) == len(values) and all(isinstance(value, int) for value in known) else "number"
+    return "whole" if len(numbers) == len(values) and all(isinstance(value, int) for value in numbers) else "number"
 
 
 def study(
     job: Job,
     *,
     vary: Mapping[str, Vary] | None = None,
-    measure: str | Own | Sequence[str | Own],
+    measure: str | MeasureFunction | Sequence[str | MeasureFunction],
     design: str | Sequence[Mapping[str, Any]] = "grid",
     count: int | None = None,
     seed: int = 0,
@@ -480,41 +482,46 @@ def study(
     validate.listener(progress)
     fields, rows = design_cases(
         job,
-        [read_varied(job, name, given) for name, given in (vary or {}).items()],
+        [read_varied(job, name, value) for name, value in (vary or {}).items()],
         design=design,
         count=count,
         seed=seed,
     )
-    asked: Any = measure if isinstance(measure, list | tuple) else [measure]
-    measures = [measure_of(job, one) for one in asked]
+    requested: Any = measure if isinstance(measure, list | tuple) else [measure]
+    measures = [measure_of(job, one) for one in requested]
     _check_measures(measures)
     place = Store.open(store) if store is not None and not isinstance(store, Store) else store
-    files = files_of(job)
+    files = list_files(job)
     shared = {
         "measures": [one.name for one in measures],
-        "own": {one.name: one.own for one in measures if one.own is not None},
-        "files": kept_files(files, place),
+        "own": {one.name: one.function for one in measures if one.function is not None},
+        "files": store_files(files, place),
     }
     columns = tuple(
-        Column(name=one.name, unit=one.unit, values=_array(_field_kind(one.field.kind), values), own=stated(job, one))
+        Column(
+            name=one.name,
+            unit=one.unit,
+            values=_array(_field_kind(one.field.kind), values),
+            job_value=get_job_value(job, one),
+        )
         for one, values in zip(fields, zip(*rows, strict=True), strict=True)
     )
-    base, signs = data_of(job), [one.sign for one in measures]
+    base, signs = get_job_data(job), [one.sign for one in measures]
     cases = []
     for row in rows:
         changes = [(one.field, one.unit, token) for one, token in zip(fields, row, strict=True)]
-        data = {"job": changed(base, changes), "files": files}
+        data = {"job": apply_changes(base, changes), "files": files}
         cases.append(Case(key=case_key({**data, "measures": signs}), data=data))
     several = local(None if workers is None else min(workers, len(cases))) if executor is None else None
     with several or nullcontext(executor) as pool:
-        found = conduct(carry_out, cases, shared=shared, executor=pool, store=place, progress=progress)
+        rows_of_cases = run_cases(carry_out, cases, shared=shared, executor=pool, store=place, progress=progress)
     return Study(
         job=job,
         design=design if isinstance(design, str) else "list",
         fields=columns,
-        measures=tuple(_measured(one, found) for one in measures),
-        reasons=tuple("; ".join(str(row.get(REASON) or row.get(REFUSED) or "").splitlines()) for row in found),
-        seconds=_array("number", [row.get(SECONDS) for row in found]),
+        measures=tuple(_measured(one, rows_of_cases) for one in measures),
+        reasons=tuple("; ".join(str(row.get(REASON) or row.get(REFUSED) or "").splitlines()) for row in rows_of_cases),
+        seconds=_array("number", [row.get(SECONDS) for row in rows_of_cases]),
     )
 
 
