@@ -225,7 +225,7 @@ def test_every_whole_number_of_a_range_is_drawn_as_often(job, design):
         ),
         ({"vary": None, "design": []}, "the list of cases is empty"),
         ({"vary": None, "design": [3]}, "case 1 of the list is 3: write a mapping from fields to values"),
-        ({"design": [{"tool.nose_radius": "1 mm"}]}, "and strategy.feed is varied beside it: leave one out"),
+        ({"design": [{"tool.nose_radius": "1 mm"}]}, "and strategy.feed is varied as well: leave one out"),
         (
             {"design": "random", "count": 2.5},
             "the number of cases of the design 'random' is 2.5, it must be a whole number, 1 to",

@@ -31,10 +31,10 @@ Design: TypeAlias = Literal["grid", "random", "sobol", "halton", "latin hypercub
 DESIGNS: tuple[str, ...] = get_args(Design)
 
 MAX_CASES = 1_000_000
-"""Beyond this a study is a slip of a count."""
+"""Largest number of cases of a study."""
 
 LEAST_SHARE = 1e-12
-"""A distribution without ends is not asked for its ends."""
+"""Least tail probability: distributions without bounds are not evaluated at 0 and 1."""
 
 NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 RANGE = re.compile(rf"({NUMBER})\s*([^.:]*?)\s*\.\.\s*({NUMBER})\s*([^.:]*?)\s*(?::\s*([0-9]+))?\s*(log)?")
@@ -44,20 +44,20 @@ ONE = re.compile(rf"({NUMBER})\s*(.*)")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Varied:
-    """A field that a study varies, and over what.
+    """A varied field and its values.
 
     Parameters
     ----------
     field
-        Which one.
+        The field.
     unit
-        Of its values, as they were given; empty for what has none.
+        Unit of the values; empty if there is none.
     values
-        Of a list, or of a range with a count; empty where only a range or a distribution is known.
+        Values of a list, or of a range with a count; empty for a range without a count or a distribution.
     low, high, log
-        The ends of a range, ``None`` without one; whether it is even in the logarithm.
+        Ends of a range, ``None`` without one; whether the values are spaced logarithmically.
     drawn
-        A distribution, with ``ppf``, in the unit of the values.
+        Distribution with ``ppf``, in the unit of the values.
     """
 
     field: Field
@@ -75,11 +75,11 @@ class Varied:
 
     @property
     def heading(self) -> str:
-        """The name with its unit, as a column is headed."""
+        """Column heading: the name with its unit."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     def at(self, share: Floats) -> list[Token]:
-        """Return the values at some shares of probability, each between 0 and 1. (n,)."""
+        """Return the values at cumulative probabilities between 0 and 1. (n,)."""
         from scipy import stats  # noqa: PLC0415 - costly to import
 
         share = np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)
@@ -90,7 +90,7 @@ class Varied:
             return [self.values[int(pick)] for pick in stats.randint(0, len(self.values)).ppf(share)]
         else:
             low, high = self.low, self.high
-            if is_whole:  # half a step beyond, so that the ends come as often as what is between
+            if is_whole:  # half a step beyond, so that the ends are as likely as the others
                 low, high = math.ceil(low) - 0.5, math.floor(high) + 0.5
             drawn = stats.loguniform(low, high) if self.log else stats.uniform(low, high - low)
         drawn_values = drawn.ppf(share)
@@ -98,21 +98,21 @@ class Varied:
 
 
 def read_varied(job: Job, name: str, given: Vary) -> Varied:
-    """Return what is varied, of what a person wrote.
+    """Parse the values of a varied field.
 
     Parameters
     ----------
     job
-        Whose field it is.
+        Job with the field.
     name
-        Of the field, see `find_field`.
+        Name of the field, see `find_field`.
     given
-        See `Vary`. Numbers in a list, and distributions, are in the unit of the house (mm, rad, mm/rev, rpm).
+        See `Vary`. Numbers in a list, and distributions, are in base units (mm, rad, mm/rev, rpm).
 
     Raises
     ------
     InputError
-        If there is no such field, or it takes no such value.
+        If the field does not exist, or a value is not allowed.
     """
     field = find_field(job, name)
     varied = _read(field, given)
@@ -226,7 +226,7 @@ def _number(field: Field, digits: str) -> Token:
 
 
 def _unit(field: Field, written: str, quoted: str) -> str:
-    """Return a unit that measures what the field is."""
+    """Return the unit of a value after a check that it fits the field."""
     if field.kind != "quantity":
         if written:
             raise InputError(
@@ -318,23 +318,23 @@ def design_cases(
     job
         The job.
     varied
-        What is varied. A list of cases names its fields itself.
+        Varied fields; empty for a list of cases, which names its fields itself.
     design
         "grid" for every value with every other, the last field fastest; "random", "sobol", "halton" (both scrambled) or
         "latin hypercube" for ``count`` cases drawn from ranges and distributions; or the cases themselves, a mapping
         for each.
     count, seed
-        Of what is drawn.
+        Number of cases and seed of a random design.
 
     Raises
     ------
     InputError
-        If the design does not fit what is varied.
+        If the design does not fit the varied fields.
     """
     if not isinstance(design, str):
         if varied:
             raise InputError(
-                f"a list of cases says itself what is varied, and {varied[0].name} is varied beside it: leave one out"
+                f"a list of cases names its fields itself, and {varied[0].name} is varied as well: leave one out"
             )
         fields, rows = _listed(job, design)
     else:
@@ -413,7 +413,7 @@ def _listed(job: Job, design: Sequence[Mapping[str, Any]]) -> tuple[tuple[Varied
 
 
 def get_job_value(job: Job, varied: Varied) -> Token | None:
-    """Return the job's own value of a field, in the unit in which it is varied; ``None`` where it states none."""
+    """Return the value of a field in the job, in the unit in which it is varied; ``None`` if the job states none."""
     data: Any = job.table(whole=True)
     for step in varied.field.place:
         if isinstance(data, dict):
@@ -422,7 +422,7 @@ def get_job_value(job: Job, varied: Varied) -> Token | None:
             data = data[step] if isinstance(data, list) and isinstance(step, int) and step < len(data) else None
     if varied.field.kind != "quantity" or data is None:
         return data if isinstance(data, int | float | str) else None
-    if not isinstance(data, str):  # a coefficient of a series, which is in the house's unit once it is read
+    if not isinstance(data, str):  # a coefficient of a series, which is in the base unit after parsing
         return convert(float(data), varied.field.units[0], varied.unit or "1")
     if varied.field.over_time(varied.unit):
         speed = job.strategy.spindle_rpm

@@ -1,4 +1,4 @@
-"""What a value or a function of one's own depends on, so that what is kept of it is never taken for that of another."""
+"""Digests of values and user functions, so that a stored result is reused only for the same inputs."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ __all__ = ["digest_of"]
 
 
 def digest_of(value: object) -> str:
-    """Return a digest of a value, or of a function: its code, what it holds and what it names, alike in all processes.
+    """Return a digest of a value or a function that is the same in all processes.
 
-    Of a dataclass what it is made from counts. Of the functions that a function names, those of its own package count;
-    the others are taken as they are. What holds something that cannot be told, such as an open file, is another one
-    each time.
+    The digest of a function covers its code, its defaults and closure, and the module values that it names: functions
+    only of its own package. The digest of a dataclass covers its constructor arguments. An object whose contents
+    cannot be read, such as an open file, has a new digest each time.
     """
     return _digest(value, {}).hex()
 
@@ -28,7 +28,7 @@ def digest_of(value: object) -> str:
 def _digest(value: Any, met: dict[int, tuple[Any, bytes]]) -> bytes:
     if id(value) in met:
         return met[id(value)][1]
-    met[id(value)] = value, b"above"  # a ring; and the value is kept, so that nothing else gets its number
+    met[id(value)] = value, b"above"  # stops cycles; a reference to the value keeps its id unique
     digest = hashlib.sha256()
     for one in _parts(value):
         if isinstance(one, _Word):
@@ -42,14 +42,14 @@ def _digest(value: Any, met: dict[int, tuple[Any, bytes]]) -> bytes:
 
 
 class _Word(str):
-    """A word for the digest; whatever else `_parts` yields, but for bytes as they are, is told in turn."""
+    """A text that enters the digest; other values that `_parts` yields, except bytes, are digested recursively."""
 
     __slots__ = ()
 
 
 @singledispatch
 def _parts(value: Any) -> Iterator[Any]:
-    """Yield words and further values that say what a value is."""
+    """Yield the words and values that identify a value."""
     kind = type(value)
     yield _Word(f"{kind.__module__}.{kind.__qualname__}")
     if is_dataclass(value):
@@ -90,7 +90,7 @@ def _(value: FunctionType) -> Iterator[Any]:
 
 
 def _names(code: CodeType) -> Iterator[str]:
-    """Yield the names that a function, or one within it, uses."""
+    """Yield the global names that a function and its inner functions use."""
     yield from code.co_names
     for one in code.co_consts:
         if isinstance(one, CodeType):

@@ -1,4 +1,4 @@
-"""What one draw of an error budget makes of a part: cut as planned, and cut with what an artefact told beforehand."""
+"""Simulate one draw of an error budget: the part cut as planned, and corrected by test parts measured before it."""
 
 from __future__ import annotations
 
@@ -58,40 +58,40 @@ __all__ = [
 NM = 1e6
 
 EDGE_POINTS = 721
-"""Sweeps at which the rest of a wavy edge is stated."""
+"""Sweep angles at which the residual waviness of an edge is tabulated."""
 
 MIN_SLOPE = 1e-6
-"""Slopes below this are none: such a surface looks the same wherever it lies."""
+"""Slopes below this count as zero: a lateral shift of such a surface changes nothing."""
 
 RANK_TOL = 1e-9
-"""Rigid motions that a surface tells apart by less than this are one."""
+"""Relative singular value below which rigid motions of a surface are not distinguished."""
 
 _benches: dict[str, CaseContext] = {}
-"""The bench that this process works at: the same for all cases of a study."""
+"""Context of the study that this process last worked on."""
 
 
 class ActualSetup(NamedTuple):
-    """What a part is really cut with, and what holds it."""
+    """The actual tool, machine and mount of a cut."""
 
     tool: Tool
     machine: Machine
-    faster: Mapping[str, float]  # natural frequency of an axis beyond what is stated, as a share
+    faster: Mapping[str, float]  # relative deviation of the natural frequency of each axis
     drift: tuple[float, float]  # along X and Z at the end of the cut [mm]
     mounting: Mapping[int, float]  # fringe terms [mm]
     tilt: tuple[float, float]  # of the part in the chuck, about x and y [rad]
 
 
 def apply_draw(tool: Tool, machine: Machine, draw: Mapping[str, float], cut: str = "") -> ActualSetup:
-    """Return tool and machine with what was drawn.
+    """Return the actual set-up with the errors of a draw.
 
     Parameters
     ----------
     tool, machine
-        The actual ones, but for what is drawn.
+        Actual tool and machine without the drawn errors.
     draw
-        A number for each error. [mm, rad]
+        Value of each error. [mm, rad]
     cut
-        The artefact that is cut; the part if not given.
+        Test part that is cut; by default the part.
     """
 
     def one(name: str, *, per_cut: bool = False) -> float:
@@ -114,7 +114,7 @@ def apply_draw(tool: Tool, machine: Machine, draw: Mapping[str, float], cut: str
 
 
 def _wavier(tool: Tool, draw: Mapping[str, float]) -> Tool:
-    """Return a tool with the waviness that was drawn on top of its own, 0 at the tip."""
+    """Return a tool with the drawn waviness added to its own, 0 at the tip."""
     powers = np.zeros(13)
     far = max(abs(end) for end in tool.arc)
     for name, value in draw.items():
@@ -125,7 +125,7 @@ def _wavier(tool: Tool, draw: Mapping[str, float]) -> Tool:
             series = np.zeros(order + 1)
             series[order] = value * math.sqrt(2 * order + 1)
             powers[: order + 1] += legendre.leg2poly(series) / far ** np.arange(order + 1.0)
-    powers[0] = 0.0  # the tip is what is touched off
+    powers[0] = 0.0  # the tip is touched off
     if not powers.any():
         return tool
     if isinstance(tool.waviness, WavinessTable):
@@ -139,10 +139,10 @@ def _wavier(tool: Tool, draw: Mapping[str, float]) -> Tool:
 
 
 def residual_setup(real: ActualSetup, tool: Tool, machine: Machine, found: Diagnosis) -> ActualSetup:
-    """Return what is left of the deviations where the part is planned with what was found.
+    """Return the set-up with the deviations that remain after a correction by the diagnosis.
 
-    A part planned with the found tool and cut with the real one leaves, but for products of small errors, what one
-    planned with the nominal tool leaves when it is cut with the nominal tool and the difference of the two.
+    To first order in the errors, planning with the diagnosed tool and cutting with the actual one gives the same
+    surface as planning with the nominal tool and cutting with nominal plus actual minus diagnosed tool.
     """
     likely_tool, likely_machine = found.likely_tool, found.likely_machine
     x, y, z = (
@@ -167,10 +167,10 @@ def residual_setup(real: ActualSetup, tool: Tool, machine: Machine, found: Diagn
 
 
 def bound_shift(budget: ErrorBudget, job: Job) -> ContactShift:
-    """Return how far what a budget may draw moves the contact.
+    """Return a bound on the shift of the contact point by the errors of a budget.
 
-    Along the radius by the offset, by the slope of the edge's own waves, by the drift and by the share of the nose that
-    is wrong; twice that for what a corrected job finds wrongly.
+    Offset, slope of the edge waviness, drift and nose radius error shift it along the radius. The bound is twice their
+    sum, to allow for errors of the diagnosis.
     """
     tool = job.tool
     far = max(abs(end) for end in tool.arc)
@@ -188,7 +188,7 @@ def bound_shift(budget: ErrorBudget, job: Job) -> ContactShift:
 
 
 def artefact_job(job: Job, kind: str) -> Job:
-    """Return the job of an artefact, whose servos count as they do for the part."""
+    """Return the job of a test part, with the same treatment of servos as for the part."""
     free = replace(job, program=replace(job.program, precorrect=False))
     made = artefact(free, kind)  # type: ignore[arg-type] # a budget knows no other
     return replace(made, simulation=replace(made.simulation, tracking=job.simulation.tracking), program=job.program)
@@ -197,12 +197,12 @@ def artefact_job(job: Job, kind: str) -> Job:
 def plan_cuts(
     job: Job, budget: ErrorBudget, store: Store, *, correction: bool, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Plan the part, and its artefacts, once; put what the cases need of it into a store and say where it is.
+    """Plan the part and its test parts once, and write the motions that the cases need to a store.
 
     Returns
     -------
     dict
-        What is shared by all cases, as JSON could carry it.
+        Input shared by all cases, as JSON data.
     """
     report = progress or (lambda _done, _total: None)
     reach = bound_shift(budget, job)
@@ -235,24 +235,24 @@ def _put(plan: PlannedMotion, scene: Scene, reach: ContactShift, store: Store) -
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _View:
-    """A scene and the motion over it."""
+    """A sampling grid and the motion over it."""
 
     scene: Scene
     head: Mapping[str, Any]
     rows: Floats
-    share: Floats  # of the drift that there is at each point: the same in all cases
+    share: Floats  # fraction of the final drift at each point, the same in all cases
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Cut:
-    """A part or an artefact, planned."""
+    """A planned part or test part."""
 
     job: Job
     feed: float
     views: tuple[_View, ...]
 
     def made(self, view: _View, real: ActualSetup) -> tuple[CutSurface, Floats]:
-        """Return what is left at the places of a scene, and how far that is off the design, released. [mm]."""
+        """Return the cut surface on a sampling grid, and its form error after release from the mount. [mm]."""
         motion = scene_motion(view.head, view.rows, self.job.machine, real.faster)
         motion = add_drift(motion, *real.drift, view.share)
         cut = view.scene.generated(motion, real.tool, real.machine, view.head["near"])
@@ -262,10 +262,10 @@ class _Cut:
         f, *slopes = surface.evaluate(np.ascontiguousarray(x), np.ascontiguousarray(y), needed)
         error = cut.z.ravel() - f
         if real.mounting:
-            # Cut while it is bent, the part springs back by as much.
+            # A part deformed by the mount springs back by the same amount.
             error -= Zernike(terms=real.mounting, radius=radius, indexing="fringe").sag(x, y)
         if needed:
-            # Cut while it leans, the part stands upright by as much the other way, as its flange shows.
+            # A part cut with a tilt is measured against its flange, which is tilted by the opposite angle.
             about_x, about_y = real.tilt
             fx, fy = slopes
             error -= about_x * (y + f * fy) - about_y * (x + f * fx)
@@ -274,14 +274,14 @@ class _Cut:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CaseContext:
-    """Everything that the cases of a study share."""
+    """Budget and planned cuts shared by the cases of a study."""
 
     budget: ErrorBudget
     cuts: Mapping[str, _Cut]
 
     @classmethod
     def of(cls, shared: Mapping[str, Any], store: Store) -> CaseContext:
-        """Return the bench of what `plan_cuts` has put into a store."""
+        """Load the data that `plan_cuts` wrote to a store."""
         cuts, budget = {}, ErrorBudget.read(shared["budget"])
         with provide_files(shared["files"], shared["kept"], store) as places:
             jobs = {
@@ -303,13 +303,13 @@ class CaseContext:
         return cls(budget=budget, cuts=cuts)
 
     def real(self, draw: Mapping[str, float], cut: str = "") -> ActualSetup:
-        """Return what a draw makes of tool and machine."""
+        """Return the actual set-up of a draw."""
         job = self.cuts[""].job
         real = apply_draw(job.actual_tool, job.actual_machine, draw, cut)
         return real if servos_respond(job) else real._replace(faster={})
 
     def judged(self, real: ActualSetup) -> tuple[dict[str, float], Floats]:
-        """Return the numbers of a part, and its form error at the lines. [nm]."""
+        """Return the measures of a part, and its form error along the lines. [nm]."""
         part = self.cuts[""]
         numbers: dict[str, float] = {}
         form: Floats | None = None
@@ -330,7 +330,7 @@ class CaseContext:
         return numbers, form * NM
 
     def found(self, draw: Mapping[str, float], seed: object) -> Diagnosis:
-        """Return what the artefacts tell: cut with the real tool on the real machine, measured, diagnosed."""
+        """Simulate cutting and measuring the test parts with the actual set-up, and diagnose them."""
         rng = np.random.default_rng(seed)  # type: ignore[arg-type] # a list of whole numbers
         job = self.cuts[""].job
         measurement = job.measurement
@@ -357,10 +357,10 @@ class CaseContext:
 
 
 def form_error(job: Job, cut: CutSurface, error: Floats) -> Floats:
-    """Return the departure from the design beyond the rigid motions that measuring leaves free.
+    """Return the deviation from the nominal surface after a fit of the free rigid motions.
 
-    They are the motions of the job's ``measurement``, ``free`` but for what is ``fixed``, fitted with each place by its
-    area.
+    The free motions are those of the job's ``measurement``: ``free`` without ``fixed``. The fit weights each place by
+    its area.
     """
     measurement = job.measurement
     fixed = {"piston": ("z",), "tilt": ("tilt_x", "tilt_y"), "decentre": ("x", "y"), "clocking": ("rotation",)}
@@ -375,8 +375,7 @@ def form_error(job: Job, cut: CutSurface, error: Floats) -> Floats:
         "y": fy,
         "rotation": x * fy - y * fx,
     }
-    # In units of what a mark is made of, so that the rounding of one that should be zero, such as that of the rotation
-    # of a sphere, counts as zero and is not fitted.
+    # Scaled, so that a signature that is zero up to rounding, such as the rotation of a sphere, is not fitted.
     far, steep = float(np.hypot(x, y).max()), max(float(np.hypot(fx, fy).max()), MIN_SLOPE)
     sizes = dict.fromkeys(signatures, far) | {"z": 1.0, "x": steep, "y": steep, "rotation": far * steep}
     columns = [
@@ -393,16 +392,16 @@ def form_error(job: Job, cut: CutSurface, error: Floats) -> Floats:
 
 
 def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store | None) -> Row:
-    """Return the row of one case: a worker's function, see `turnwright.studies.run_cases`.
+    """Return the row of one case; the work function of `turnwright.studies.run_cases`.
 
     Parameters
     ----------
     data
-        The ``draw``, its ``seed`` for the noise, whether there is a ``correction``, and the ``study`` it belongs to.
+        The ``draw``, its ``seed`` for the noise, whether there is a ``correction``, and the key of its ``study``.
     shared
-        What `plan_cuts` returned.
+        Result of `plan_cuts`.
     store
-        Where the motions lie, and the form errors go.
+        Store with the motions, to which the form errors are written.
     """
     assert store is not None  # noqa: S101 - a study of tolerances always has one
     bench = _benches.get(data["study"])
@@ -417,7 +416,7 @@ def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store |
     if data["correction"]:
         job = bench.cuts[""].job
         diagnosis = bench.found(draw, data["seed"])
-        # Where `turnwright.correct` would write nothing the part is cut as it was planned.
+        # If `turnwright.correct` would write no correction, the part is cut as planned.
         draws = diagnosis.on(job.part)
         certain = prove(draws, np.zeros(draws.x.size), worth_nm=job.measurement.worth * NM).ok
         setup = residual_setup(real, job.tool, job.machine, diagnosis) if certain else real

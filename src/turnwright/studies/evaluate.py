@@ -16,23 +16,23 @@ if TYPE_CHECKING:
 __all__ = ["REFUSED", "SECONDS", "carry_out"]
 
 REFUSED = "refused"
-"""Column of why `run` would refuse a job whose measures are there all the same."""
+"""Column with the reason why `run` would refuse a job that can still be measured."""
 
 SECONDS = "seconds"
-"""Column of what a case took."""
+"""Column with the computing time of a case. [s]"""
 
 
 def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store | None) -> dict[str, Any]:
-    """Return the row of a case: its measures, why `run` would refuse it, and what it took.
+    """Return the row of a case: its measures, the reason why `run` would refuse it, and its computing time.
 
     Parameters
     ----------
     data
-        The data of the job, and the digests of the files that it names.
+        Data of the job, and digests of the files that it names.
     shared
-        The names of the measures, functions of one's own by name, and under which names the store has the files.
+        Names of the measures, user functions by name, and names of the job's files in the store.
     store
-        Where to find files that this machine does not have.
+        Store with files that this machine does not have.
     """
     start = time.perf_counter()
     with provide_files(data["files"], shared.get("files", {}), store) as places:

@@ -51,17 +51,17 @@ class Field:
     Parameters
     ----------
     name
-        As it was asked for, such as ``passes.finish.feed``.
+        Name as requested, such as ``passes.finish.feed``.
     place
-        Its keys in the data of the job.
+        Keys in the data of the job.
     units
-        In which its numbers may be given, the first one is the house's; empty for what has none.
+        Allowed units, the base unit first; empty if there is none.
     kind
         "quantity", "number", "whole", "flag" or "text".
     annotation
-        Its type in the table that it belongs to.
+        Type annotation of the field.
     among
-        How many entries the list has that it is one of; 0 where any number may be.
+        Length of the list that it is an entry of; 0 if any length is allowed.
     """
 
     name: str
@@ -77,7 +77,7 @@ class Field:
         return self.units == ("mm/rev",)
 
     def over_time(self, units: str) -> bool:
-        """Say whether these units measure a feed over time."""
+        """Return whether these units state a feed per time."""
         if not self.is_feed:
             return False
         with suppress(UnitError):
@@ -86,11 +86,11 @@ class Field:
         return False
 
     def written(self, token: Token, units: str) -> Token:
-        """Return a value as a job file takes it."""
+        """Return a value as it is written in a job file."""
         return f"{float(token)!r} {units}".rstrip() if self.kind == "quantity" and not isinstance(token, str) else token
 
     def spelled(self, text: str) -> Token:
-        """Return what a text means where a field takes words: a whole number if one of its words is that number."""
+        """Return the allowed word that a text states: a whole number if the field accepts numbers."""
         for one in _alternatives(self.annotation):
             words = get_args(_bare(one)) if get_origin(_bare(one)) is Literal else ()
             if _bare(one) is int and text.isdigit():

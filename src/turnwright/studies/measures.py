@@ -1,4 +1,4 @@
-"""What a study measures of a case: named numbers of any stage, each with its unit, or a function of one's own."""
+"""Measures of a case: named numbers of any stage with their units, or user functions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["MEASURES", "Measure", "MeasureFunction", "Value", "evaluate", "measu
 
 Value: TypeAlias = float | int | str | None
 MeasureFunction: TypeAlias = Callable[[Pipeline], Value]
-"""A measure of one's own: takes the stages of a case, returns a number."""
+"""A user-defined measure: a function of the pipeline of a case that returns a number."""
 
 WHOLE_PART = "whole part"
 NM = 1e6
@@ -30,24 +30,24 @@ MN_PER_N = 1e3
 """Millinewtons of a newton."""
 
 STAGE_ORDER = ("access", "plan", "drive", "chips", "place")
-"""Stages in the order in which they are asked for: a whole path that is there anyway serves the patches too."""
+"""Order in which stages are evaluated: a complete path, if needed, is also used for the patches."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measure:
-    """A number that a study takes of every case.
+    """A quantity that a study evaluates for every case.
 
     Parameters
     ----------
     name
-        As it is asked for; what stands behind an @ is a patch, or an axis.
+        Name as requested; the text after an @ is a patch or an axis.
     unit
-        Of the number; empty for what has none, or what carries its unit in its name.
+        Unit of the number; empty if there is none, or if the name contains it.
     stage
-        What of the job must be carried out: "access", "plan" (the finishing path), "drive" (all passes, with their
-        limits), "chips", or "place" (what a patch, or the whole part, will look like).
+        Stage of the job that it needs: "access", "plan" (the finishing path), "drive" (all passes, with their
+        limits), "chips", or "place" (the predicted surface of a patch or the whole part).
     function
-        A function, of a measure of one's own.
+        Function of a user-defined measure.
     """
 
     name: str
@@ -57,19 +57,19 @@ class Measure:
 
     @property
     def heading(self) -> str:
-        """The name with its unit, as a column is headed."""
+        """Column heading: the name with its unit."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     @property
     def sign(self) -> str:
-        """What a kept row depends on: the name, and of a measure of one's own its code and what it holds."""
+        """Key of the measure in stored rows: the name, and for a user function a digest of its code and data."""
         if self.function is None:
             return self.name
         return f"{self.name} {getattr(self.function, '__module__', '')} {digest_of(self.function)}"
 
 
 def _margin(pipeline: Pipeline, name: str) -> float:
-    """Return how much a tool has left of what a part asks of it; infinite where nothing is asked."""
+    """Return the margin of a tool in an access check; infinite if the part makes no demand."""
     margins = [one.margin for one in pipeline.access.findings if one.name == name]
     return margins[0] if margins and margins[0] is not None else math.inf
 
@@ -104,7 +104,7 @@ JOB_MEASURES: dict[str, tuple[str, str, _Taken]] = {
     "form_pv_nm": ("", "place", lambda pipeline, _: pipeline.form_pv_nm),
     "form_rms_nm": ("", "place", lambda pipeline, _: pipeline.prediction(WHOLE_PART).roughness.sq_nm),
 }  # fmt: skip
-"""Measures of a whole job: unit, stage and how it is taken. Chips and forces are those of the finishing pass."""
+"""Measures of a whole job: unit, stage and function. Chips and forces are those of the finishing pass."""
 
 PATCH_MEASURES: dict[str, str] = {
     "sa_nm": "", "sq_nm": "", "sp_nm": "", "sv_nm": "", "sz_nm": "", "pv_nm": "", "ssk": "", "sku": "", "sdq": "",
@@ -118,14 +118,14 @@ AXIS_MEASURES: dict[str, tuple[str, str]] = {
     "peak_jerk": ("mm/s^3", "rad/s^3"),
     "stroke": ("mm", "rad"),
 }
-"""Measures of an axis in the finishing pass, in the units of slides and of what turns."""
+"""Measures of an axis in the finishing pass, with the units of linear and rotary axes."""
 
 MEASURES: tuple[str, ...] = (
     *JOB_MEASURES,
     *(f"{name}@PATCH" for name in PATCH_MEASURES),
     *(f"{name}@AXIS" for name in AXIS_MEASURES),
 )
-"""What can be asked for by name."""
+"""Names of all measures."""
 
 
 def _milli(force: float | None) -> float | None:
@@ -133,12 +133,12 @@ def _milli(force: float | None) -> float | None:
 
 
 def measure_of(job: Job, asked: str | MeasureFunction) -> Measure:
-    """Return a measure by its name, or of a function of one's own.
+    """Return a measure by its name, or of a user function.
 
     Parameters
     ----------
     job
-        Whose patches there are to measure.
+        Job with the patches and axes.
     asked
         Such as "minutes", "sq_nm" (of the first patch), "sq_nm@axis" (of the patch called axis), "pv_nm@whole part",
         "peak_acceleration@X"; or a function.
@@ -189,14 +189,14 @@ def _known() -> str:
 
 
 def evaluate(pipeline: Pipeline, measures: Sequence[Measure]) -> dict[str, Value]:
-    """Return the measures of a case by name; only the stages that they need are carried out.
+    """Return the measures of a case by name; only the stages that they need are computed.
 
     Parameters
     ----------
-    stages
-        Of the job of the case.
+    pipeline
+        Stages of the job of the case.
     measures
-        What is asked for.
+        Requested measures.
     """
     values: dict[str, Value] = {}
     for one in sorted(measures, key=lambda measure: STAGE_ORDER.index(measure.stage)):
@@ -229,7 +229,7 @@ def _taken(pipeline: Pipeline, one: Measure) -> Value:
 
 
 def _finite(value: Any) -> Value:
-    """Return a number of NumPy as one of Python."""
+    """Convert a NumPy scalar to a Python number."""
     plain = value.item() if isinstance(value, np.generic) else value
     if plain is not None and not isinstance(plain, int | float | str):
         raise InputError(f"a measure gives {type(plain).__name__}, it must be a number, a text or None: change it")

@@ -1,7 +1,7 @@
-r"""What a result depends on: shares of its variance, and how often it keeps a limit.
+r"""Variance-based sensitivity indices, and intervals of probabilities and percentiles.
 
-The first-order index of an input, or of a group of inputs, is the share of the variance that knowing it would take
-away; the total index is the share that would be left if only it were not known:
+The first-order index of an input, or of a group of inputs, is the part of the variance that fixing it would remove on
+average; the total index is the part that remains on average if all other inputs are fixed:
 
 .. math:: S_i = \frac{\mathrm{Var}\,\mathrm E[y | x_i]}{\mathrm{Var}\,y}, \qquad
    T_i = \frac{\mathrm E\,\mathrm{Var}[y | x_{\sim i}]}{\mathrm{Var}\,y}
@@ -33,14 +33,14 @@ __all__ = [
 ]
 
 MISS_PROBABILITY = 0.05
-"""An interval misses the truth this often."""
+"""Probability that an interval does not hold the true value."""
 
 MAPS_PER_BLOCK = 2_000
-"""Maps at a time."""
+"""Maps that are evaluated together."""
 
 
 class Interval(NamedTuple):
-    """A number, and the interval that holds the true one in 95 of 100 studies."""
+    """An estimate with its 95 % confidence interval."""
 
     value: float
     low: float
@@ -48,9 +48,9 @@ class Interval(NamedTuple):
 
 
 def binomial_interval(successes: int, trials: int) -> Interval:
-    """Return how likely success is, with the interval of Clopper and Pearson.
+    """Return the estimated probability of success with the exact interval of Clopper and Pearson.
 
-    It never misses the truth more often than it says, at 0 and at all successes too.
+    Its coverage is at least 95 %, also with no successes and with all.
 
     Sources
     -------
@@ -62,7 +62,9 @@ def binomial_interval(successes: int, trials: int) -> Interval:
     from scipy.special import betaincinv  # noqa: PLC0415 - costly to import
 
     if not 0 <= successes <= trials or trials < 1:
-        raise InputError(f"{successes} of {trials} cases are good, which cannot be: give at least 1 case")
+        raise InputError(
+            f"successes must be 0 to the number of trials, and trials at least 1, got {successes} of {trials}"
+        )
     k, n = successes, trials
     low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, MISS_PROBABILITY / 2))
     high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1 - MISS_PROBABILITY / 2))
@@ -70,9 +72,9 @@ def binomial_interval(successes: int, trials: int) -> Interval:
 
 
 def percentile(values: Floats, share: float) -> Interval:
-    """Return a percentile of a distribution that some draws come from, with its interval by order statistics.
+    """Estimate a percentile from draws, with its confidence interval by order statistics.
 
-    Where there are too few draws for an end of the interval it is infinite.
+    An end of the interval for which there are too few draws is infinite.
 
     Sources
     -------
@@ -91,7 +93,7 @@ def percentile(values: Floats, share: float) -> Interval:
 
 
 class Indices(NamedTuple):
-    """Sobol' indices of groups of inputs, and their standard errors by the design. Each (groups,)."""
+    """Sobol' indices of groups of inputs, and their standard errors of sampling. Each (groups,)."""
 
     first: Floats
     total: Floats
@@ -115,11 +117,11 @@ def sobol_indices(
     Parameters
     ----------
     function
-        From inputs to a result. (n, d) to (n,)
+        Function of the inputs. (n, d) to (n,)
     groups
         Numbers of the inputs in each group.
     a, b
-        Independent draws of all inputs, best the two halves of one sequence. Each (n, d)
+        Independent draws of all inputs, preferably the two halves of one sequence. Each (n, d)
 
     Sources
     -------
@@ -142,18 +144,18 @@ def sobol_indices(
 
 
 def neighbour_indices(inputs: Floats, result: Floats, groups: Sequence[Sequence[int]]) -> Floats:
-    """Return first-order indices of groups of inputs from given cases, whatever they were drawn by.
+    """Estimate first-order indices of groups of inputs from independent cases.
 
-    Two cases that are nearest neighbours in a group differ by what the others do; for one input that is the rank
-    correlation of Chatterjee with the result in place of its ranks. It scatters by about 1 over the root of the number
-    of cases.
+    Two cases that are nearest neighbours in the inputs of a group differ by the effect of the other inputs. For one
+    input this is Chatterjee's rank correlation with the result in place of its ranks. The standard error is about 1
+    over the square root of the number of cases.
 
     Parameters
     ----------
     inputs
-        In units of their standard deviations. (n, d)
+        Inputs in units of their standard deviations. (n, d)
     result
-        Of each case. (n,)
+        Result of each case. (n,)
     groups
         Numbers of the inputs in each group.
 
@@ -184,23 +186,23 @@ def neighbour_indices(inputs: Floats, result: Floats, groups: Sequence[Sequence[
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MapModel:
-    """Error maps as sums of marks, one for each input and one for its square, fitted to the cases of a study.
+    """Error maps as sums of error signatures, one for each input and one for its square, fitted to cases.
 
-    Small errors add up: each moves every height in proportion, and its square by a little. So some hundred cases tell
-    the map of any draw, and peak to valley of a million draws costs no case.
+    Small errors superpose: each changes every height in proportion, with a small quadratic term. Some hundred cases
+    therefore determine the map of any draw, so that the peak to valley of a million draws needs no further cases.
 
     Parameters
     ----------
     share
-        Of each mark in each height: a constant, then the inputs, then their squares. (1 + d or 1 + 2d, m) [nm]
+        Signatures: coefficient of each height for a constant, the inputs and their squares. (1 + d or 1 + 2d, m) [nm]
     weight
-        Of each height. (m,)
+        Weight of each height. (m,)
     leverage
-        How much each case draws the fit to itself. (n,)
+        Leverage of each case in the fit. (n,)
     left
-        What the fit leaves of each case. (n, m) [nm]
+        Residual of each case. (n, m) [nm]
     maps
-        That were fitted. (n, m) [nm]
+        Fitted maps. (n, m) [nm]
     """
 
     share: Floats
@@ -211,18 +213,18 @@ class MapModel:
 
     @classmethod
     def fitted(cls, inputs: Floats, maps: Floats, weight: Floats, chosen: Ints | None = None) -> MapModel | None:
-        """Return the model of some cases, or ``None`` if they are too few.
+        """Fit the model to cases; ``None`` if they are too few.
 
         Parameters
         ----------
         inputs
             Draws in units of their standard deviations, about their means. (n, d)
         maps
-            (n, m) [nm]
+            Error maps. (n, m) [nm]
         weight
-            Of each height. (m,)
+            Weight of each height. (m,)
         chosen
-            Which cases to fit, some of them more than once; all once if not given.
+            Cases to fit, possibly repeated; by default all.
         """
         columns = cls.columns(inputs, squares=inputs.shape[0] >= 4 * (2 * inputs.shape[1] + 1))
         if inputs.shape[0] < cls.fewest(inputs.shape[1]):
@@ -234,12 +236,12 @@ class MapModel:
 
     @staticmethod
     def fewest(inputs: int) -> int:
-        """Return how many cases tell the marks of so many inputs."""
+        """Return the least number of cases for a number of inputs."""
         return 2 * (1 + inputs)
 
     @staticmethod
     def columns(inputs: Floats, *, squares: bool) -> Floats:
-        """Return what a map is a sum of. (n, 1 + d or 1 + 2d)."""
+        """Return the design matrix of the fit. (n, 1 + d or 1 + 2d)."""
         parts = [np.ones((inputs.shape[0], 1)), inputs]
         if squares:
             parts.append(inputs**2 - 1)
@@ -258,9 +260,9 @@ class MapModel:
         return np.asarray(np.sqrt(maps**2 @ self.weight / self.weight.sum()))
 
     def explained_variance(self) -> tuple[float, float]:
-        """Return which share of the variance of peak to valley and of root mean square of a case the others foretell.
+        """Return the part of the variance of peak to valley and of root mean square that the model predicts.
 
-        By leaving each out in turn, in closed form.
+        By leave-one-out cross-validation in closed form.
         """
         without = self.maps - self.left / (1 - self.leverage)[:, None]
         shares = []

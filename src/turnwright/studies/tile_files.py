@@ -1,9 +1,9 @@
-"""A tiled map as a zarr group: what lies where in it, and what of it is finished.
+"""A tiled map as a zarr group.
 
-``level_0`` holds the map, ``level_1`` and on its overviews, each with its ``z`` in files of one tile (uncompressed:
-the last digits of heights are noise), and ``x`` and ``y``. ``tiles`` holds one record for each tile, written when all
-else of the tile is; a tile without one does not count. In a folder and in an object store every file appears whole, or
-not at all.
+``level_0`` holds the map, ``level_1`` and higher its overviews, each with ``z`` in files of one tile (uncompressed:
+the last digits of heights are noise), and ``x`` and ``y``. ``tiles`` holds one record for each tile, which is written
+last; a tile without a record is unfinished. In a folder and in an object store every file appears complete or not at
+all.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ __all__ = [
 
 FORMAT = 1
 MOTION_FOLDER = ".motion"
-"""Where the arrays of the motion lie while workers need them."""
+"""Folder of the arrays of the motion while workers need them."""
 
 PLANE_SUMS = 12
-"""Numbers that `plane_sums` makes of a tile."""
+"""Number of sums of a tile by `plane_sums`."""
 
 PART_PIXELS = PLANE_SUMS
-"""Where a record says how many pixels of the part the tile has."""
+"""Index in a record of the number of pixels of the part in the tile."""
 
 EDGE_START = PLANE_SUMS + 1
-"""Where the first row of its heights begins, and after it the first column."""
+"""Index in a record of the first row of heights, followed by the first column."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +65,11 @@ class Files:
     place
         Folder or URL.
     about
-        What the group says of itself.
+        Attributes of the group.
     layout
-        Its grid.
+        Grid of the map.
     levels
-        The heights of the map and of its overviews.
+        Heights of the map and of its overviews.
     records
         One row of numbers for each tile. (tile rows, tile columns, numbers)
     """
@@ -82,7 +82,7 @@ class Files:
 
     @classmethod
     def open(cls, place: str, *, write: bool = False) -> Self:
-        """Open a map that was begun, to read or to go on.
+        """Open a map, complete or not.
 
         Raises
         ------
@@ -104,12 +104,12 @@ class Files:
 
     @classmethod
     def begin(cls, place: str, layout: Layout, about: dict[str, Any]) -> Self:
-        """Make the arrays of a map, or take up one that was begun.
+        """Create the arrays of a map, or open an incomplete one.
 
         Raises
         ------
         InputError
-            If something else is there, or the disk has not the room.
+            If the place holds something else.
         """
         import zarr  # noqa: PLC0415 - costly, and only for whole parts
 
@@ -133,27 +133,27 @@ class Files:
         return cls.open(place, write=True)
 
     def finished(self) -> Bools:
-        """Return which tiles are there. (tile rows, tile columns)."""
+        """Return which tiles are finished. (tile rows, tile columns)."""
         return np.asarray(~np.isnan(self.read_records()[:, :, 0]))
 
     def read_records(self) -> Floats:
-        """Return the records, nan where there is none yet. (tile rows, tile columns, numbers)."""
+        """Return the records, nan for unfinished tiles. (tile rows, tile columns, numbers)."""
         return np.asarray(self.records[:], dtype=np.float64)
 
     def complete(self) -> None:
-        """State that nothing is missing any more."""
+        """Mark the map as complete."""
         group = _group(self.place, mode="r+")
         assert group is not None  # noqa: S101 - it was opened before
         group.attrs["turnwright"] = {**self.about, "complete": True}
 
 
 def require_same_map(place: str, layout: Layout) -> None:
-    """Raise if something else is at a place than a map on the same grid, in whichever tiles.
+    """Raise if a place holds anything but a map on the same grid, with any tile size.
 
     Raises
     ------
     InputError
-        If something is.
+        If the place holds something else.
     """
     if "://" not in place and not os.path.lexists(place):
         return
@@ -174,7 +174,7 @@ def _another(place: str) -> InputError:
 
 
 def resolve_place(store: str | os.PathLike[str]) -> str:
-    """Return the whole path of a folder, or a URL as it is."""
+    """Return the absolute path of a folder, or a URL unchanged."""
     place = validate.path(store, "the store").removeprefix("file://")
     return place if "://" in place else str(Path(place).expanduser().absolute())
 
@@ -206,12 +206,12 @@ def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
 
     array = group.get(name)
     if not isinstance(array, zarr.Array):
-        raise InputError(f"the map {str(group.store)!r} lacks {name}: make it anew")
+        raise InputError(f"the map {str(group.store)!r} lacks {name}: generate it again")
     return array
 
 
 def _require_level(group: zarr.Group, layout: Layout, level: int) -> None:
-    """Make the arrays of an overview that are not there."""
+    """Create the missing arrays of an overview."""
     within = group.require_group(f"level_{level}")
     for name, axis in zip("xy", layout.axes(level), strict=True):
         if name not in within:
@@ -228,7 +228,7 @@ def _require_level(group: zarr.Group, layout: Layout, level: int) -> None:
 
 
 def bytes_needed(layout: Layout) -> int:
-    """Return what the files of a map take, its overviews and records included."""
+    """Return the size of a map with its overviews and records. [byte]."""
     tiles = sum(1 for _ in layout.tiles())
     pixels = layout.tile[0] * layout.tile[1]
     overviews = sum(4.0**-level for level in range(layout.levels))
@@ -236,7 +236,7 @@ def bytes_needed(layout: Layout) -> int:
 
 
 def remove_motion(place: str) -> None:
-    """Remove the arrays that workers made the tiles from."""
+    """Remove the arrays of the motion."""
     if "://" not in place:
         shutil.rmtree(Path(place) / MOTION_FOLDER, ignore_errors=True)
         return
@@ -248,12 +248,12 @@ def remove_motion(place: str) -> None:
 
 
 def require_room(place: str, layout: Layout) -> None:
-    """Raise unless the disk has the room for a map that is to be begun.
+    """Raise if the disk has too little space for a new map.
 
     Raises
     ------
     InputError
-        If it has not.
+        If the space is too small.
     """
     if "://" in place or (Path(place) / "zarr.json").exists():
         return
@@ -261,7 +261,7 @@ def require_room(place: str, layout: Layout) -> None:
     while not folder.exists():
         folder = folder.parent
     free = shutil.disk_usage(folder).free
-    # A bare count first: of a grid that is far too fine not even the tiles can be told.
+    # An estimate first: a grid that is far too fine has too many tiles to list.
     needed = 32 / 3 * layout.shape[0] * layout.shape[1] * (1.0 if layout.radius is None else math.pi / 4)
     if needed < free:
         needed = bytes_needed(layout)
@@ -274,7 +274,7 @@ def require_room(place: str, layout: Layout) -> None:
 
 @contextmanager
 def translate_disk_errors(place: str, done: int, total: int) -> Iterator[None]:
-    """Turn what the system says of a disk into a sentence."""
+    """Translate an error of the file system into a `StudyError`."""
     try:
         yield
     except OSError as error:

@@ -82,13 +82,13 @@ def tiled_roughness(files: Files, form: str, progress: Progress | None) -> Rough
 
 
 def _with_neighbours(files: Files, records: Floats, tile: Tile) -> Floats:
-    """Return the heights of a tile, and the first row and column of what follows it."""
+    """Return the heights of a tile, extended by the first row and column of its neighbours."""
     rows, columns = tile.shape
     wide = files.layout.tile[1]
     z = np.full((rows + 1, columns + 1), np.nan)
     z[:-1, :-1] = files.levels[0][tile.rows, tile.columns]
     below, right = tile.j + 1 < records.shape[0], tile.i + 1 < records.shape[1]
-    # A tile beyond the part has no record, so that nan comes of it.
+    # A tile beyond the part has no record, which gives nan.
     if right:
         z[:-1, -1] = records[tile.j, tile.i + 1, EDGE_START + wide : EDGE_START + wide + rows]
     if below:
@@ -99,7 +99,7 @@ def _with_neighbours(files: Files, records: Floats, tile: Tile) -> Floats:
 
 
 def _reference(records: Floats, tiles: list[Tile], form: str) -> Callable[[Tile], tuple[float, float, float]]:
-    """Return what gives, for each tile, the height of the reference at its corner and its rise per column and row."""
+    """Return a function of a tile: height of the reference at its corner, and slope per column and row."""
     if form == "none":
         return lambda _: (0.0, 0.0, 0.0)
     some = np.array([records[tile.j, tile.i, :PLANE_SUMS] for tile in tiles])

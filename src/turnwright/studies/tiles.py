@@ -1,4 +1,4 @@
-"""Make a whole part, tile by tile, into a store."""
+"""Simulate the surface of a whole part, tile by tile, into a store."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ __all__ = ["generate_tiled", "planned_layout"]
 
 @dataclass(frozen=True, slots=True)
 class _Painter:
-    """All that a tile is made from, ready; one for all threads of a process."""
+    """Prepared input of all tiles, shared by the threads of a process."""
 
     ready: Prepared
     files: Files
@@ -73,7 +73,7 @@ class _Painter:
         return self.orders[shape]
 
     def heights(self, tile: Tile) -> tuple[Floats, int]:
-        """Return the heights of a tile [mm], nan where there are none, and how many pixels of it are of the part."""
+        """Return the heights of a tile [mm], nan where missing, and its number of pixels of the part."""
         x, y = self.axes[0][tile.columns], self.axes[1][tile.rows]
         tiles, columns, rows = self.order(tile.shape)
         px, py = x[columns], y[rows]
@@ -98,7 +98,7 @@ class _Painter:
         return (z if self.minus is None else HeightMap(x=x, y=y, z=z).minus(self.minus).z), pixels
 
     def paint(self, tile: Tile) -> None:
-        """Make a tile and its overviews, put them into the store, and then the record that it is there."""
+        """Compute a tile and its overviews, and write them and then the record of the tile to the store."""
         z, pixels = self.heights(tile)
         record = np.zeros(self.files.records.shape[2])
         kernel.plane_sums(only_read(z), record[:PLANE_SUMS])
@@ -137,48 +137,48 @@ def generate_tiled(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> TiledMap:
-    r"""Return the surface that a motion leaves, of any size: it is made tile by tile, into a store on disk.
+    r"""Return the surface that a motion generates, of any size, computed tile by tile into a store on disk.
 
-    The heights are those of `generate` on the same grid, to the last bit. Memory holds a few tiles at a time. Whatever
-    is finished stays: called again with the same motion, tool and grid, after a stop, a crash or a full disk, it makes
-    what is missing. The store is a zarr group (version 3, uncompressed) that any program reads; beside the map it holds
-    overviews, each of half the pixels of the one before: the mean of 2 x 2 heights, those missing left out.
+    The heights are those of `generate` on the same grid, to the last bit. Memory holds a few tiles at a time. Finished
+    tiles are kept: after a stop, a crash or a full disk, a call with the same motion, tool and grid computes only the
+    missing ones. The store is a zarr group (version 3, uncompressed) that any program can read. It also holds
+    overviews, each with half the pixels of the one before along each axis: means of 2 x 2 heights without missing ones.
 
     Parameters
     ----------
     motion, tool, machine
         See `generate`.
     pixel
-        Along x and y, or one for both. [mm]
+        Pixel size along x and y, or one for both. [mm]
     store
-        A folder, or a URL that fsspec knows.
+        A folder, or a URL that fsspec supports.
     radius
-        Heights lie within it; a pixel lies on the axis, unless ``x`` and ``y`` say where they begin. [mm]
+        Semi-diameter of the map; a pixel is on the axis, unless ``x`` and ``y`` state where they begin. [mm]
     x, y
         First and last column and row of a rectangle. [mm]
     minus
-        Surface to subtract: the map is then the error, cut minus design.
+        Surface to subtract: the map is then the form error, cut minus nominal surface.
     tile
-        Pixels along a tile, about: it becomes a multiple of what the generation takes together.
+        Approximate number of pixels along a tile; it is rounded to a multiple of the groups of the generation.
     executor
-        Where the tiles are made; the threads of this process if not given. The arrays of the motion then go through the
-        store, so that it must be a place that all workers see.
+        Executor of the tiles; by default threads of this process. An executor reads the motion from the store, which
+        all its workers must reach.
     progress
         Called with (tiles done, all tiles).
 
     Returns
     -------
     TiledMap
-        With its roughness, spectra, windows.
+        The map, with its roughness, spectra and windows.
 
     Raises
     ------
     InputError
-        If the grid is not one, the disk has not the room, or the store holds something else.
+        If the grid is invalid, the disk has too little space, or the store holds something else.
     DomainError
-        If ``minus`` is not defined somewhere.
+        If ``minus`` is undefined somewhere.
     StudyError
-        If the disk becomes full, or the executor breaks; what is finished stays.
+        If the disk becomes full, or the executor breaks; finished tiles are kept.
 
     Sources
     -------
@@ -233,7 +233,7 @@ def planned_layout(
     y: tuple[float, float] | None = None,
     tile: int = DEFAULT_TILE_PIXELS,
 ) -> Layout:
-    """Return the grid of a map, not yet in tiles, if it can be begun or gone on with there; see `generate_tiled`."""
+    """Return the grid of a map, after a check that it can be started or continued there; see `generate_tiled`."""
     layout = Layout.of(pixel, radius=radius, x=x, y=y)
     require_tile(tile)
     place = resolve_place(store)
@@ -251,7 +251,7 @@ def _make(
     total: int,
     progress: Progress | None,
 ) -> None:
-    """Have the tiles made that are missing of so many in all."""
+    """Compute the missing tiles, of ``total`` tiles."""
     tell = progress or (lambda _done, _total: None)
     done = total - len(missing)
 
@@ -278,7 +278,7 @@ def _make(
 
 @dataclass(frozen=True, slots=True)
 class _Task:
-    """What travels to a worker: places and names, the tool and the machines, no array as long as the motion."""
+    """Input of a worker: paths, names, tool and machines, but no array of the motion."""
 
     place: str
     key: str
@@ -307,11 +307,11 @@ class _Task:
 
 
 _latest: dict[str, _Painter] = {}
-"""What this worker made ready last."""
+"""Input that this worker prepared last."""
 
 
 def _paint(task: _Task, j: int, i: int) -> None:
-    """Make one tile, in a worker."""
+    """Compute a tile in a worker."""
     at = f"{task.place} {task.key}"
     if at not in _latest:
         painter = task.painter()
@@ -322,7 +322,7 @@ def _paint(task: _Task, j: int, i: int) -> None:
 
 
 def _coarser(files: Files) -> None:
-    """Make the overviews that are smaller than a tile's own, each of the one before, a band of rows at a time."""
+    """Compute the overviews beyond those of the tiles, each from the one before, a band of rows at a time."""
     layout = files.layout
     for level in range(TILE_LEVELS + 1, layout.levels):
         finer, coarse = files.levels[level - 1], files.levels[level]
@@ -336,9 +336,9 @@ def _coarser(files: Files) -> None:
 
 
 def _key(ready: Prepared, layout: Layout, minus: Surface | None) -> str:
-    """Return a digest of all that decides the heights."""
+    """Return a digest of all inputs of the heights."""
     heights = None
-    if minus is not None:  # whatever a surface of somebody else holds, its heights tell
+    if minus is not None:  # samples of the heights identify also a user's own surface
         x, y = (axis[:: max(1, axis.size // 64)] for axis in layout.axes())
         x, y = (one.ravel() for one in np.meshgrid(x, y))
         inside = np.ones(x.shape, dtype=bool) if layout.radius is None else np.hypot(x, y) <= layout.radius

@@ -1,4 +1,4 @@
-"""How likely a part keeps its tolerances, given how well machine and tool can be set up, and what to set up better."""
+"""Tolerance studies: the probability that a part meets its tolerances, and which set-up error to reduce first."""
 
 from __future__ import annotations
 
@@ -49,47 +49,48 @@ __all__ = ["Outcome", "Sensitivity", "Tightening", "ToleranceStudy", "tolerance"
 NM = 1e6
 
 MIN_CASES = 10
-"""Cases of which anything can be said."""
+"""Least number of cases of a study."""
 
 PERCENTILES = (0.05, 0.5, 0.9, 0.95, 0.99)
 
 SAMPLES_LOG2 = 10
-"""Exponent of the points at which the indices are estimated."""
+"""Binary logarithm of the number of points from which the indices are estimated."""
 
 MODEL_HEIGHTS, BOOTSTRAP_HEIGHTS = 1500, 300
-"""Places of a map that tell what it depends on, about."""
+"""Approximate number of heights of a map in the model and in its bootstrap."""
 
 BOOTSTRAP_COUNT = 40
-"""Times that the cases are drawn again for the intervals of the indices."""
+"""Bootstrap resamples for the intervals of the indices."""
 
 POOR_VARIANCE = 0.5
-"""Share of the variance below which sums of marks are a poor model."""
+"""Explained variance below which the sum of signatures is a poor model."""
 
 MIN_EFFECTIVE_CASES = 20
-"""Cases that must count after they are weighted, else their finish is taken as it is."""
+"""Least effective number of weighted cases; below it the roughness is taken unweighted."""
 
 USUAL_AXES = ("C", "X", "Z")
-"""Axes that a lathe may have."""
+"""Axes that a budget may name for every lathe."""
 
 AS_PLANNED, CORRECTED = "as planned", "corrected"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensitivity:
-    """What a group of errors does to a part.
+    """Effect of a group of errors on a part.
 
     Parameters
     ----------
     group
-        Such as ``"tool offset"``; ``"concave sphere: drift"`` is that of an artefact's own cut.
+        Such as ``"tool offset"``; ``"concave sphere: drift"`` is the drift during the cut of that test part.
     first, total
-        Sobol' indices of the form error PV, of maps as sums of marks; ``None`` where the cases are too few.
+        Sobol' indices of the form error PV, from a model of maps as sums of signatures; ``None`` if the cases are too
+        few.
     neighbour_index
-        First-order index of the same by nearest neighbours among the cases themselves.
+        First-order index of the form error PV by nearest neighbours among the cases.
     probability
-        Of keeping all tolerances if the spread of the group were halved; ``None`` where the cases are too few.
+        Probability of meeting all tolerances with half the spread of the group; ``None`` if the cases are too few.
     percentile_nm
-        95th percentile of the form error PV then. [nm]
+        95th percentile of the form error PV with half the spread. [nm]
     """
 
     group: str
@@ -102,16 +103,16 @@ class Sensitivity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tightening:
-    """The one tolerance to tighten first, and what a study of its own says of it.
+    """The group of errors to reduce first, and the result of a second study with half its spread.
 
     Parameters
     ----------
     group
-        Whose spread is halved.
+        Group with the halved spread.
     probability
-        Of keeping all tolerances with the halved spread, in cases that are the same otherwise.
+        Probability of meeting all tolerances with the halved spread, in otherwise identical cases.
     before
-        With the whole spread.
+        Probability with the full spread.
     """
 
     group: str
@@ -121,21 +122,21 @@ class Tightening:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outcome:
-    """What the cases come to, as planned or corrected.
+    """Results of the cases, as planned or corrected.
 
     Parameters
     ----------
     probability
-        Of keeping all tolerances that the job states.
+        Probability of meeting all tolerances of the job.
     each
-        Of keeping one of them, by measure.
+        Probability of meeting each of them, by measure.
     sensitivities
-        The group that matters most first.
+        Effect of each group, the most important first.
     explained_variance
-        Share of the variance of form error PV and RMS of a case that the sums of marks explain from the other cases;
-        ``None`` where they are too few.
+        Part of the variance of form error PV and RMS that the sum of signatures predicts, by cross-validation;
+        ``None`` if the cases are too few.
     advice
-        What to tighten first, in a sentence.
+        Which group to reduce first, in a sentence.
     """
 
     probability: Interval
@@ -147,26 +148,26 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ToleranceStudy:
-    """Cases of an error budget, and what they say.
+    """Cases of an error budget, and their evaluation.
 
     Parameters
     ----------
     job, budget
-        What was asked.
+        Job and error budget of the study.
     seed
-        Of the draws.
+        Seed of the draws.
     draws
-        Of each input, in the order of the cases. Each (n,) [mm, rad]
+        Values of each input, in the order of the cases. Each (n,) [mm, rad]
     columns
-        Of each measure, those after the correction beginning with ``corrected``. Each (n,) [nm]
+        Values of each measure; names after the correction begin with ``corrected``. Each (n,) [nm]
     reasons
-        Why cases could not be carried out; they are not among the columns, and count as parts that keep no tolerance.
+        Reasons of failed cases, which are not among the columns and count as parts out of tolerance.
     limits
-        Of the measures that the job states tolerances for. [nm]
+        Tolerance of each measure that has one. [nm]
     outcomes
-        ``"as planned"``, and ``"corrected"`` if there is a correction.
+        ``"as planned"``, and ``"corrected"`` with a correction.
     tightening
-        What was confirmed, if asked.
+        Result of the confirmation, if requested.
     """
 
     job: Job
@@ -181,17 +182,17 @@ class ToleranceStudy:
 
     @property
     def count(self) -> int:
-        """Cases that were carried out."""
+        """Number of successful cases."""
         return int(next(iter(self.columns.values())).size)
 
     def percentiles(self, measure: str) -> dict[float, Interval]:
-        """Return percentiles of a measure, each with its interval. [nm]."""
+        """Return percentiles of a measure, each with its confidence interval. [nm]."""
         if measure not in list(self.columns):
             raise InputError(f"there is no measure {measure!r} among {', '.join(self.columns)}: name one of them")
         return {share: percentile(self.columns[measure], share) for share in PERCENTILES}
 
     def to_csv(self, path: str | PathLike[str]) -> None:
-        """Write one row for each case: what was drawn, with its unit, and what it came to."""
+        """Write one row for each case: drawn errors with their units, and measures."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         heads = [f"{name} [{self.budget.unit(name)}]" for name in self.draws]
@@ -214,36 +215,36 @@ def tolerance(
     store: Store | str | PathLike[str] | None = None,
     progress: StageProgress | None = None,
 ) -> ToleranceStudy:
-    """Say how likely a part keeps its tolerances, and what to set up better.
+    """Estimate the probability that a part meets its tolerances, and which set-up error to reduce first.
 
-    The finishing pass is planned once. Every case cuts it with another draw of tool, slides, servos, drift and mount,
-    and looks at it along lines across the part and in the job's patches. Form counts beyond the rigid motions that the
-    job's ``measurement`` leaves free; finish as the job's ``roughness`` says. With a correction every case also cuts
-    and measures the artefacts of the budget beforehand, diagnoses them, and cuts the part as planned with what was
-    found.
+    The finishing pass is planned once. Every case simulates its cut with another draw of the errors of tool, slides,
+    servos, drift and mount, along lines across the part and in the job's patches. The form error is taken after a fit
+    of the rigid motions that the job's ``measurement`` leaves free, the roughness as the job's ``roughness`` states.
+    With a correction, every case also cuts and measures the test parts of the budget first, diagnoses them, and cuts
+    the part as planned with the diagnosed tool and machine.
 
     Parameters
     ----------
     job
-        With tolerances.
+        Job with tolerances.
     budget
-        What cannot be set exactly; `ErrorBudget.typical` if not given.
+        Error budget; by default `ErrorBudget.typical`.
     count
-        Number of cases, drawn independently.
+        Number of independent cases.
     seed
-        Of all that is drawn.
+        Seed of all draws.
     correction
-        Whether to tell what the artefacts are worth too.
+        Whether to include the correction by test parts.
     confirm
-        Whether to carry out as many cases again with half the spread of what is to be tightened first, if the cases
-        are enough to tell.
+        Whether to repeat the cases with half the spread of the group to reduce first, if the cases are enough to
+        determine it.
     executor
-        Who carries the cases out; processes of this machine if not given.
+        Executor of the cases; by default processes of this machine.
     workers
-        How many of these.
+        Number of these processes.
     store
-        Where motions and finished cases lie: a study that is started again goes on from there. A folder, a URL or a
-        `Store`; one that vanishes afterwards if not given.
+        Store of motions and finished cases, from which a repeated study continues: a folder, a URL or a `Store`. By
+        default a temporary folder.
     progress
         Called with (stage, done, total).
 
@@ -254,7 +255,7 @@ def tolerance(
     InputError
         If there are fewer than 10 cases, the job cannot be planned, or the workers do not reach the store.
     StudyError
-        If the cases cannot go on, or hardly any can be carried out.
+        If the executor breaks, the store is full, or fewer than 10 cases succeed.
     """
     validate.thing(job, Job, "the job")
     validate.listener(progress)
@@ -320,7 +321,7 @@ def tolerance(
 
 
 def _check_axes(job: Job, budget: ErrorBudget) -> None:
-    """Raise unless the machine has the axes whose servos a budget is about; the usual ones may always be named."""
+    """Raise if a budget names the servo of an axis that the machine lacks; `USUAL_AXES` are always allowed."""
     axes = job.machine.axes
     for name in budget.errors:
         if name.startswith("servo ") and name[-1] not in {*axes, *USUAL_AXES}:
@@ -331,7 +332,7 @@ def _check_axes(job: Job, budget: ErrorBudget) -> None:
 
 
 def _limits(job: Job) -> dict[str, float]:
-    """Return the limit of each measure that has one. [nm]."""
+    """Return the tolerance of each measure that has one. [nm]."""
     limits = {}
     if job.tolerances.form_pv is not None:
         limits["form_pv_nm"] = job.tolerances.form_pv * NM
@@ -346,7 +347,7 @@ def _limits(job: Job) -> dict[str, float]:
 
 
 def _shared(job: Job, budget: ErrorBudget, store: Store, *, correction: bool, report: StageProgress) -> dict[str, Any]:
-    """Return what all cases share, planned now or by an earlier study in the same store."""
+    """Return the input shared by all cases, planned now or read from the store."""
     planned = {"job": job.to_toml(), "files": list_files(job)}
     key = case_key({"planned": planned, "budget": budget.table(), "correction": correction})
     row = store.row(key)
@@ -361,7 +362,7 @@ def _shared(job: Job, budget: ErrorBudget, store: Store, *, correction: bool, re
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Cases:
-    """Who carries out the cases of a study."""
+    """Set-up for running the cases of a study."""
 
     shared: Mapping[str, Any]
     executor: Executor
@@ -372,7 +373,7 @@ class _Cases:
     report: StageProgress
 
     def carried_out(self, stage: str, draws: Mapping[str, Floats]) -> list[Row]:
-        """Return a row for each draw."""
+        """Run a case for each draw, and return their rows."""
         cases = []
         for k in range(next(iter(draws.values())).size):
             data = {
@@ -393,7 +394,7 @@ def _named(measure: str, kind: str) -> str:
 
 
 def _keeps(columns: Mapping[str, Floats], limits: Mapping[str, float], kind: str) -> dict[str, Bools]:
-    """Return which cases keep each limit. Each (n,)."""
+    """Return which cases meet each tolerance. Each (n,)."""
     return {measure: columns[_named(measure, kind)] <= limit for measure, limit in limits.items()}
 
 
@@ -410,7 +411,7 @@ def _outcome(
     failed: int,
     feed: float,
 ) -> Outcome:
-    """Return what the cases say, as planned or corrected; those that failed keep nothing."""
+    """Evaluate the cases, as planned or corrected; failed cases are out of tolerance."""
     keeps = _keeps(columns, limits, kind)
     every = np.logical_and.reduce(list(keeps.values()))
     probability = binomial_interval(int(every.sum()), every.size + failed)
@@ -420,11 +421,11 @@ def _outcome(
     lines = make_lines(job, feed)
     weight = np.broadcast_to(lines.weight, (lines.rows.size, lines.columns.size)).ravel()
     seen = np.flatnonzero(np.isfinite(maps).all(axis=0))
-    if seen.size > MODEL_HEIGHTS:  # at random, so that no pattern of the part is met at one phase only
+    if seen.size > MODEL_HEIGHTS:  # at random, so that no pattern of the part is sampled at a single phase
         seen = np.sort(np.random.default_rng(seed).choice(seen, MODEL_HEIGHTS, replace=False))
     maps, weight = maps[:, seen], weight[seen]
     pv = columns[_named("form_pv_nm", kind)]
-    # Few places see a little less of every map, so that their peak to valley is scaled to that of the whole.
+    # A subset of heights has a slightly smaller peak to valley, which is scaled to that of the whole maps.
     maps = maps * float(np.mean(pv) / np.mean(np.ptp(maps, axis=1)))
     model = MapModel.fitted(scaled, maps, weight)
     study = _Sums(inputs=inputs, groups=groups, scaled=scaled, maps=maps, weight=weight, pv=pv, seed=seed)
@@ -469,7 +470,7 @@ def _matters(one: Sensitivity) -> float:
 
 
 def _first(sensitivities: Sequence[Sensitivity], before: float) -> Sensitivity:
-    """Return what to tighten first: what raises the probability most, or where nothing does the percentile."""
+    """Return the group to reduce first: by the gain in probability, then by the percentile."""
 
     def worth(one: Sensitivity) -> tuple[float, float]:
         if one.probability is None or one.percentile_nm is None:
@@ -484,7 +485,7 @@ def _advice(
 ) -> str:
     best = _first(sensitivities, before)
     if best.probability is None or best.percentile_nm is None:
-        return f"{cases} cases are too few to tell what to tighten first: draw at least {fewest}"
+        return f"{cases} cases are too few to determine what to tighten first: draw at least {fewest}"
     return (
         f"tighten {best.group} first: with half its spread the probability goes from {before:.1%} to about "
         f"{best.probability:.1%}, and 95 of 100 parts keep {best.percentile_nm:.3g} nm PV in place of "
@@ -493,28 +494,28 @@ def _advice(
 
 
 def _with_doubt(advice: str, model: MapModel | None) -> str:
-    """Return what is advised, and that it is a rough guess where it rests on a poor model."""
+    """Return the advice, marked as a rough estimate if the model is poor."""
     if model is None or (share := model.explained_variance()[0]) >= POOR_VARIANCE:
         return advice
-    return f"{advice}; a rough guess, for sums of marks explain only {max(share, 0.0):.0%} of the spread of a case"
+    return f"{advice}; a rough estimate: the linear model explains only {max(share, 0.0):.0%} of the variance"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Sums:
-    """Maps as sums of marks, asked many questions.
+    """Sensitivity analysis with a model of maps as sums of signatures.
 
     Parameters
     ----------
     inputs, groups
-        Distributions, and the numbers of those that belong together.
+        Distributions, and the numbers of those in each group.
     scaled
-        Draws in units of their deviations. (n, d)
+        Draws in units of their standard deviations. (n, d)
     maps, weight
-        Form errors of the cases (n, m) [nm], and the area that each height stands for. (m,)
+        Form errors of the cases (n, m) [nm], and the area of each height. (m,)
     pv
-        Of the whole maps. (n,) [nm]
+        Peak to valley of the whole maps. (n,) [nm]
     seed
-        Of all that is drawn.
+        Seed of all draws.
     """
 
     inputs: Mapping[str, Spread]
@@ -533,7 +534,7 @@ class _Sums:
     def indices(self, model: MapModel) -> tuple[list[Interval], list[Interval]]:
         """Return first-order and total indices of form error PV, with their intervals.
 
-        These hold what other draws of the cases would make of the marks, and what the design leaves open.
+        The intervals combine the bootstrap of the cases with the sampling error of the indices.
         """
         groups, many = list(self.groups.values()), len(self.inputs)
         unit = unit_points(2 * many, SAMPLES_LOG2, self.seed)
@@ -564,8 +565,8 @@ class _Sums:
     ) -> list[tuple[float, float]]:
         """Return probability and 95th percentile of form error PV [nm], each group at half its spread.
 
-        The form is that of sums of marks; the finish that of the cases, weighted by how much more often the halved
-        spread would draw them.
+        The form error comes from the model; the roughness from the cases, weighted by the ratio of the densities with
+        half and with full spread.
         """
         samples = self.points(unit_points(len(self.inputs), SAMPLES_LOG2 + 2, self.seed))
         names = list(self.inputs)
@@ -577,7 +578,7 @@ class _Sums:
             return 1.0 if limit is None else float(np.mean(pv <= limit)), float(np.quantile(pv, 0.95))
 
         now, percentile_nm = form([])
-        # What the marks do not explain of the spread is there with any of the groups halved.
+        # The part of the spread that the model does not explain is assumed unchanged by halving a group.
         real = float(np.quantile(self.pv, 0.95)) / percentile_nm
         outcomes = []
         for group in self.groups.values():
@@ -600,7 +601,7 @@ def _confirmed(
     limits: Mapping[str, float],
     kind: str,
 ) -> Tightening:
-    """Return what as many cases again say of half the spread that matters most."""
+    """Repeat the cases with half the spread of the group to reduce first."""
     best = _first(outcome.sensitivities, outcome.probability.value)
     tight = {
         name: (values + inputs[name].mean) / 2 if group_of(name) == best.group else values

@@ -1,4 +1,4 @@
-"""A study: one job with some of its fields varied, and what is measured of every case."""
+"""Parameter studies: a job with some fields varied, and measures of every case."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ class Column:
     Parameters
     ----------
     name
-        Of the field or measure, as it was asked for.
+        Name of the field or measure, as requested.
     unit
-        Of its values; empty for what has none, or what carries its unit in its name.
+        Unit of the values; empty if there is none, or if the name contains it.
     values
-        One for each case; nan, or an empty text, where there is none. (n,)
+        One value for each case; nan, or an empty text, where there is none. (n,)
     job_value
-        Of a field, what the job itself states, in the same unit; ``None`` where it states nothing.
+        Value of a field in the job, in the same unit; ``None`` if the job states none.
     """
 
     name: str
@@ -71,13 +71,13 @@ class Column:
 
     @property
     def kind(self) -> Kind:
-        """What it holds: "number", "whole" (numbers), "text" or "flag"."""
+        """Type of the values: "number", "whole" (numbers), "text" or "flag"."""
         kinds: dict[str, Kind] = {"f": "number", "i": "whole", "b": "flag"}
         return kinds.get(self.values.dtype.kind, "text")
 
     @property
     def different(self) -> NDArray[Any]:
-        """Its different values, ascending."""
+        """Distinct values, ascending."""
         return np.unique(self.values)
 
 
@@ -89,9 +89,9 @@ class Grid(NamedTuple):
     rows, columns
         Values of the first and the second field. (n,), (m,)
     values
-        Of the measure; nan where there is none. (n, m)
+        Values of the measure; nan where there is none. (n, m)
     ok
-        Whether the case is one that `run` would carry out. (n, m)
+        Whether `run` would accept the case. (n, m)
     """
 
     rows: NDArray[Any]
@@ -102,26 +102,25 @@ class Grid(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Study:
-    """What became of every case of a study: a table.
+    """Table of the cases of a parameter study.
 
-    A study is asked by name for a column, ``study["sq_nm"]``, and by number for a case, ``study[3]``.
+    ``study["sq_nm"]`` is a column, ``study[3]`` a case.
 
     Parameters
     ----------
     job
         The job whose fields were varied.
     design
-        How the cases were chosen, see `study`.
+        Design of the study, see `study`.
     fields
-        What was varied.
+        Varied fields.
     measures
-        What was measured.
+        Measures.
     reasons
-        Of every case, why there is nothing to measure or why `run` would refuse it, in a sentence; empty if all is
-        well. Of one that `run` would refuse (its tool does not reach, or a limit is passed) the measures are there all
-        the same. (n,)
+        For every case the reason why it failed or why `run` would refuse it; empty if neither. A case that `run` would
+        refuse (the tool does not reach, or a limit is exceeded) still has measures. (n,)
     seconds
-        What every case took; nan where it was not carried out. (n,) [s]
+        Computing time of every case; nan for failed ones. (n,) [s]
     """
 
     job: Job
@@ -147,12 +146,12 @@ class Study:
 
     @property
     def ok(self) -> Bools:
-        """Whether each case is one that `run` would carry out. (n,)."""
+        """Whether `run` would accept each case. (n,)."""
         return np.array([not reason for reason in self.reasons], dtype=np.bool_)
 
     @property
     def table(self) -> list[dict[str, Any]]:
-        """All cases, each by the names of fields and measures, with its ``reason``."""
+        """All cases, each as a mapping of fields, measures and ``reason``."""
         return [self[number] for number in range(len(self))]
 
     def column(self, name: str) -> Column:
@@ -185,16 +184,16 @@ class Study:
         return iter(self.table)
 
     def best(self, measure: str, count: int = 10, *, largest: bool = False) -> list[int]:
-        """Return the numbers of the best cases that `run` would carry out, the best first.
+        """Return the numbers of the best cases that `run` would accept, the best first.
 
         Parameters
         ----------
         measure
-            By which.
+            Name of the measure to rank by.
         count
-            How many at most.
+            Largest number of cases to return.
         largest
-            Whether more is better.
+            Whether larger values are better.
         """
         count = validate.whole(count, "the number of cases", 0)
         validate.thing(largest, bool, "whether more is better")
@@ -205,7 +204,7 @@ class Study:
         return [int(one) for one in order if self.ok[one] and np.isfinite(values[one])][:count]
 
     def grid(self, measure: str, *, over: tuple[str, str] | None = None, at: Mapping[str, Any] | None = None) -> Grid:
-        """Return a measure over two fields, as a map is drawn.
+        """Return a measure over two fields, for a contour plot.
 
         Parameters
         ----------
@@ -219,7 +218,7 @@ class Study:
         Raises
         ------
         InputError
-            If a field is missing, or several cases stand at the same place.
+            If a field is missing, or several cases have the same values of both fields.
         """
         if over is None:
             if len(self.fields) < 2:
@@ -270,11 +269,11 @@ class Study:
 
     @property
     def headings(self) -> list[str]:
-        """How the columns of the written table are headed, units in brackets."""
+        """Headings of the written table, with units in brackets."""
         return ["case", *(one.heading for one in self.columns), "seconds", REASON]
 
     def to_csv(self, path: str | PathLike[str]) -> None:
-        """Write the table as CSV: one row for each case, units in the headings, every number to its last digit."""
+        """Write the table as CSV: one row for each case, units in the headings, numbers with all digits."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self.headings)
@@ -415,11 +414,11 @@ def study(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Study:
-    """Vary fields of a job and measure what becomes of every case.
+    """Vary fields of a job and evaluate measures of every case.
 
-    Each case costs only what its measures need: the roughness of a patch asks for the passes over it, minutes for the
-    whole path. What ``run`` would refuse is measured too and has its reason, as far as it was looked at: whether the
-    tool reaches always, the limits of the machine where a measure of the whole motion is asked for.
+    Each case computes only what its measures need: the roughness of a patch needs the revolutions over it, minutes the
+    whole path. A case that ``run`` would refuse is evaluated too and has a reason. Tool access is always checked, the
+    limits of the machine only if a measure needs the whole motion.
 
     Parameters
     ----------
@@ -436,14 +435,14 @@ def study(
     design
         "grid", "random", "sobol", "halton", "latin hypercube", or a list of cases, each a mapping from field to value.
     count, seed
-        Of a design that is drawn. The same seed draws the same cases, so that a study can go on.
+        Number of cases and seed of a random design. The same seed gives the same cases, so that a study can continue.
     executor
-        Who carries the cases out: any `concurrent.futures.Executor`. Processes of this machine if not given.
+        Any `concurrent.futures.Executor`; by default processes of this machine.
     store
-        A folder or URL, or a `Store`: finished cases are kept there and never computed again, whatever ends the study
-        before its time.
+        A folder, URL or `Store` of finished cases, which are not computed again if the study is interrupted and
+        repeated.
     workers
-        How many processes, if no executor is given; as many as there are cores if not given.
+        Number of processes without an executor; by default one per core, limited by free memory.
     progress
         Called with (done, total).
 
@@ -452,7 +451,7 @@ def study(
     InputError
         If a field, a value, a measure or the design is wrong; before anything is computed.
     StudyError
-        If the executor breaks or the store is full; what is finished stays in the store.
+        If the executor breaks or the store is full; finished cases are kept in the store.
 
     >>> from concurrent.futures import ThreadPoolExecutor
     >>> job = Job.read({
