@@ -86,21 +86,21 @@ def test_a_study_goes_on_where_it_stopped(job, tmp_path, monkeypatch):
     def never(*_):
         raise AssertionError("computed twice")
 
-    monkeypatch.setattr(_draws.CaseContext, "judged", never)
+    monkeypatch.setattr(_draws.CaseContext, "measure", never)
     again = study_of(job, store=store, correction=False)
     assert len(store.keys()) == rows
     assert np.array_equal(first.columns["form_pv_nm"], again.columns["form_pv_nm"])
 
 
 def test_a_case_that_fails_is_a_reason(job, tmp_path, monkeypatch):
-    whole = _draws.CaseContext.judged
+    whole = _draws.CaseContext.measure
 
     def sometimes(self, real):
         if real.tool.offset[0] > 0.003:
             raise InputError("the tool is off by too much: set it anew")
         return whole(self, real)
 
-    monkeypatch.setattr(_draws.CaseContext, "judged", sometimes)
+    monkeypatch.setattr(_draws.CaseContext, "measure", sometimes)
     found = study_of(job, store=tmp_path, correction=False)
     assert 0 < len(found.reasons) < 12
     assert found.count == 24 - len(found.reasons)

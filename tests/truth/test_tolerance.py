@@ -40,7 +40,7 @@ from turnwright.studies.sensitivity import (
     sobol_indices,
     unit_points,
 )
-from turnwright.studies.tolerancing import _Sums
+from turnwright.studies.tolerancing import _SignatureAnalysis
 from turnwright.tracking import track
 
 NM = 1e6
@@ -104,12 +104,12 @@ def test_sums_of_marks_tell_the_chance_of_a_linear_problem():
     marks = np.array([[1.0, -2.0], [2.0, -0.5]])  # nm per deviation, of each height
     scaled = rng.normal(size=(400, 2))
     maps = np.array([0.2, 0.0]) + scaled @ marks.T
-    model = MapModel.fitted(scaled, maps, np.ones(2))
+    model = MapModel.fit(scaled, maps, np.ones(2))
     assert model.explained_variance() == pytest.approx((1.0, 1.0), abs=1e-12)
-    assert MapModel.fitted(scaled[: MapModel.fewest(2) - 1], maps[: MapModel.fewest(2) - 1], np.ones(2)) is None
+    assert MapModel.fit(scaled[: MapModel.min_cases(2) - 1], maps[: MapModel.min_cases(2) - 1], np.ones(2)) is None
     groups = group_inputs(list(inputs), lambda name: name)
     pv = np.ptp(maps, axis=1)
-    study = _Sums(inputs=inputs, groups=groups, scaled=scaled, maps=maps, weight=np.ones(2), pv=pv, seed=0)
+    study = _SignatureAnalysis(inputs=inputs, groups=groups, scaled=scaled, maps=maps, weight=np.ones(2), pv=pv, seed=0)
     drawn = {name: one.mean + one.deviation * scaled[:, k] for k, (name, one) in enumerate(inputs.items())}
     apart = marks[0] - marks[1]
 
@@ -306,9 +306,9 @@ def test_form_is_that_of_the_whole_part_to_its_rim(tmp_path):
     terms = {5: "r^2 cos(2 a)", 10: "r^3 cos(3 a)", 17: "r^4 cos(4 a)", 12: "(4 r^4 - 3 r^2) cos(2 a)"}
     budget = one_budget(**{f"mounting_Z{term}": "normal(0, 100) nm" for term in terms})
     bench = bench_of(job, budget, tmp_path)
-    still, _ = bench.judged(bench.real({}))
+    still, _ = bench.measure(bench.real({}))
     for term in terms:
-        numbers, _ = bench.judged(bench.real({f"mounting Z{term}": 1e-3}))
+        numbers, _ = bench.measure(bench.real({f"mounting Z{term}": 1e-3}))
         # Closed form: all four reach from -c to c at the rim, where the lines leave out 1e-4 of the radius; each
         # has its own root mean square. Of the rotation that measuring leaves free a sphere tells nothing.
         order = {5: 6, 10: 8, 17: 10, 12: 10}[term]
@@ -332,7 +332,7 @@ def test_drift_leaves_its_own_history(tmp_path, settling):
     bench = bench_of(job, one_budget(settling, drift_z="normal(0, 100) nm"), tmp_path)
     cut = bench.cuts[""]
     still, drifting = (
-        cut.made(cut.views[0], bench.real({"drift z": by}))[1] for by in (0.0, 5e-4)
+        cut.simulate(cut.views[0], bench.real({"drift z": by}))[1] for by in (0.0, 5e-4)
     )  # fmt: skip
     # Passes come in at an even feed, and each radius is as low as the last pass over it.
     strategy, head = job.strategy, cut.views[0].head
@@ -350,15 +350,15 @@ def test_a_part_springs_back_and_stands_upright(tmp_path):
     bench = bench_of(job, one_budget(mounting_Z5="normal(0, 100) nm"), tmp_path)
     cut = bench.cuts[""]
     view, free = cut.views[0], bench.real({})
-    left, straight = cut.made(view, free)
-    bent = cut.made(view, bench.real({"mounting Z5": 2e-4, "mounting Z9": 1e-4}))[1]
+    left, straight = cut.simulate(view, free)
+    bent = cut.simulate(view, bench.real({"mounting Z5": 2e-4, "mounting Z9": 1e-4}))[1]
     x, y = left.x / 3.0, left.y / 3.0
     q = x**2 + y**2
     expected = -2e-4 * (x**2 - y**2) - 1e-4 * (6 * q**2 - 6 * q + 1)
     assert np.abs(bent - straight - expected).max() < 1e-15
     # A sphere that leaned by two small angles stands upright again: its centre has turned about the vertex.
     about_x, about_y = 3e-5, -2e-5
-    tilted = cut.made(view, bench.real({"chuck tilt x": about_x, "chuck tilt y": about_y}))
+    tilted = cut.simulate(view, bench.real({"chuck tilt x": about_x, "chuck tilt y": about_y}))
     size = 40.0
     centre = np.array(
         [-size * math.sin(about_y), size * math.sin(about_x), size * math.cos(math.hypot(about_x, about_y))]
@@ -405,9 +405,9 @@ def test_the_short_way_to_a_corrected_part_is_the_long_one(tmp_path, number):
     drawn = budget.draw(3, seed=5, correction=True)
     draw = {name: float(values[number]) for name, values in drawn.items()}
     real = bench.real(draw)
-    found = bench.found(draw, [5, number])
-    planned_only, _ = bench.judged(real)
-    short, _ = bench.judged(draws_of.residual_setup(real, job.tool, job.machine, found))
+    found = bench.diagnose_test_parts(draw, [5, number])
+    planned_only, _ = bench.measure(real)
+    short, _ = bench.measure(draws_of.residual_setup(real, job.tool, job.machine, found))
     # The long way: a job file with what was found, planned, placed and driven anew, cut with the real tool.
     (tmp_path / "better").mkdir()
     draws = found.on(job.part)
@@ -418,7 +418,7 @@ def test_the_short_way_to_a_corrected_part_is_the_long_one(tmp_path, number):
     better = correct(job, found, out=tmp_path / "better").job
     assert better.tool.offset == found.likely_tool.offset
     again = bench_of(better, budget, tmp_path / "two")
-    long, _ = again.judged(real)
+    long, _ = again.measure(real)
     assert short["form_pv_nm"] == pytest.approx(long["form_pv_nm"], rel=0.025, abs=1.0)  # to the rim
     assert short["form_rms_nm"] == pytest.approx(long["form_rms_nm"], rel=0.02, abs=0.1)
     assert planned_only["form_rms_nm"] > 1.5 * long["form_rms_nm"]

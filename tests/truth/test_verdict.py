@@ -127,7 +127,7 @@ def test_a_study_without_errors_finds_the_cusps_of_a_dense_map(kind, tmp_path):
     job = tw.Job.read({**job.table(), "simulation": {}})
     shared = plan_cuts(job, ErrorBudget.typical(), Store.open(tmp_path / "store"), correction=False)
     bench = CaseContext.of(shared, Store.open(tmp_path / "store"))
-    found, _ = bench.judged(bench.real({}))
+    found, _ = bench.measure(bench.real({}))
     motion, result = finishing_motion(job)
     count = 4000
     radius = job.part.radius * np.sqrt((np.arange(count) + 0.5) / count)

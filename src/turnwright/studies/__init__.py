@@ -1,4 +1,4 @@
-"""Studies of a job: what becomes of it when its fields are varied, and how likely it is to keep its tolerances."""
+"""Parameter studies, tolerance studies, and maps of whole parts in tiles."""
 
 from turnwright.studies.budget import ErrorBudget, Spread
 from turnwright.studies.cases import Case, Row, Work, case_key, program_version, run_cases

@@ -84,18 +84,18 @@ def case_key(data: Mapping[str, Any]) -> str:
     True
     """
     try:
-        text = json.dumps([_stated(data), program_version()], sort_keys=True, separators=(",", ":"))
+        text = json.dumps([_resolve_files(data), program_version()], sort_keys=True, separators=(",", ":"))
     except (TypeError, ValueError) as error:
         raise InputError(f"a case must be plain data ({error}): use numbers, texts, lists and mappings") from None
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _stated(value: Any, folder: Path | None = None, above: frozenset[Path] = frozenset()) -> Any:
+def _resolve_files(value: Any, folder: Path | None = None, above: frozenset[Path] = frozenset()) -> Any:
     """Return data with file names replaced by digests of the files."""
     if isinstance(value, Mapping):
-        return {key: _stated(one, folder, above) for key, one in value.items()}
+        return {key: _resolve_files(one, folder, above) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [_stated(one, folder, above) for one in value]
+        return [_resolve_files(one, folder, above) for one in value]
     if not isinstance(value, str) or not (folder or value.startswith(("/", "\\")) or value[1:2] == ":"):
         return value
     file = Path(value) if folder is None else folder / value
@@ -109,7 +109,7 @@ def _stated(value: Any, folder: Path | None = None, above: frozenset[Path] = fro
     if file.suffix == ".toml":
         with suppress(OSError, InputError):  # no TOML: its bytes are all there is
             table = read_toml(file.read_bytes(), f"the file {str(file)!r}")
-            content = [content, _stated(table, file.parent, above | {file})]
+            content = [content, _resolve_files(table, file.parent, above | {file})]
     return {"file": content}
 
 
@@ -173,7 +173,7 @@ def run_cases(
     StudyError
         If the store is full or the executor broken. Finished cases are kept.
     """
-    _require_kinds(work, cases, shared, executor, store)
+    _check_types(work, cases, shared, executor, store)
     validate.listener(progress)
     if executor is None:
         workers = min(count_workers(), max(1, len(cases)))
@@ -181,7 +181,7 @@ def run_cases(
             return run_cases(work, cases, shared=shared, executor=pool, store=store, progress=progress)
     if store is not None:
         require_reach(store.place, executor)
-    rows = {} if store is None else _kept(cases, store)
+    rows = {} if store is None else _read_finished(cases, store)
     todo = {case.key: case for case in cases if case.key not in rows}
     ours = isinstance(executor, LocalPool)  # its workers run these very files, and reach every folder
     threads = 1 if isinstance(executor, Cluster) else None  # Dask counts one thread for each of its own
@@ -205,21 +205,21 @@ def run_cases(
     tell()
     with closing(iter_finished(send, todo.values(), executor, lost=lost, listen=tell)) as done:
         for case, future, deaths in done:
-            row, lasting = _row(future, deaths)
+            row, lasting = _read_row(future, deaths)
             if lasting and not ours and store is not None and store.row(case.key) is None:
                 store.put_row(case.key, row)
             rows[case.key] = row
     return [rows[case.key] for case in cases]
 
 
-def _kept(cases: Sequence[Case], store: Store) -> dict[str, Row]:
+def _read_finished(cases: Sequence[Case], store: Store) -> dict[str, Row]:
     """Return the rows of cases that are finished."""
     there = store.keys()
     rows = {case.key: store.row(case.key) for case in cases if case.key in there}
     return {key: row for key, row in rows.items() if row is not None}
 
 
-def _require_kinds(work: object, cases: object, shared: object, executor: object, store: object) -> None:
+def _check_types(work: object, cases: object, shared: object, executor: object, store: object) -> None:
     """Raise if an argument of `run_cases` has the wrong type."""
     if not callable(work):
         raise InputError(f"the work is a {type(work).__name__}, it must be a function of a module: give one")
@@ -278,7 +278,7 @@ def iter_finished(
                 return
             for future in wait(running, timeout=_POLL_S, return_when=FIRST_COMPLETED).done:
                 one = running.pop(future)
-                killed = _killed(future, lost)
+                killed = _count_deaths(future, lost)
                 if not waiting.back(one, killed):
                     yield one[1], future, killed and waiting.deaths[one[0]]
             listen()
@@ -314,7 +314,7 @@ class _Waiting(Generic[_Task]):
         return True
 
 
-def _killed(future: Future[Any], lost: Callable[[BaseException], StudyError]) -> int:
+def _count_deaths(future: Future[Any], lost: Callable[[BaseException], StudyError]) -> int:
     """Return how many workers died with a task; raise if the executor is broken."""
     if future.cancelled():
         raise lost(ConnectionError("its cases were cancelled, as when a scheduler is gone"))
@@ -326,7 +326,7 @@ def _killed(future: Future[Any], lost: Callable[[BaseException], StudyError]) ->
     return int(isinstance(error, WorkerDied))
 
 
-def _row(future: Future[tuple[Row, bool]], deaths: int) -> tuple[Row, bool]:
+def _read_row(future: Future[tuple[Row, bool]], deaths: int) -> tuple[Row, bool]:
     """Return the row of a case, and whether it is reproducible."""
     try:
         return future.result()

@@ -33,7 +33,7 @@ DESIGNS: tuple[str, ...] = get_args(Design)
 MAX_CASES = 1_000_000
 """Largest number of cases of a study."""
 
-LEAST_SHARE = 1e-12
+MIN_TAIL = 1e-12
 """Least tail probability: distributions without bounds are not evaluated at 0 and 1."""
 
 NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
@@ -82,7 +82,7 @@ class Varied:
         """Return the values at cumulative probabilities between 0 and 1. (n,)."""
         from scipy import stats  # noqa: PLC0415 - costly to import
 
-        share = np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)
+        share = np.clip(share, MIN_TAIL, 1 - MIN_TAIL)
         is_whole = self.field.kind == "whole"
         if self.drawn is not None:
             drawn = self.drawn
@@ -132,13 +132,13 @@ def _read(field: Field, given: Vary) -> Varied:
     if hasattr(given, "ppf"):
         if field.kind not in ("quantity", "number", "whole"):
             raise InputError(f"{field.name} is no number, so it has no distribution: give a list of its values")
-        return Varied(field=field, unit=_own(field), drawn=given)
+        return Varied(field=field, unit=_base_unit(field), drawn=given)
     if isinstance(given, Sequence | np.ndarray):
         return _read_list(field, list(given))
     return _read_list(field, [given])
 
 
-def _own(field: Field) -> str:
+def _base_unit(field: Field) -> str:
     return field.units[0] if field.units and field.units[0] != "1" else ""
 
 
@@ -150,14 +150,14 @@ def _read_list(field: Field, given: list[Any]) -> Varied:
     if field.kind in ("text", "flag"):
         return Varied(field=field, values=tuple(_flag(field, one) for one in plain))
     if any(isinstance(one, str) for one in plain):
-        return _in_one_unit(field, [one if isinstance(one, str) else f"{one!r} {_own(field)}" for one in plain])
+        return _in_one_unit(field, [one if isinstance(one, str) else f"{one!r} {_base_unit(field)}" for one in plain])
     for one in plain:
         if isinstance(one, bool) or not isinstance(one, int | float):
             raise InputError(f"{field.name} cannot be {one!r}: give numbers, or texts with a unit")
     is_whole = field.kind == "whole"
     return Varied(
         field=field,
-        unit=_own(field),
+        unit=_base_unit(field),
         values=tuple(one if is_whole else validate.number(one, field.name) for one in plain),
     )
 
@@ -336,7 +336,7 @@ def design_cases(
             raise InputError(
                 f"a list of cases names its fields itself, and {varied[0].name} is varied as well: leave one out"
             )
-        fields, rows = _listed(job, design)
+        fields, rows = _read_cases(job, design)
     else:
         fields = tuple(varied)
         if not fields:
@@ -346,14 +346,14 @@ def design_cases(
         for name, place in zip(names, places, strict=True):
             if places.count(place) > 1:
                 raise InputError(f"{name} is varied {places.count(place)} times, the limit is 1: keep one of them")
-        rows = _gridded(fields, count) if design == "grid" else _drawn(fields, design, count, seed)
+        rows = _make_grid(fields, count) if design == "grid" else _draw_cases(fields, design, count, seed)
     if not rows:
         raise InputError("the design has 0 cases: give at least 1")
     apply_changes(get_job_data(job), [(one.field, one.unit, token) for one, token in zip(fields, rows[0], strict=True)])
     return fields, rows
 
 
-def _gridded(fields: tuple[Varied, ...], count: int | None) -> list[tuple[Token, ...]]:
+def _make_grid(fields: tuple[Varied, ...], count: int | None) -> list[tuple[Token, ...]]:
     if count is not None:
         raise InputError(f"a grid has as many cases as its values make, {count} are asked for: choose design = sobol")
     for one in fields:
@@ -370,7 +370,9 @@ def _gridded(fields: tuple[Varied, ...], count: int | None) -> list[tuple[Token,
     return list(product(*(one.values for one in fields)))
 
 
-def _drawn(fields: tuple[Varied, ...], design: str, count: int | None, seed: int | None) -> list[tuple[Token, ...]]:
+def _draw_cases(
+    fields: tuple[Varied, ...], design: str, count: int | None, seed: int | None
+) -> list[tuple[Token, ...]]:
     if design not in DESIGNS:
         raise InputError(f"design is {design!r}, it can be {', '.join(DESIGNS)}: choose one of them")
     if count is None:
@@ -378,11 +380,13 @@ def _drawn(fields: tuple[Varied, ...], design: str, count: int | None, seed: int
             f"the design {design!r} has no number of cases, it needs from 1 to {MAX_CASES:_}: state how many cases"
         )
     count = validate.whole(count, f"the number of cases of the design {design!r}", 1, MAX_CASES)
-    shares = _shares(design, len(fields), count, None if seed is None else validate.whole(seed, "the seed", 0))
+    shares = _draw_unit_points(
+        design, len(fields), count, None if seed is None else validate.whole(seed, "the seed", 0)
+    )
     return list(zip(*(one.at(shares[:, number]) for number, one in enumerate(fields)), strict=True))
 
 
-def _shares(design: str, width: int, count: int, seed: int | None) -> Floats:
+def _draw_unit_points(design: str, width: int, count: int, seed: int | None) -> Floats:
     """Return points of the unit cube. (count, width)."""
     if design == "random":
         return np.random.default_rng(seed).random((count, width))
@@ -395,7 +399,7 @@ def _shares(design: str, width: int, count: int, seed: int | None) -> Floats:
     return np.asarray(qmc.LatinHypercube(width, seed=seed).random(count))  # type: ignore[call-arg, unused-ignore]
 
 
-def _listed(job: Job, design: Sequence[Mapping[str, Any]]) -> tuple[tuple[Varied, ...], list[tuple[Token, ...]]]:
+def _read_cases(job: Job, design: Sequence[Mapping[str, Any]]) -> tuple[tuple[Varied, ...], list[tuple[Token, ...]]]:
     """Return the cases of a list."""
     if not design:
         raise InputError("the list of cases is empty: give at least 1")

@@ -104,7 +104,7 @@ def apply_draw(tool: Tool, machine: Machine, draw: Mapping[str, float], cut: str
     x, y, z = (offset + one(f"tool offset {axis}") for offset, axis in zip(tool.offset, "xyz", strict=True))
     real = replace(tool, offset=(x, y, z), radius_error=tool.radius_error + one("radius error"))
     return ActualSetup(
-        tool=_wavier(real, draw),
+        tool=_add_waviness(real, draw),
         machine=replace(machine, squareness=machine.squareness + one("squareness")),
         faster={name[-1]: value for name, value in draw.items() if name.startswith("servo ")},
         drift=(one("drift x", per_cut=True), one("drift z", per_cut=True)),
@@ -113,7 +113,7 @@ def apply_draw(tool: Tool, machine: Machine, draw: Mapping[str, float], cut: str
     )
 
 
-def _wavier(tool: Tool, draw: Mapping[str, float]) -> Tool:
+def _add_waviness(tool: Tool, draw: Mapping[str, float]) -> Tool:
     """Return a tool with the drawn waviness added to its own, 0 at the tip."""
     powers = np.zeros(13)
     far = max(abs(end) for end in tool.arc)
@@ -251,7 +251,7 @@ class _Cut:
     feed: float
     views: tuple[_View, ...]
 
-    def made(self, view: _View, real: ActualSetup) -> tuple[CutSurface, Floats]:
+    def simulate(self, view: _View, real: ActualSetup) -> tuple[CutSurface, Floats]:
         """Return the cut surface on a sampling grid, and its form error after release from the mount. [mm]."""
         motion = scene_motion(view.head, view.rows, self.job.machine, real.faster)
         motion = add_drift(motion, *real.drift, view.share)
@@ -308,13 +308,13 @@ class CaseContext:
         real = apply_draw(job.actual_tool, job.actual_machine, draw, cut)
         return real if servos_respond(job) else real._replace(faster={})
 
-    def judged(self, real: ActualSetup) -> tuple[dict[str, float], Floats]:
+    def measure(self, real: ActualSetup) -> tuple[dict[str, float], Floats]:
         """Return the measures of a part, and its form error along the lines. [nm]."""
         part = self.cuts[""]
         numbers: dict[str, float] = {}
         form: Floats | None = None
         for view in part.views:
-            cut, error = part.made(view, real)
+            cut, error = part.simulate(view, real)
             if view.scene.polar:
                 form = form_error(part.job, cut, error)
                 weight = np.broadcast_to(cut.weight, form.shape)[np.isfinite(form)]
@@ -329,7 +329,7 @@ class CaseContext:
         assert form is not None  # noqa: S101 - the lines are always among the scenes
         return numbers, form * NM
 
-    def found(self, draw: Mapping[str, float], seed: object) -> Diagnosis:
+    def diagnose_test_parts(self, draw: Mapping[str, float], seed: object) -> Diagnosis:
         """Simulate cutting and measuring the test parts with the actual set-up, and diagnose them."""
         rng = np.random.default_rng(seed)  # type: ignore[arg-type] # a list of whole numbers
         job = self.cuts[""].job
@@ -338,7 +338,7 @@ class CaseContext:
         for kind, cut in self.cuts.items():
             if not kind:
                 continue
-            surface, error = cut.made(cut.views[0], self.real(draw, kind))
+            surface, error = cut.simulate(cut.views[0], self.real(draw, kind))
             design = cut.job.part
             x, y = surface.x.ravel(), surface.y.ravel()
             seen = error.ravel() + rng.normal(0.0, 1.0, x.size) * self.budget.noise
@@ -411,16 +411,16 @@ def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store |
         _benches[data["study"]] = bench
     draw = data["draw"]
     real = bench.real(draw)
-    numbers, form = bench.judged(real)
+    numbers, form = bench.measure(real)
     row: Row = {**numbers, "map": store.put_array("form", form)}
     if data["correction"]:
         job = bench.cuts[""].job
-        diagnosis = bench.found(draw, data["seed"])
+        diagnosis = bench.diagnose_test_parts(draw, data["seed"])
         # If `turnwright.correct` would write no correction, the part is cut as planned.
         draws = diagnosis.on(job.part)
         certain = prove(draws, np.zeros(draws.x.size), worth_nm=job.measurement.worth * NM).ok
         setup = residual_setup(real, job.tool, job.machine, diagnosis) if certain else real
-        better, form = bench.judged(setup)
+        better, form = bench.measure(setup)
         row |= {f"corrected {name}": value for name, value in better.items()}
         row["corrected map"] = store.put_array("form", form)
     return row

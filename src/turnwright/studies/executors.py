@@ -141,7 +141,7 @@ class LocalPool(Executor):
         try:
             worker.ready.result()
         except BrokenProcessPool:
-            raise _none_starts(WorkerDied(worker.exitcode())) from None
+            raise _start_error(WorkerDied(worker.exitcode())) from None
         return worker
 
 
@@ -151,7 +151,7 @@ class _Worker(SpawnContext):
     process: SpawnProcess
 
     def __init__(self, threads: int) -> None:
-        self.executor = ProcessPoolExecutor(1, mp_context=self, initializer=_begin)
+        self.executor = ProcessPoolExecutor(1, mp_context=self, initializer=_start_worker)
         # Libraries read these when they are loaded, before any code of Turnwright runs in the worker.
         names = (THREADS, *_LIBRARIES)
         before = {name: os.environ[name] for name in names if name in os.environ}
@@ -159,7 +159,7 @@ class _Worker(SpawnContext):
         try:
             self.ready = self.executor.submit(os.getpid)
         except (OSError, RuntimeError) as error:  # Python starts none while it reads a worker's copy of the script
-            raise _none_starts(error) from error
+            raise _start_error(error) from error
         finally:
             for name in names:
                 del os.environ[name]
@@ -176,7 +176,7 @@ class _Worker(SpawnContext):
         return self.process.exitcode
 
 
-def _none_starts(error: Exception) -> StudyError:
+def _start_error(error: Exception) -> StudyError:
     reason = str(error).split("\n\n")[0].strip()
     return StudyError(
         f"no worker process can be started ({' '.join(reason.split())}): start the work of a script below "
@@ -184,7 +184,7 @@ def _none_starts(error: Exception) -> StudyError:
     )
 
 
-def _begin() -> None:
+def _start_worker() -> None:
     """Initialise a worker process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the driver process too, which ends its workers
     threading.Thread(target=_end_with_driver, daemon=True).start()
@@ -335,9 +335,9 @@ def cluster(address: str) -> Iterator[Cluster]:
         ) from None
     if not isinstance(address, str):
         raise InputError(f"{address!r} is no address of a Dask scheduler: write tcp://host:port, or tls://host:port")
-    _knock(address)
+    _require_scheduler(address)
     # These loggers print tracebacks when a scheduler is lost; Turnwright raises an error instead.
-    with _quiet("distributed"), _quiet("distributed.client"):
+    with _silence("distributed"), _silence("distributed.client"):
         try:
             client = distributed.Client(address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
@@ -349,7 +349,7 @@ def cluster(address: str) -> Iterator[Cluster]:
                 client.close()
 
 
-def _knock(address: str) -> None:
+def _require_scheduler(address: str) -> None:
     """Raise unless a scheduler answers: Dask's client hangs if another server listens at the address."""
     try:
         parts = urlsplit(address)
@@ -387,7 +387,7 @@ def _no_scheduler(address: str, error: Exception) -> StudyError:
 
 
 @contextmanager
-def _quiet(name: str) -> Iterator[None]:
+def _silence(name: str) -> Iterator[None]:
     """Silence a logger."""
     talker = logging.getLogger(name)
     level = talker.level

@@ -1,4 +1,4 @@
-"""Any field of a job by its name, as the job file writes it: what it holds, in which unit, and how to change it."""
+"""Fields of a job by their dotted names as in the job file: type, unit, and how to change them."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ Token: TypeAlias = float | int | str | bool
 
 _STEP = re.compile(r"\[[0-9]{1,9}\]|[^.\[\]]+")
 _NAME = re.compile(r"[^.\[\]]+(?:\.[^.\[\]]+|\[[0-9]{1,9}\])*")
-"""Keys with dots between them, and numbers of entries in brackets, from 1."""
+"""Keys separated by dots, and indices in brackets, counted from 1."""
 
 PER_MINUTE = "mm/min"
-"""What measures a feed over time, which a job states over a turn."""
+"""Unit of a feed per time, which a job states per revolution."""
 
 TOUCHED: dict[str, tuple[str, ...]] = {
     "spindle_speed": ("spindle_speeds",),
@@ -101,7 +101,7 @@ class Field:
         return text
 
     def check(self, token: Token, units: str) -> None:
-        """Raise unless the field takes a value, whatever the rest of the job says.
+        """Raise if the field does not accept a value, regardless of other fields.
 
         Raises
         ------
@@ -119,10 +119,10 @@ class Field:
 
 
 class Data(NamedTuple):
-    """The data of a job, as a job file reads."""
+    """The data of a job, as in a job file."""
 
-    stated: dict[str, Any]  # what the file states
-    whole: dict[str, Any]  # with the defaults of what it does not
+    stated: dict[str, Any]  # without defaults
+    whole: dict[str, Any]  # with defaults
 
 
 def get_job_data(job: Job) -> Data:
@@ -131,15 +131,15 @@ def get_job_data(job: Job) -> Data:
 
 
 def find_field(job: Job, name: str) -> Field:
-    """Return a field of a job by its dotted name, as the file writes it.
+    """Return a field of a job by its dotted name, as in the job file.
 
-    Entries of a list are named by their name, or counted from 1 in brackets, as in the messages of a job; a field need
-    not have a value in the file.
+    Entries of a list are identified by name or by an index from 1 in brackets, as in the messages of a job. The job
+    need not state a value of the field.
 
     Parameters
     ----------
     job
-        Whose tables say what there is.
+        Job with the field.
     name
         Such as ``tool.nose_radius``, ``passes.finish.feed``, ``simulation.patches[1].pixel`` or
         ``actual.tool.offset[1]``.
@@ -147,7 +147,7 @@ def find_field(job: Job, name: str) -> Field:
     Raises
     ------
     InputError
-        If there is no such field, naming the nearest.
+        If the field does not exist; the message suggests the nearest.
     """
     if not isinstance(name, str):
         raise InputError(f"{name!r} is no name of a field: write it as in the job file, such as 'tool.nose_radius'")
@@ -202,7 +202,7 @@ def _leaf(name: str, place: tuple[str | int, ...], annotation: Any, units: tuple
 
 
 def _unit_of_entry(value: Any, step: str, rest: list[str]) -> tuple[str, ...] | None:
-    """Return the unit of a coefficient, which its place in a series says and no type does."""
+    """Return the unit of a coefficient, which depends on its index in a series."""
     if len(rest) != 1:
         return None
     if step == "waviness" and rest[0].startswith("["):
@@ -216,7 +216,7 @@ def _unit_of_entry(value: Any, step: str, rest: list[str]) -> tuple[str, ...] | 
 
 
 def _alternatives(annotation: Any) -> list[Any]:
-    """Return what a field may hold, apart from nothing."""
+    """Return the alternatives of a type, without ``None``."""
     bare = _bare(annotation)
     if _is_union(bare):
         return [one for part in get_args(bare) if part is not NoneType for one in _alternatives(part)]
@@ -231,14 +231,14 @@ def _is_union(annotation: Any) -> bool:
 
 
 def _bare(annotation: Any) -> Any:
-    """Return a type without what is annotated to it."""
+    """Return a type without its annotations."""
     while get_origin(annotation) is Annotated:
         annotation = get_args(annotation)[0]
     return annotation
 
 
 def _table(value: Any, annotation: Any) -> Mapping[str, Any] | None:
-    """Return the keys of the table that a field holds, or would hold, with their types."""
+    """Return the keys, with their types, of the table that a field holds or may hold."""
     if isinstance(value, Placed):
         return _table(value.surface, annotation)
     if isinstance(value, Surface):
@@ -249,7 +249,7 @@ def _table(value: Any, annotation: Any) -> Mapping[str, Any] | None:
 
 
 def _held(value: Any, step: str) -> Any:
-    """Return what a table holds at a key; ``None`` where it holds nothing, or the key is one of a file alone."""
+    """Return the value of a key of a table; ``None`` if there is none, or if only a file has the key."""
     if isinstance(value, Placed):
         if step == "placed":
             return value.pose
@@ -262,7 +262,7 @@ def _is_mapping(annotation: Any) -> bool:
 
 
 def _element(annotation: Any, index: int) -> Any:
-    """Return the type of an entry of a list, ``None`` if it has none there."""
+    """Return the type of an entry of a list; ``None`` if it has no such entry."""
     for one in _alternatives(annotation):
         bare = _bare(one)
         if get_origin(bare) is tuple:
@@ -274,7 +274,7 @@ def _element(annotation: Any, index: int) -> Any:
 
 
 def _joined(steps: list[str]) -> str:
-    """Return keys and numbers of entries as a name writes them."""
+    """Return keys and indices as a dotted name."""
     return ".".join(filter(None, steps)).replace(".[", "[")
 
 
@@ -283,7 +283,7 @@ def _entry(value: Any, step: str) -> Any:
 
 
 def _index(name: str, before: str, step: str, value: Any, annotation: Any) -> int:
-    """Return the number of a list's entry that is named or counted."""
+    """Return the index of a list entry that is identified by name or index."""
     if _element(annotation, 0) is None:
         raise InputError(f"{name} is not a field of this job, {before} holds nothing further: vary {before} itself")
     names = [str(getattr(one, "name", "")) for one in value or ()]
@@ -304,7 +304,7 @@ def _length(value: Any, annotation: Any) -> int:
 
 
 def _unknown(name: str, before: str, step: str, known: list[str]) -> str:
-    """Say that a field is not there, and which one was probably meant."""
+    """Return the message for an unknown field, with the nearest known one."""
     close = difflib.get_close_matches(step.lower(), known, n=1, cutoff=0.5)
     remedy = (
         f"did you mean {_joined([before, close[0]])}?"
@@ -328,7 +328,7 @@ def _some(value: Any, annotation: Any) -> str:
 
 
 def _unit_in(annotation: Any) -> unit | None:
-    """Return how a field reads its unit, if it has one."""
+    """Return the unit annotation of a field; ``None`` without a unit."""
     if isinstance(annotation, unit):
         return annotation
     for inner in get_args(annotation):
@@ -346,13 +346,13 @@ def apply_changes(base: Data, changes: list[tuple[Field, str, Token]]) -> dict[s
     base
         The data of the job.
     changes
-        Fields, the units of their values, and the values. A feed over time is divided by the spindle speed of the same
-        case, rounded once.
+        Fields, the units of their values, and the values. A feed per time is divided by the spindle speed of the same
+        case, with one rounding.
 
     Raises
     ------
     InputError
-        If a feed over time meets no spindle speed.
+        If a feed per time is given without a spindle speed.
     """
     import copy  # noqa: PLC0415 - for this one call
 
@@ -366,7 +366,7 @@ def apply_changes(base: Data, changes: list[tuple[Field, str, Token]]) -> dict[s
 
 
 def _per_turn(field: Field, token: float, units: str, data: Mapping[str, Any]) -> float:
-    """Return the advance per revolution of one over time. [mm/rev]."""
+    """Convert a feed per time to a feed per revolution. [mm/rev]."""
     tables = [data["strategy"]]
     if field.place[0] == "passes":
         tables.insert(0, data["passes"][field.place[1]])
@@ -383,7 +383,7 @@ def _per_turn(field: Field, token: float, units: str, data: Mapping[str, Any]) -
 
 
 def _put(complete: Any, data: dict[str, Any], field: Field, value: Token) -> None:
-    """Put a value where a field is, with whatever must be there first, such as the lists that the file leaves out."""
+    """Set the value of a field, and create tables and lists on its path that the file leaves out."""
     node: Any = data
     for number, step in enumerate(field.place):
         last = number == len(field.place) - 1
@@ -413,14 +413,14 @@ def _below(whole: Any, step: str | int) -> Any:
 
 
 def _stated(whole: Any) -> Any:
-    """Return data without what is not stated."""
+    """Return data without ``None``."""
     if isinstance(whole, dict):
         return {key: _stated(one) for key, one in whole.items() if one is not None}
     return [_stated(one) for one in whole] if isinstance(whole, list) else whole
 
 
 def _nothing(field: Field, index: int) -> Token:
-    """Return the zero that stands in a list before an entry that is asked for."""
+    """Return the zero that fills a list before a changed entry."""
     if "waviness" in field.place:
         return f"0 mm/rad^{index + 1}"
     if not field.units or field.units[0].startswith("1/"):

@@ -27,11 +27,11 @@ def list_files(job: Job) -> dict[str, str]:
     paths: set[str] = set()
     for text in _texts(job.table()):
         if Path(text).is_absolute() and os.path.isfile(text):  # noqa: PTH113 - false of a name that no system takes, too
-            _add(Path(text), paths)
+            _add_file(Path(text), paths)
     return {path: hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in sorted(paths)}
 
 
-def _add(file: Path, found: set[str]) -> None:
+def _add_file(file: Path, found: set[str]) -> None:
     """Add a file and, if it is TOML, the files that it names, such as the base of a machine file."""
     if str(file) in found:
         return
@@ -42,7 +42,7 @@ def _add(file: Path, found: set[str]) -> None:
         with suppress(OSError, ValueError):  # not a file name
             other = Path(os.path.normpath(file.parent / text))
             if other.is_file():
-                _add(other, found)
+                _add_file(other, found)
 
 
 def _texts(value: Any) -> Iterator[str]:

@@ -74,14 +74,14 @@ def _margin(pipeline: Pipeline, name: str) -> float:
     return margins[0] if margins and margins[0] is not None else math.inf
 
 
-def _most(values: Sequence[float | None]) -> float | None:
+def _largest(values: Sequence[float | None]) -> float | None:
     numbers = [value for value in values if value is not None]
     return max(numbers) if numbers else None
 
 
-_Taken: TypeAlias = Callable[[Pipeline, str], Value]
+_Evaluator: TypeAlias = Callable[[Pipeline, str], Value]
 
-JOB_MEASURES: dict[str, tuple[str, str, _Taken]] = {
+JOB_MEASURES: dict[str, tuple[str, str, _Evaluator]] = {
     "nose_radius_limit": ("mm", "access", lambda pipeline, _: pipeline.access.nose_radius_limit),
     "included_margin_deg": ("", "access", lambda pipeline, _: math.degrees(_margin(pipeline, "included angle"))),
     "clearance_margin_deg": ("", "access", lambda pipeline, _: math.degrees(_margin(pipeline, "clearance"))),
@@ -200,11 +200,11 @@ def evaluate(pipeline: Pipeline, measures: Sequence[Measure]) -> dict[str, Value
     """
     values: dict[str, Value] = {}
     for one in sorted(measures, key=lambda measure: STAGE_ORDER.index(measure.stage)):
-        values[one.name] = _finite(_taken(pipeline, one))
+        values[one.name] = _finite(_evaluate_one(pipeline, one))
     return {one.name: values[one.name] for one in measures}
 
 
-def _taken(pipeline: Pipeline, one: Measure) -> Value:
+def _evaluate_one(pipeline: Pipeline, one: Measure) -> Value:
     if one.function is not None:
         try:
             return one.function(pipeline)

@@ -56,7 +56,7 @@ def binomial_interval(successes: int, trials: int) -> Interval:
     -------
     [Clopper1934]_. Oracle: ``scipy.stats.binomtest``.
 
-    >>> [round(one, 4) for one in chance(190, 200)]
+    >>> [round(one, 4) for one in binomial_interval(190, 200)]
     [0.95, 0.91, 0.9758]
     """
     from scipy.special import betaincinv  # noqa: PLC0415 - costly to import
@@ -212,7 +212,7 @@ class MapModel:
     maps: Floats
 
     @classmethod
-    def fitted(cls, inputs: Floats, maps: Floats, weight: Floats, chosen: Ints | None = None) -> MapModel | None:
+    def fit(cls, inputs: Floats, maps: Floats, weight: Floats, chosen: Ints | None = None) -> MapModel | None:
         """Fit the model to cases; ``None`` if they are too few.
 
         Parameters
@@ -227,7 +227,7 @@ class MapModel:
             Cases to fit, possibly repeated; by default all.
         """
         columns = cls.columns(inputs, squares=inputs.shape[0] >= 4 * (2 * inputs.shape[1] + 1))
-        if inputs.shape[0] < cls.fewest(inputs.shape[1]):
+        if inputs.shape[0] < cls.min_cases(inputs.shape[1]):
             return None
         terms, seen = (columns, maps) if chosen is None else (columns[chosen], maps[chosen])
         share = np.asarray(np.linalg.lstsq(terms, seen, rcond=None)[0], dtype=np.float64)
@@ -235,7 +235,7 @@ class MapModel:
         return cls(share=share, weight=weight, leverage=(q**2).sum(axis=1), left=maps - columns @ share, maps=maps)
 
     @staticmethod
-    def fewest(inputs: int) -> int:
+    def min_cases(inputs: int) -> int:
         """Return the least number of cases for a number of inputs."""
         return 2 * (1 + inputs)
 

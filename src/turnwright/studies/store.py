@@ -74,7 +74,7 @@ class Store:
                 for part in ("rows", "arrays"):
                     (Path(store.place) / part).mkdir(parents=True, exist_ok=True)
             except OSError as error:
-                raise store._trouble(error) from error
+                raise store._storage_error(error) from error
         else:
             store._files()
         return store
@@ -85,13 +85,13 @@ class Store:
 
     def row(self, key: str) -> Row | None:
         """Return the row of a finished case; ``None`` if there is none, or if its file is corrupt."""
-        file = f"{_checked(key)}.json"
+        file = f"{_check_name(key)}.json"
         try:
             row = json.loads(self._read("rows", file))
         except (FileNotFoundError, ValueError):
             return None
         except OSError as error:
-            raise self._trouble(error, "read") from error
+            raise self._storage_error(error, "read") from error
         return row if isinstance(row, dict) else None
 
     def put_row(self, key: str, row: Row) -> None:
@@ -113,7 +113,7 @@ class Store:
             text = json.dumps(row).encode()
         except (TypeError, ValueError) as error:
             raise InputError(f"a row must be plain data ({error}): use numbers, texts and None") from None
-        self._write("rows", f"{_checked(key)}.json", lambda stream: stream.write(text))
+        self._write("rows", f"{_check_name(key)}.json", lambda stream: stream.write(text))
 
     def keys(self) -> set[str]:
         """Return the keys of all finished cases."""
@@ -146,7 +146,7 @@ class Store:
             raise InputError(f"the array {name!r} holds objects, which no file takes: give plain numbers")
         digest = hashlib.sha256(f"{array.dtype.str} {array.shape}".encode())
         digest.update(array.view(np.uint8).data if array.size else b"")
-        full = f"{_checked(name)}-{digest.hexdigest()[:24]}"
+        full = f"{_check_name(name)}-{digest.hexdigest()[:24]}"
         if f"{full}.npy" not in self._names("arrays"):
             self._write("arrays", f"{full}.npy", lambda stream: np.save(stream, array, allow_pickle=False))
         return full
@@ -166,7 +166,7 @@ class Store:
         """
         import numpy as np  # noqa: PLC0415
 
-        file = f"{_checked(name)}.npy"
+        file = f"{_check_name(name)}.npy"
         try:
             if not self._remote:
                 mapped: np.ndarray = np.load(Path(self.place) / "arrays" / file, mmap_mode="r", allow_pickle=False)
@@ -175,7 +175,7 @@ class Store:
         except FileNotFoundError:
             raise InputError(f"the store {self.place!r} has no array {name!r}: put it first") from None
         except OSError as error:
-            raise self._trouble(error, "read") from error
+            raise self._storage_error(error, "read") from error
         array.flags.writeable = False
         return array
 
@@ -208,7 +208,7 @@ class Store:
         except FileNotFoundError:
             return set()
         except OSError as error:
-            raise self._trouble(error, "read") from error
+            raise self._storage_error(error, "read") from error
         return {name for one in listed if not (name := str(one).rsplit("/", 1)[-1]).startswith(".")}
 
     def _read(self, part: str, name: str) -> bytes:
@@ -235,7 +235,7 @@ class Store:
                 Path(made).unlink(missing_ok=True)
                 raise
         except OSError as error:
-            raise self._trouble(error) from error
+            raise self._storage_error(error) from error
 
     def _put(self, part: str, name: str, fill: Callable[[IO[bytes]], object]) -> None:
         files, root = self._files()
@@ -250,7 +250,7 @@ class Store:
                 files.rm(made)
             raise
 
-    def _trouble(self, error: OSError, what: str = "written") -> StudyError:
+    def _storage_error(self, error: OSError, what: str = "written") -> StudyError:
         if error.errno in DISK_FULL:
             return StudyError(
                 f"the store {self.place!r} is full ({error.strerror}), what is finished stays: free some space there "
@@ -262,7 +262,7 @@ class Store:
         )
 
 
-def _checked(name: str) -> str:
+def _check_name(name: str) -> str:
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise InputError(f"{name!r} is no name in a store: use letters, digits, dots, dashes and underscores")
     return name

@@ -90,7 +90,7 @@ class Files:
             If there is none.
         """
         group = _group(place, mode="r+" if write else "r")
-        about = _about(group)
+        about = _read_attributes(group)
         if group is None or about is None or about.get("format") != FORMAT:
             raise InputError(f"{place!r} holds no tiled map of format {FORMAT}: name a store that generate_tiled made")
         layout = Layout.read(about["layout"])
@@ -115,15 +115,15 @@ class Files:
 
         require_same_map(place, layout)
         group = _group(place, mode="r+")
-        about_stored = _about(group)
+        about_stored = _read_attributes(group)
         if about_stored is None:
             attributes = {**about, "format": FORMAT, "layout": layout.plain(), "complete": False}
             group = zarr.open_group(place, mode="w-", attributes={"turnwright": attributes})
         elif about_stored.get("key") != about["key"]:
-            raise _another(place)
+            raise _other_map_error(place)
         assert group is not None  # noqa: S101 - opened or made
         for level in range(layout.levels):
-            _require_level(group, layout, level)
+            _create_level(group, layout, level)
         if "tiles" not in group:
             numbers = EDGE_START + sum(layout.tile)
             group.create_array(
@@ -158,15 +158,15 @@ def require_same_map(place: str, layout: Layout) -> None:
     if "://" not in place and not os.path.lexists(place):
         return
     group = _group(place)
-    about = _about(group)
+    about = _read_attributes(group)
     if about is None:
         if group is not None or ("://" not in place and any(Path(place).iterdir())):
             raise InputError(f"{place!r} already exists and holds other files: choose another folder")
     elif about.get("format") != FORMAT or Layout.read(about["layout"]).in_tiles(layout.tile) != layout:
-        raise _another(place)
+        raise _other_map_error(place)
 
 
-def _another(place: str) -> InputError:
+def _other_map_error(place: str) -> InputError:
     return InputError(
         f"{place!r} holds the map of another motion, tool, surface or grid, or one of another version: name another "
         "place, or delete it"
@@ -196,7 +196,7 @@ def _group(place: str, mode: str = "r") -> zarr.Group | None:
         raise InputError(f"{place!r} cannot be used as a store ({reason}): name a folder, or see fsspec") from None
 
 
-def _about(group: zarr.Group | None) -> dict[str, Any] | None:
+def _read_attributes(group: zarr.Group | None) -> dict[str, Any] | None:
     about = None if group is None else group.attrs.asdict().get("turnwright")
     return dict(about) if isinstance(about, dict) else None
 
@@ -210,7 +210,7 @@ def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
     return array
 
 
-def _require_level(group: zarr.Group, layout: Layout, level: int) -> None:
+def _create_level(group: zarr.Group, layout: Layout, level: int) -> None:
     """Create the missing arrays of an overview."""
     within = group.require_group(f"level_{level}")
     for name, axis in zip("xy", layout.axes(level), strict=True):

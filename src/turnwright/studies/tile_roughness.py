@@ -43,11 +43,11 @@ def tiled_roughness(files: Files, form: str, progress: Progress | None) -> Rough
     tiles = [tile for tile in layout.tiles() if records[tile.j, tile.i, 0] > 0]
     if sum(records[tile.j, tile.i, 0] for tile in tiles) < 3:
         raise InputError("the map has fewer than 3 valid heights, roughness needs 3: map more of the part")
-    level = _reference(records, tiles, form)
+    level = _fit_reference(records, tiles, form)
     dx, dy = layout.pixel
 
     def sums(tile: Tile) -> Floats:
-        z = _with_neighbours(files, records, tile)
+        z = _read_extended(files, records, tile)
         sums_of_tile = np.empty(kernel.SUMS + 2)
         base, along_x, along_y = level(tile)
         kernel.residual_sums(z, *tile.shape, base, along_x, along_y, dx, dy, sums_of_tile)
@@ -81,7 +81,7 @@ def tiled_roughness(files: Files, form: str, progress: Progress | None) -> Rough
     )  # fmt: skip
 
 
-def _with_neighbours(files: Files, records: Floats, tile: Tile) -> Floats:
+def _read_extended(files: Files, records: Floats, tile: Tile) -> Floats:
     """Return the heights of a tile, extended by the first row and column of its neighbours."""
     rows, columns = tile.shape
     wide = files.layout.tile[1]
@@ -98,7 +98,7 @@ def _with_neighbours(files: Files, records: Floats, tile: Tile) -> Floats:
     return z
 
 
-def _reference(records: Floats, tiles: list[Tile], form: str) -> Callable[[Tile], tuple[float, float, float]]:
+def _fit_reference(records: Floats, tiles: list[Tile], form: str) -> Callable[[Tile], tuple[float, float, float]]:
     """Return a function of a tile: height of the reference at its corner, and slope per column and row."""
     if form == "none":
         return lambda _: (0.0, 0.0, 0.0)

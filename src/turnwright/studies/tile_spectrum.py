@@ -1,4 +1,4 @@
-"""Spectra of a map in tiles: those of its segments, averaged."""
+"""Power spectral density of a map in tiles: the mean over its segments."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["SEGMENT", "tiled_area_psd", "tiled_line_psd"]
 
 SEGMENT = 512
-"""Pixels along a segment: half a millimetre at a micrometre, fifty cusps or more."""
+"""Pixels along a segment: about 0.5 mm at a pixel of 1 um, fifty cusps or more."""
 
 AnySpectrum = TypeVar("AnySpectrum", AreaSpectrum, Spectrum)
 
@@ -33,7 +33,7 @@ AnySpectrum = TypeVar("AnySpectrum", AreaSpectrum, Spectrum)
 def tiled_area_psd(
     files: Files, segment: int | None, form: Form, window: Window, progress: Progress | None
 ) -> AreaSpectrum:
-    """Return the mean of the spectra of all whole segments."""
+    """Return the mean of the spectra of all complete segments."""
 
     def work(heights: HeightMap) -> AreaSpectrum:
         return area_psd(heights, form=form, window=window)
@@ -44,7 +44,7 @@ def tiled_area_psd(
 def tiled_line_psd(
     files: Files, along: Literal["x", "y"], segment: int | None, form: Form, window: Window, progress: Progress | None
 ) -> Spectrum:
-    """Return the mean of the spectra of the lines of all whole segments."""
+    """Return the mean of the line spectra of all complete segments."""
     if not isinstance(along, str) or along not in ("x", "y"):
         raise InputError(f'along is {along!r}, the lines of a map in tiles run along "x" or "y": choose')
 

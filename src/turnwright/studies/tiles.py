@@ -48,7 +48,7 @@ __all__ = ["generate_tiled", "planned_layout"]
 
 
 @dataclass(frozen=True, slots=True)
-class _Painter:
+class _TileWriter:
     """Prepared input of all tiles, shared by the threads of a process."""
 
     ready: Prepared
@@ -59,7 +59,9 @@ class _Painter:
     orders: dict[tuple[int, int], tuple[Tiles, Ints, Ints]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, motion: Motion, tool: Tool, machine: Machine | None, minus: Surface | None, files: Files) -> _Painter:
+    def of(
+        cls, motion: Motion, tool: Tool, machine: Machine | None, minus: Surface | None, files: Files
+    ) -> _TileWriter:
         """Prepare what all tiles share."""
         layout = files.layout
         ready = _ready(motion, tool, machine, layout)
@@ -208,16 +210,18 @@ def generate_tiled(
         return TiledMap(files)
     there = files.finished()
     missing = [one for one in tiles if not there[one.j, one.i]]
-    painter = _Painter(ready, files, minus, sides, layout.axes())
+    painter = _TileWriter(ready, files, minus, sides, layout.axes())
     if executor is None:
         # One thread more than cores: while one waits for the disk, the others compute.
         with ThreadPoolExecutor(cores() + 1) as pool:
-            _make(lambda one: pool.submit(painter.paint, one), missing, pool, place, len(tiles), progress)
+            _run_tiles(lambda one: pool.submit(painter.paint, one), missing, pool, place, len(tiles), progress)
     else:
         task, workers = _Task.of(place, key, motion, tool, machine, minus), executor
-        _make(lambda one: workers.submit(_paint, task, one.j, one.i), missing, workers, place, len(tiles), progress)
+        _run_tiles(
+            lambda one: workers.submit(_paint, task, one.j, one.i), missing, workers, place, len(tiles), progress
+        )
     with translate_disk_errors(place, len(tiles), len(tiles)):
-        _coarser(files)
+        _write_overviews(files)
         files.complete()
         if executor is not None:
             remove_motion(place)
@@ -243,7 +247,7 @@ def planned_layout(
     return layout
 
 
-def _make(
+def _run_tiles(
     submit: Callable[[Tile], Future[None]],
     missing: Sequence[Tile],
     executor: Executor,
@@ -300,13 +304,13 @@ class _Task:
             place, key, arrays, names, tool, machine or motion.machine, motion.machine, minus
         )  # fmt: skip
 
-    def painter(self) -> _Painter:
+    def painter(self) -> _TileWriter:
         axes = {letter: self.arrays.array(name) for letter, name in self.names.items()}
         motion = Motion(time=axes.pop("time"), axes=axes, machine=self.planned_for)
-        return _Painter.of(motion, self.tool, self.machine, self.minus, Files.open(self.place, write=True))
+        return _TileWriter.of(motion, self.tool, self.machine, self.minus, Files.open(self.place, write=True))
 
 
-_latest: dict[str, _Painter] = {}
+_latest: dict[str, _TileWriter] = {}
 """Input that this worker prepared last."""
 
 
@@ -321,7 +325,7 @@ def _paint(task: _Task, j: int, i: int) -> None:
     painter.paint(painter.files.layout.at(j, i))
 
 
-def _coarser(files: Files) -> None:
+def _write_overviews(files: Files) -> None:
     """Compute the overviews beyond those of the tiles, each from the one before, a band of rows at a time."""
     layout = files.layout
     for level in range(TILE_LEVELS + 1, layout.levels):

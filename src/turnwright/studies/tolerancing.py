@@ -275,8 +275,8 @@ def tolerance(
         if executor is None:
             executor = stack.enter_context(local(workers))
         require_reach(place.place, executor, arrays=True)
-        shared = _shared(job, budget, place, correction=correction, report=report)
-        study = _Cases(
+        shared = _plan_shared(job, budget, place, correction=correction, report=report)
+        study = _CaseRunner(
             shared=shared, executor=executor, store=place, seed=seed, correction=correction, report=report,
             study=case_key({"shared": shared}),
         )  # fmt: skip
@@ -287,7 +287,7 @@ def tolerance(
         }
         drawn = budget.draw(count, seed=seed, correction=correction)
         draws = {name: drawn[name] for name in inputs}
-        rows = study.carried_out("cases", draws)
+        rows = study.run("cases", draws)
         good = [k for k, row in enumerate(rows) if "reason" not in row]
         reasons = tuple(str(row["reason"]) for row in rows if "reason" in row)
         if len(good) < MIN_CASES:
@@ -304,8 +304,8 @@ def tolerance(
         for number, kind in enumerate((AS_PLANNED, CORRECTED)[: 1 + correction]):
             report("sensitivity", number, 1 + correction)
             names = set(budget.inputs(correction=kind == CORRECTED))
-            maps = np.stack([place.array(rows[k][_named("map", kind)]).ravel() for k in good])
-            outcomes[kind] = _outcome(
+            maps = np.stack([place.array(rows[k][_column_name("map", kind)]).ravel() for k in good])
+            outcomes[kind] = _evaluate(
                 job, {name: inputs[name] for name in inputs if name in names}, used, columns, maps, limits, kind, seed,
                 failed=len(reasons), feed=shared["cuts"][""]["feed"],
             )  # fmt: skip
@@ -313,7 +313,7 @@ def tolerance(
         tightening = None
         kind = CORRECTED if correction else AS_PLANNED
         if confirm and outcomes[kind].explained_variance is not None:
-            tightening = _confirmed(study, inputs, draws, outcomes[kind], limits, kind)
+            tightening = _confirm(study, inputs, draws, outcomes[kind], limits, kind)
     return ToleranceStudy(
         job=job, budget=budget, seed=seed, draws=MappingProxyType(used), columns=MappingProxyType(columns),
         reasons=reasons, limits=MappingProxyType(limits), outcomes=MappingProxyType(outcomes), tightening=tightening,
@@ -346,7 +346,9 @@ def _limits(job: Job) -> dict[str, float]:
     return limits
 
 
-def _shared(job: Job, budget: ErrorBudget, store: Store, *, correction: bool, report: StageProgress) -> dict[str, Any]:
+def _plan_shared(
+    job: Job, budget: ErrorBudget, store: Store, *, correction: bool, report: StageProgress
+) -> dict[str, Any]:
     """Return the input shared by all cases, planned now or read from the store."""
     planned = {"job": job.to_toml(), "files": list_files(job)}
     key = case_key({"planned": planned, "budget": budget.table(), "correction": correction})
@@ -361,7 +363,7 @@ def _shared(job: Job, budget: ErrorBudget, store: Store, *, correction: bool, re
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Cases:
+class _CaseRunner:
     """Set-up for running the cases of a study."""
 
     shared: Mapping[str, Any]
@@ -372,7 +374,7 @@ class _Cases:
     correction: bool
     report: StageProgress
 
-    def carried_out(self, stage: str, draws: Mapping[str, Floats]) -> list[Row]:
+    def run(self, stage: str, draws: Mapping[str, Floats]) -> list[Row]:
         """Run a case for each draw, and return their rows."""
         cases = []
         for k in range(next(iter(draws.values())).size):
@@ -389,16 +391,16 @@ class _Cases:
         )  # fmt: skip
 
 
-def _named(measure: str, kind: str) -> str:
+def _column_name(measure: str, kind: str) -> str:
     return measure if kind == AS_PLANNED else f"{CORRECTED} {measure}"
 
 
-def _keeps(columns: Mapping[str, Floats], limits: Mapping[str, float], kind: str) -> dict[str, Bools]:
+def _meet_tolerances(columns: Mapping[str, Floats], limits: Mapping[str, float], kind: str) -> dict[str, Bools]:
     """Return which cases meet each tolerance. Each (n,)."""
-    return {measure: columns[_named(measure, kind)] <= limit for measure, limit in limits.items()}
+    return {measure: columns[_column_name(measure, kind)] <= limit for measure, limit in limits.items()}
 
 
-def _outcome(
+def _evaluate(
     job: Job,
     inputs: Mapping[str, Spread],
     draws: Mapping[str, Floats],
@@ -412,23 +414,23 @@ def _outcome(
     feed: float,
 ) -> Outcome:
     """Evaluate the cases, as planned or corrected; failed cases are out of tolerance."""
-    keeps = _keeps(columns, limits, kind)
+    keeps = _meet_tolerances(columns, limits, kind)
     every = np.logical_and.reduce(list(keeps.values()))
     probability = binomial_interval(int(every.sum()), every.size + failed)
     groups = group_inputs(list(inputs), group_of)
     scaled = np.stack([(draws[name] - one.mean) / one.deviation for name, one in inputs.items()], axis=1)
-    neighbour = neighbour_indices(scaled, columns[_named("form_pv_nm", kind)], list(groups.values()))
+    neighbour = neighbour_indices(scaled, columns[_column_name("form_pv_nm", kind)], list(groups.values()))
     lines = make_lines(job, feed)
     weight = np.broadcast_to(lines.weight, (lines.rows.size, lines.columns.size)).ravel()
     seen = np.flatnonzero(np.isfinite(maps).all(axis=0))
     if seen.size > MODEL_HEIGHTS:  # at random, so that no pattern of the part is sampled at a single phase
         seen = np.sort(np.random.default_rng(seed).choice(seen, MODEL_HEIGHTS, replace=False))
     maps, weight = maps[:, seen], weight[seen]
-    pv = columns[_named("form_pv_nm", kind)]
+    pv = columns[_column_name("form_pv_nm", kind)]
     # A subset of heights has a slightly smaller peak to valley, which is scaled to that of the whole maps.
     maps = maps * float(np.mean(pv) / np.mean(np.ptp(maps, axis=1)))
-    model = MapModel.fitted(scaled, maps, weight)
-    study = _Sums(inputs=inputs, groups=groups, scaled=scaled, maps=maps, weight=weight, pv=pv, seed=seed)
+    model = MapModel.fit(scaled, maps, weight)
+    study = _SignatureAnalysis(inputs=inputs, groups=groups, scaled=scaled, maps=maps, weight=weight, pv=pv, seed=seed)
     sensitivities = [
         Sensitivity(
             group=group, first=None, total=None, neighbour_index=float(share), probability=None, percentile_nm=None
@@ -444,7 +446,7 @@ def _outcome(
             replace(one, first=first[k], total=total[k], probability=halves[k][0], percentile_nm=halves[k][1])
             for k, one in enumerate(sensitivities)
         ]
-    sensitivities.sort(key=lambda one: -_matters(one))
+    sensitivities.sort(key=lambda one: -_importance(one))
     return Outcome(
         probability=probability,
         each=MappingProxyType(
@@ -452,38 +454,38 @@ def _outcome(
         ),
         sensitivities=tuple(sensitivities),
         explained_variance=None if model is None else model.explained_variance(),
-        advice=_with_doubt(
-            _advice(
+        advice=_qualify_advice(
+            _write_advice(
                 sensitivities,
                 probability.value,
                 float(np.quantile(pv, 0.95)),
                 cases=every.size,
-                fewest=MapModel.fewest(len(inputs)),
+                fewest=MapModel.min_cases(len(inputs)),
             ),
             model,
         ),
     )
 
 
-def _matters(one: Sensitivity) -> float:
+def _importance(one: Sensitivity) -> float:
     return one.neighbour_index if one.total is None else one.total.value
 
 
-def _first(sensitivities: Sequence[Sensitivity], before: float) -> Sensitivity:
+def _select_group(sensitivities: Sequence[Sensitivity], before: float) -> Sensitivity:
     """Return the group to reduce first: by the gain in probability, then by the percentile."""
 
     def worth(one: Sensitivity) -> tuple[float, float]:
         if one.probability is None or one.percentile_nm is None:
-            return 0.0, _matters(one)
+            return 0.0, _importance(one)
         return max(round(one.probability - before, 2), 0.0), -one.percentile_nm
 
     return max(sensitivities, key=worth)
 
 
-def _advice(
+def _write_advice(
     sensitivities: Sequence[Sensitivity], before: float, percentile_nm: float, *, cases: int, fewest: int
 ) -> str:
-    best = _first(sensitivities, before)
+    best = _select_group(sensitivities, before)
     if best.probability is None or best.percentile_nm is None:
         return f"{cases} cases are too few to determine what to tighten first: draw at least {fewest}"
     return (
@@ -493,7 +495,7 @@ def _advice(
     )
 
 
-def _with_doubt(advice: str, model: MapModel | None) -> str:
+def _qualify_advice(advice: str, model: MapModel | None) -> str:
     """Return the advice, marked as a rough estimate if the model is poor."""
     if model is None or (share := model.explained_variance()[0]) >= POOR_VARIANCE:
         return advice
@@ -501,7 +503,7 @@ def _with_doubt(advice: str, model: MapModel | None) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Sums:
+class _SignatureAnalysis:
     """Sensitivity analysis with a model of maps as sums of signatures.
 
     Parameters
@@ -545,7 +547,7 @@ class _Sums:
         thin = slice(None, None, max(1, self.maps.shape[1] // BOOTSTRAP_HEIGHTS))
         for _ in range(BOOTSTRAP_COUNT):
             chosen = np.asarray(rng.integers(0, self.scaled.shape[0], size=self.scaled.shape[0]))
-            other = MapModel.fitted(self.scaled, self.maps[:, thin], self.weight[thin], chosen)
+            other = MapModel.fit(self.scaled, self.maps[:, thin], self.weight[thin], chosen)
             assert other is not None  # noqa: S101 - as many cases as before
             indices = sobol_indices(other.pv, groups, a, b)
             again.append((indices.first, indices.total))
@@ -593,8 +595,8 @@ class _Sums:
         return outcomes
 
 
-def _confirmed(
-    study: _Cases,
+def _confirm(
+    study: _CaseRunner,
     inputs: Mapping[str, Spread],
     draws: Mapping[str, Floats],
     outcome: Outcome,
@@ -602,14 +604,14 @@ def _confirmed(
     kind: str,
 ) -> Tightening:
     """Repeat the cases with half the spread of the group to reduce first."""
-    best = _first(outcome.sensitivities, outcome.probability.value)
+    best = _select_group(outcome.sensitivities, outcome.probability.value)
     tight = {
         name: (values + inputs[name].mean) / 2 if group_of(name) == best.group else values
         for name, values in draws.items()
     }
-    rows = study.carried_out("confirm", tight)
+    rows = study.run("confirm", tight)
     good = [
-        "reason" not in row and all(row[_named(measure, kind)] <= limit for measure, limit in limits.items())
+        "reason" not in row and all(row[_column_name(measure, kind)] <= limit for measure, limit in limits.items())
         for row in rows
     ]
     return Tightening(group=best.group, probability=binomial_interval(sum(good), len(good)), before=outcome.probability)
