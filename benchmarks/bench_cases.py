@@ -10,7 +10,7 @@ from itertools import count
 from multiprocessing import get_context
 from time import perf_counter
 
-from turnwright.studies import Case, Store, cluster, conduct, local
+from turnwright.studies import Case, Store, cluster, local, run_cases
 
 RARELY = {
     "distributed.admin.tick.interval": "1s",
@@ -42,7 +42,7 @@ def overhead(cases, times=5):
         for turn in range(times + 1):
             todo = [Case(key=f"case-{next(FRESH)}", data={}) for _ in range(cases)]
             start = perf_counter()
-            conduct(empty, todo, executor=pool, store=Store.open(folder))
+            run_cases(empty, todo, executor=pool, store=Store.open(folder))
             middle = perf_counter()
             list(standard.map(nothing, range(cases)))
             if turn:

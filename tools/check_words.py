@@ -33,7 +33,6 @@ COMMITS = 50
 LONGEST_SUBJECT = 72
 
 
-
 def files() -> Iterator[Path]:
     """Yield the files whose language is checked."""
     for folder, endings in (("src", (".py", ".js", ".html", ".css")), ("docs", (".md", ".py"))):

@@ -102,8 +102,8 @@ def test_the_command_leaves_table_page_and_study(job_file, tmp_path, capsys):
     for heading, column in zip(head[1:-2], loaded.columns, strict=True):
         assert table.column(heading).to_pylist() == column.values.tolist()
     assert loaded.job == Job.load(job_file)
-    assert loaded.fields[0].own == 0.5
-    assert loaded.fields[1].own == pytest.approx(1.0)
+    assert loaded.fields[0].job_value == 0.5
+    assert loaded.fields[1].job_value == pytest.approx(1.0)
     page = (out / "report.html").read_text(encoding="utf-8")
     assert page.count("<svg") == 6  # a map and profiles of each number
     assert "Best cases by sq_nm" in page
@@ -154,7 +154,7 @@ def test_it_is_saved_and_loaded_to_the_last_bit(job, threads, tmp_path):
     assert again.reasons == found.reasons
     assert again.design == "list"
     for one, other in zip(found.columns, again.columns, strict=True):
-        assert (one.name, one.unit, one.own, one.kind) == (other.name, other.unit, other.own, other.kind)
+        assert (one.name, one.unit, one.job_value, one.kind) == (other.name, other.unit, other.job_value, other.kind)
         np.testing.assert_array_equal(one.values, other.values)
     np.testing.assert_array_equal(again.seconds, found.seconds)
     # The second case is no job: its feed is wider than the edge.
@@ -267,13 +267,13 @@ def test_an_interrupted_command_goes_on_where_it_was(job_file, tmp_path, capsys,
         "study", str(job_file), "--out", str(tmp_path / "out"), "--workers", "1",
         "--vary", "tool.nose_radius=0.2..0.6 mm:3", "--measure", "sq_nm",
     ]  # fmt: skip
-    whole = _study.conduct
+    whole = _study.run_cases
 
     def half(work, cases, **how):
         whole(work, cases[:2], **{**how, "executor": threads})  # quicker than a process, which others test
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(_study, "conduct", half)
+    monkeypatch.setattr(_study, "run_cases", half)
     assert cli.main(asked) == 130
     said = capsys.readouterr().err
     kept = tmp_path / "out.cases"
@@ -288,7 +288,7 @@ def test_an_interrupted_command_goes_on_where_it_was(job_file, tmp_path, capsys,
         fresh.extend(case.key for case in cases if f"{case.key}.json" not in before)
         return whole(work, cases, **{**how, "executor": threads})
 
-    monkeypatch.setattr(_study, "conduct", counting)
+    monkeypatch.setattr(_study, "run_cases", counting)
     assert cli.main(asked) == 0
     assert len(fresh) == 1
     assert len(Study.load(tmp_path / "out")) == 3

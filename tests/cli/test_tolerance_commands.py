@@ -86,21 +86,21 @@ def test_a_study_goes_on_where_it_stopped(job, tmp_path, monkeypatch):
     def never(*_):
         raise AssertionError("computed twice")
 
-    monkeypatch.setattr(_draws.Bench, "judged", never)
+    monkeypatch.setattr(_draws.CaseContext, "measure", never)
     again = study_of(job, store=store, correction=False)
     assert len(store.keys()) == rows
     assert np.array_equal(first.columns["form_pv_nm"], again.columns["form_pv_nm"])
 
 
 def test_a_case_that_fails_is_a_reason(job, tmp_path, monkeypatch):
-    whole = _draws.Bench.judged
+    whole = _draws.CaseContext.measure
 
     def sometimes(self, real):
         if real.tool.offset[0] > 0.003:
             raise InputError("the tool is off by too much: set it anew")
         return whole(self, real)
 
-    monkeypatch.setattr(_draws.Bench, "judged", sometimes)
+    monkeypatch.setattr(_draws.CaseContext, "measure", sometimes)
     found = study_of(job, store=tmp_path, correction=False)
     assert 0 < len(found.reasons) < 12
     assert found.count == 24 - len(found.reasons)
@@ -126,7 +126,7 @@ def test_a_plan_outlives_changes_of_its_files(tmp_path):
     store = Store.open(tmp_path / "store")
     plans = [row for row in map(store.row, store.keys()) if "cuts" in row]
     edge.unlink()
-    benches = [_draws.Bench.of(plan, store) for plan in plans]  # as on a machine that does not have the file
+    benches = [_draws.CaseContext.of(plan, store) for plan in plans]  # as on a machine that does not have the file
     assert sorted(bench.cuts[""].job.actual_tool.deviation(np.deg2rad(20)) for bench in benches) == pytest.approx(
         [0.1e-3, 0.6e-3], rel=1e-9
     )
@@ -134,7 +134,7 @@ def test_a_plan_outlives_changes_of_its_files(tmp_path):
 
 def test_a_worker_that_does_not_find_the_motion_ends_the_study(job, tmp_path):
     kept = Store.open(tmp_path / "kept")
-    shared = _draws.laid_out(job, ErrorBudget.read(table()), kept, correction=False)
+    shared = _draws.plan_cuts(job, ErrorBudget.read(table()), kept, correction=False)
     case = {"draw": {"tool offset x": 0.0, "drift z": 0.0}, "seed": [0, 0], "correction": False, "study": "elsewhere"}
     with pytest.raises(StudyError, match=r"a worker finds no array 'motion-.*: give the study a store that"):
         _draws.carry_out(case, shared, Store.open(tmp_path / "elsewhere"))

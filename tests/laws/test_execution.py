@@ -32,10 +32,10 @@ from turnwright.studies import (
     case_key,
     cases as _conduct,
     cluster,
-    conduct,
     executors as _executors,
     local,
     program_version,
+    run_cases,
 )
 from turnwright.studies.store import Store
 
@@ -110,7 +110,7 @@ def test_rows_keep_the_order_of_cases_on_any_executor(executor, store):
     told = []
     asked = cases(12)[::-1]
     with executor() as made:
-        rows = conduct(
+        rows = run_cases(
             ours.plain, asked, executor=made, store=store, progress=lambda done, total: told.append((done, total))
         )
     assert rows == [answer(n) for n in range(12)][::-1]
@@ -121,27 +121,27 @@ def test_rows_keep_the_order_of_cases_on_any_executor(executor, store):
 
 
 def test_no_executor_is_a_pool_of_this_machine():
-    assert conduct(ours.plain, cases(3)) == [answer(n) for n in range(3)]
-    assert conduct(ours.plain, []) == []
+    assert run_cases(ours.plain, cases(3)) == [answer(n) for n in range(3)]
+    assert run_cases(ours.plain, []) == []
 
 
 def test_a_finished_case_is_not_computed_again(pool, store, log):
-    conduct(ours.plain, cases(4), shared={"log": log}, executor=pool, store=store)
-    rows = conduct(ours.plain, cases(8), shared={"log": log}, executor=pool, store=store)
+    run_cases(ours.plain, cases(4), shared={"log": log}, executor=pool, store=store)
+    rows = run_cases(ours.plain, cases(8), shared={"log": log}, executor=pool, store=store)
     assert rows == [answer(n) for n in range(8)]
     assert sorted(n for n, _ in begun(log)) == list(range(8))
 
 
 def test_equal_cases_are_computed_once(pool, log):
-    rows = conduct(ours.plain, cases(3) * 4, shared={"log": log}, executor=pool)
+    rows = run_cases(ours.plain, cases(3) * 4, shared={"log": log}, executor=pool)
     assert rows == [answer(n) for n in range(3)] * 4
     assert len(begun(log)) == 3
 
 
 def test_a_row_that_the_disk_has_spoiled_is_computed_again(pool, store, log):
-    conduct(ours.plain, cases(3), shared={"log": log}, executor=pool, store=store)
+    run_cases(ours.plain, cases(3), shared={"log": log}, executor=pool, store=store)
     (Path(store.place) / "rows" / "case-1.json").write_bytes(b'{"n": 1, "squ')
-    assert conduct(ours.plain, cases(3), shared={"log": log}, executor=pool, store=store)[1] == answer(1)
+    assert run_cases(ours.plain, cases(3), shared={"log": log}, executor=pool, store=store)[1] == answer(1)
     assert sorted(n for n, _ in begun(log)) == [0, 1, 1, 2]
 
 
@@ -154,7 +154,7 @@ def test_a_killed_worker_costs_only_the_case_in_its_hand(store, log):
             os.kill(killed[0][1], signal.SIGKILL)
 
     with local(2) as made:
-        rows = conduct(
+        rows = run_cases(
             ours.plain, cases(30), shared={"log": log, "seconds": 0.05}, executor=made, store=store, progress=kill
         )
     assert rows == [answer(n) for n in range(30)]
@@ -164,18 +164,18 @@ def test_a_killed_worker_costs_only_the_case_in_its_hand(store, log):
 
 def test_a_worker_killed_while_it_waits_costs_nothing(log):
     with local(1) as made:
-        conduct(ours.plain, cases(1), shared={"log": log}, executor=made)
+        run_cases(ours.plain, cases(1), shared={"log": log}, executor=made)
         os.kill(begun(log)[0][1], signal.SIGKILL)
         until(lambda: not alive(begun(log)[0][1]))
-        assert conduct(ours.plain, cases(3), shared={"log": log}, executor=made) == [answer(n) for n in range(3)]
+        assert run_cases(ours.plain, cases(3), shared={"log": log}, executor=made) == [answer(n) for n in range(3)]
     assert len(begun(log)) == 1 + 3
 
 
 def test_a_case_that_always_kills_is_a_row_and_the_others_finish(store, log):
     with local(2) as made:
-        rows = conduct(ours.deadly, cases(12), shared={"log": log, "killer": 3}, executor=made, store=store)
+        rows = run_cases(ours.deadly, cases(12), shared={"log": log, "killer": 3}, executor=made, store=store)
     reason = rows.pop(3)["reason"]
-    assert "died 4 times, the last time with nothing beside it (SIGKILL, as when the memory runs out)" in reason
+    assert "died 4 times, the last time with no other case running (SIGKILL, as when the memory runs out)" in reason
     assert rows == [answer(n) for n in range(12) if n != 3]
     assert Counter(n for n, _ in begun(log)) == Counter({n: 4 if n == 3 else 1 for n in range(12)})
     assert begun(log)[-1][0] == 3  # alone, after all others
@@ -199,7 +199,7 @@ def test_a_killed_driver_loses_nothing_and_leaves_no_worker_behind(store, log):
     assert until(lambda: not any(map(alive, workers))) < 2
     kept = store.keys()
     assert 10 <= len(kept) < 60
-    rows = conduct(ours.plain, cases(60), shared={"log": log}, store=store)
+    rows = run_cases(ours.plain, cases(60), shared={"log": log}, store=store)
     assert rows == [answer(n) for n in range(60)]
     times = Counter(n for n, _ in begun(log))
     assert all(times[int(key.removeprefix("case-"))] == 1 for key in kept)
@@ -217,7 +217,7 @@ def test_ctrl_c_ends_driver_and_workers_and_keeps_what_is_finished(store, log):
     assert said.count("Traceback") == 1  # Python's own of the driver; the workers are quiet
     assert said.splitlines()[-1] == "KeyboardInterrupt"
     assert not any(alive(pid) for _, pid in begun(log))
-    rows = conduct(ours.plain, cases(60), shared={"log": log}, store=store)
+    rows = run_cases(ours.plain, cases(60), shared={"log": log}, store=store)
     assert rows == [answer(n) for n in range(60)]
     assert len(begun(log)) <= 60 + 2
 
@@ -229,7 +229,7 @@ def test_a_stop_from_progress_comes_through_at_once(store, log):
 
     start = time.monotonic()
     with pytest.raises(tw.errors.Stopped, match="enough"), local(2) as made:
-        conduct(
+        run_cases(
             ours.plain, cases(1000), shared={"log": log, "seconds": 0.05}, executor=made, store=store, progress=stop
         )
     assert time.monotonic() - start < 5
@@ -237,7 +237,7 @@ def test_a_stop_from_progress_comes_through_at_once(store, log):
 
 
 def test_a_case_that_fails_is_a_row_with_its_reason(pool, store, log):
-    rows = conduct(ours.failing, cases(9), shared={"log": log}, executor=pool, store=store)
+    rows = run_cases(ours.failing, cases(9), shared={"log": log}, executor=pool, store=store)
     assert [row.get("reason") for row in rows] == [
         None,
         "the feed 2 mm is too wide for the tool 0.1 mm: use less",
@@ -249,7 +249,7 @@ def test_a_case_that_fails_is_a_row_with_its_reason(pool, store, log):
         None,
         None,
     ]
-    conduct(ours.failing, cases(9), shared={"log": log}, executor=pool, store=store)
+    run_cases(ours.failing, cases(9), shared={"log": log}, executor=pool, store=store)
     again = [n for n, times in Counter(n for n, _ in begun(log)).items() if times == 2]
     assert sorted(again) == [3, 4, 5]  # what the machine is to blame for may go well another time
 
@@ -258,12 +258,12 @@ def test_a_full_disk_is_one_sentence_and_what_is_finished_stays(store, log):
     asked = cases(20)
     said = r"is full \(File too large\), what is finished stays: free"
     with pytest.raises(StudyError, match=said) as error, local(1) as made:
-        conduct(ours.filling, asked, shared={"log": log, "full": 9}, executor=made, store=store)
+        run_cases(ours.filling, asked, shared={"log": log, "full": 9}, executor=made, store=store)
     assert one_sentence(error)
     assert store.keys() == {f"case-{n}" for n in range(9)}
     assert {file.name for file in rows_of(store)} == {f"case-{n}.json" for n in range(9)}  # and no half
     with local(1) as made:
-        rows = conduct(ours.filling, asked, shared={"log": log, "full": None}, executor=made, store=store)
+        rows = run_cases(ours.filling, asked, shared={"log": log, "full": None}, executor=made, store=store)
     assert rows == [answer(n) for n in range(20)]
     assert Counter(n for n, _ in begun(log)) == Counter(range(20)) + Counter([9])
 
@@ -301,7 +301,7 @@ def test_a_row_is_seen_whole_or_not_at_all(store):
 
 
 def test_reading_while_others_write_meets_whole_rows_only(pool, store):
-    writer = Thread(target=conduct, args=(ours.writing, cases(2)), kwargs={"executor": pool, "store": store})
+    writer = Thread(target=run_cases, args=(ours.writing, cases(2)), kwargs={"executor": pool, "store": store})
     writer.start()
     seen = set()
     while writer.is_alive():
@@ -326,7 +326,7 @@ def test_arrays_travel_through_the_store_and_are_written_once(pool, store):
     assert isinstance(read, np.memmap)
     assert not read.flags.writeable
     assert read.tobytes() == heights.tobytes()
-    rows = conduct(ours.numbers, cases(3), shared={"heights": name}, executor=pool, store=store)
+    rows = run_cases(ours.numbers, cases(3), shared={"heights": name}, executor=pool, store=store)
     assert [row["sum"] for row in rows] == [heights[: n + 1].sum() for n in range(3)]
     assert rows[0]["count"] == 1000
     assert store.row("case-0")["limit"] == math.inf
@@ -357,7 +357,7 @@ def test_a_store_may_be_a_url(kind, tmp_path, pool, log):
     with ThreadPoolExecutor(2) as threads:  # the memory is that of one process
         executor = threads if kind == "memory" else pool
         for _ in range(2):
-            rows = conduct(ours.plain, cases(6), shared={"log": log}, executor=executor, store=store)
+            rows = run_cases(ours.plain, cases(6), shared={"log": log}, executor=executor, store=store)
             assert rows == [answer(n) for n in range(6)]
     assert len(begun(log)) == 6
     assert store.keys() == {f"case-{n}" for n in range(6)}
@@ -379,10 +379,10 @@ def test_a_url_without_what_it_needs_is_one_sentence(monkeypatch):
 )
 def test_a_worker_uses_its_share_of_the_cores(monkeypatch, asked, threads):
     monkeypatch.setattr(_executors, "cores", lambda: 5)
-    monkeypatch.setattr(_executors, "fitting", lambda _memory_gb: 2)
+    monkeypatch.setattr(_executors, "count_workers", lambda _memory_gb: 2)
     before = dict(os.environ)
     with local(**asked) as made:
-        rows = conduct(ours.threads, cases(6), executor=made)
+        rows = run_cases(ours.threads, cases(6), executor=made)
     there = len(os.sched_getaffinity(0))
     assert {(row["cores"], row["omp"]) for row in rows} == {(min(threads, there), str(threads))}
     assert len({row["pid"] for row in rows}) == 2
@@ -459,8 +459,8 @@ def test_a_pool_of_nothing_is_refused(wrong):
 def test_a_script_that_forgets_its_guard_is_one_sentence(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
-        "from execution_work import cases, plain\nfrom turnwright.studies import conduct, local\n"
-        "with local(1) as pool:\n    conduct(plain, cases(2), executor=pool)\n"
+        "from execution_work import cases, plain\nfrom turnwright.studies import run_cases, local\n"
+        "with local(1) as pool:\n    run_cases(plain, cases(2), executor=pool)\n"
     )
     told = subprocess.run(
         [sys.executable, str(script)], env=os.environ | {"PYTHONPATH": str(HERE)}, capture_output=True, text=True,
@@ -474,16 +474,16 @@ def test_a_script_that_forgets_its_guard_is_one_sentence(tmp_path):
 
 
 def test_work_that_cannot_travel_is_one_sentence(pool):
-    with pytest.raises(StudyError, match="cannot travel to a worker and back") as error:
-        conduct(lambda *_: {}, cases(2), executor=pool)
+    with pytest.raises(StudyError, match="cannot be sent to a worker") as error:
+        run_cases(lambda *_: {}, cases(2), executor=pool)
     assert one_sentence(error)
-    assert conduct(ours.plain, cases(2), executor=pool) == [answer(0), answer(1)]  # the pool is as good as before
+    assert run_cases(ours.plain, cases(2), executor=pool) == [answer(0), answer(1)]  # the pool is as good as before
 
 
 def test_a_broken_pool_of_somebody_else_is_one_sentence(store, log):
     said = r"carries out no more cases \(BrokenProcessPool.* that are finished are kept"
     with pytest.raises(StudyError, match=said) as error, standard() as made:
-        conduct(ours.deadly, cases(40), shared={"log": log, "killer": 9}, executor=made, store=store)
+        run_cases(ours.deadly, cases(40), shared={"log": log, "killer": 9}, executor=made, store=store)
     assert one_sentence(error)
     assert store.keys()
     assert all(store.row(key) == answer(int(key.removeprefix("case-"))) for key in sorted(store.keys()))
@@ -537,11 +537,11 @@ def test_the_program_is_its_own_files():
 
 
 def test_a_case_costs_less_than_twenty_milliseconds(pool, store):
-    conduct(ours.plain, cases(4), executor=pool)  # both have started
+    run_cases(ours.plain, cases(4), executor=pool)  # both have started
     taken = []
     for first in (0, 300, 600):  # on a machine that does other things too, the quickest counts
         start = time.perf_counter()
-        conduct(ours.plain, cases(first + 300)[first:], executor=pool, store=store)
+        run_cases(ours.plain, cases(first + 300)[first:], executor=pool, store=store)
         taken.append((time.perf_counter() - start) / 300)
     assert min(taken) < 0.020
 
@@ -583,8 +583,8 @@ def test_a_dask_cluster_computes_each_case_once(store, log, caplog):
                     killed.append(begun(log)[-1])
                     os.kill(killed[0][1], signal.SIGKILL)
 
-            conduct(ours.plain, cases(5), shared={"log": log}, executor=executor, store=store)
-            rows = conduct(
+            run_cases(ours.plain, cases(5), shared={"log": log}, executor=executor, store=store)
+            rows = run_cases(
                 ours.plain,
                 cases(20),
                 shared={"log": log, "seconds": 0.1},
@@ -595,9 +595,9 @@ def test_a_dask_cluster_computes_each_case_once(store, log, caplog):
             assert rows == [answer(n) for n in range(20)]
             assert not alive(killed[0][1])
             until(lambda: executor.workers == 2)  # Dask brings it back
-            told = conduct(ours.threads, cases(12), executor=executor)
+            told = run_cases(ours.threads, cases(12), executor=executor)
             apart = Store.open(f"memory://{os.getpid()}-{id(store)}")  # each process has one of its own
-            conduct(ours.plain, cases(4), executor=executor, store=apart)
+            run_cases(ours.plain, cases(4), executor=executor, store=apart)
             assert [apart.row(f"case-{n}") for n in range(4)] == [answer(n) for n in range(4)]
         assert_once_but_for(1, 20, log)
         assert store.keys() == {f"case-{n}" for n in range(20)}
@@ -614,7 +614,7 @@ def test_a_dask_cluster_computes_each_case_once(store, log, caplog):
             pytest.raises(StudyError, match="as when a scheduler is gone") as error,
             cluster(made.scheduler_address) as executor,
         ):
-            conduct(
+            run_cases(
                 ours.plain,
                 cases(90),
                 shared={"log": log, "seconds": 0.05},
@@ -626,7 +626,7 @@ def test_a_dask_cluster_computes_each_case_once(store, log, caplog):
     assert not [record for record in caplog.records if record.name == "distributed.client" and record.exc_info]
     kept = store.keys()
     assert len(kept) >= 24
-    assert conduct(ours.plain, cases(90), shared={"log": log}, store=store) == [answer(n) for n in range(90)]
+    assert run_cases(ours.plain, cases(90), shared={"log": log}, store=store) == [answer(n) for n in range(90)]
     twice = {n for n, times in Counter(n for n, _ in begun(log)[once:]).items() if times > 1}
     assert not twice & {int(key.removeprefix("case-")) for key in kept}
 

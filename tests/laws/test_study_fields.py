@@ -10,8 +10,8 @@ import turnwright as tw
 from turnwright.errors import InputError, UnitError
 from turnwright.job import Job
 from turnwright.studies import study
-from turnwright.studies.designs import design_cases, read_varied, stated
-from turnwright.studies.fields import changed, data_of, field_of
+from turnwright.studies.designs import design_cases, get_job_value, read_varied
+from turnwright.studies.fields import apply_changes, find_field, get_job_data
 from turnwright.studies.measures import measure_of
 
 DATA = {
@@ -40,7 +40,7 @@ def job():
 
 def with_one(job, name, given):
     varied = read_varied(job, name, given)
-    return Job.read(changed(data_of(job), [(varied.field, varied.unit, varied.values[0])]))
+    return Job.read(apply_changes(get_job_data(job), [(varied.field, varied.unit, varied.values[0])]))
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_any_field_of_the_job_can_be_varied(job, name, given, value):
 )
 def test_a_field_that_is_not_there_is_named_with_the_nearest(job, name, said):
     with pytest.raises(InputError) as error:
-        field_of(job, name)
+        find_field(job, name)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -151,12 +151,12 @@ def test_values_are_those_of_exact_decimals(job):
 
 
 def test_the_job_s_own_value_is_known_in_the_unit_asked_for(job):
-    assert stated(job, read_varied(job, "tool.nose_radius", "400, 500 um")) == 500
-    assert stated(job, read_varied(job, "part.surface[2].terms.5", "1, 3 um")) == pytest.approx(2)
-    assert stated(job, read_varied(job, "actual.tool.radius_error", "1 um")) is None
-    assert stated(with_one(job, "strategy.spindle_speed", "50 rpm"), read_varied(job, "strategy.feed", "1 mm/min")) == (
-        pytest.approx(0.5)
-    )
+    assert get_job_value(job, read_varied(job, "tool.nose_radius", "400, 500 um")) == 500
+    assert get_job_value(job, read_varied(job, "part.surface[2].terms.5", "1, 3 um")) == pytest.approx(2)
+    assert get_job_value(job, read_varied(job, "actual.tool.radius_error", "1 um")) is None
+    assert get_job_value(
+        with_one(job, "strategy.spindle_speed", "50 rpm"), read_varied(job, "strategy.feed", "1 mm/min")
+    ) == (pytest.approx(0.5))
 
 
 def test_a_feed_over_time_is_divided_by_the_speed_of_the_same_case(job):
@@ -165,7 +165,7 @@ def test_a_feed_over_time_is_divided_by_the_speed_of_the_same_case(job):
     feeds = []
     for row in rows:
         changes = [(one.field, one.unit, token) for one, token in zip(fields, row, strict=True)]
-        feeds.append(Job.read(changed(data_of(job), changes)).strategy.feed)
+        feeds.append(Job.read(apply_changes(get_job_data(job), changes)).strategy.feed)
     assert feeds == [0.3 / 50, 0.3 / 150, 0.6 / 50, 0.6 / 150]
     with pytest.raises(InputError, match=r"states no single spindle speed to divide it by: state or vary"):
         design_cases(job, [read_varied(job, "strategy.feed", "0.3, 0.6 mm/min")])
@@ -225,7 +225,7 @@ def test_every_whole_number_of_a_range_is_drawn_as_often(job, design):
         ),
         ({"vary": None, "design": []}, "the list of cases is empty"),
         ({"vary": None, "design": [3]}, "case 1 of the list is 3: write a mapping from fields to values"),
-        ({"design": [{"tool.nose_radius": "1 mm"}]}, "and strategy.feed is varied beside it: leave one out"),
+        ({"design": [{"tool.nose_radius": "1 mm"}]}, "and strategy.feed is varied as well: leave one out"),
         (
             {"design": "random", "count": 2.5},
             "the number of cases of the design 'random' is 2.5, it must be a whole number, 1 to",
@@ -251,7 +251,7 @@ def test_a_study_that_cannot_be_is_refused_before_anything_is_computed(job, how,
 
 def test_a_patch_is_needed_for_what_is_that_of_a_patch(job):
     bare = Job.read({**DATA, "simulation": {}})
-    with pytest.raises(InputError, match=r"sq_nm is that of a patch, and the job has none: add one"):
+    with pytest.raises(InputError, match=r"sq_nm needs a patch, and the job has none"):
         measure_of(bare, "sq_nm")
     assert measure_of(bare, "sq_nm@whole part").stage == "place"
 

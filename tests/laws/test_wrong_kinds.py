@@ -8,7 +8,7 @@ import pytest
 
 import turnwright as tw
 from turnwright.errors import InputError
-from turnwright.studies import ErrorBudget, Spread, Store, cluster, conduct, local
+from turnwright.studies import ErrorBudget, Spread, Store, cluster, local, run_cases
 
 WRONG = [
     math.nan, math.inf, -math.inf, -1, 10**400, -1.5, 1e300, "", "x", "1 um", b"x", None, True, [], [1], ["x"],
@@ -101,15 +101,15 @@ CALLS = {
     "address": lambda _at, it: cluster(it).__enter__(),
     "key": lambda at, it: at["store"].row(it),
     "array": lambda at, it: at["store"].array(it),
-    "cases": lambda _at, it: conduct(row, it, executor=ThreadPoolExecutor(1)),
-    "case": lambda _at, it: conduct(row, [it], executor=ThreadPoolExecutor(1)),
-    "work": lambda _at, it: conduct(it, [], executor=ThreadPoolExecutor(1)),
+    "cases": lambda _at, it: run_cases(row, it, executor=ThreadPoolExecutor(1)),
+    "case": lambda _at, it: run_cases(row, [it], executor=ThreadPoolExecutor(1)),
+    "work": lambda _at, it: run_cases(it, [], executor=ThreadPoolExecutor(1)),
     "place": lambda _at, it: Store(place=it),
     "told of a study": lambda at, it: study(at, progress=it),
     "told of a tolerance": lambda at, it: tolerance(at, progress=it),
     "told of tiles": lambda at, it: tiled(at, progress=it),
     "told of a roughness": lambda at, it: at["made"].roughness(progress=it),
-    "told of cases": lambda _at, it: conduct(row, [], executor=ThreadPoolExecutor(1), progress=it),
+    "told of cases": lambda _at, it: run_cases(row, [], executor=ThreadPoolExecutor(1), progress=it),
     "drawn": lambda at, it: study(at, vary={"tool.nose_radius": "0.1..1 mm"}, design="random", count=it),
     "drawn by": lambda at, it: study(at, vary={"tool.nose_radius": "0.1..1 mm"}, design="sobol", count=2, seed=it),
     "design": lambda at, it: study(at, design=it),

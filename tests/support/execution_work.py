@@ -10,7 +10,7 @@ from pathlib import Path
 
 from turnwright.errors import GougeError
 from turnwright.progress import cores
-from turnwright.studies import Case, Store, conduct, local
+from turnwright.studies import Case, Store, local, run_cases
 
 
 def cases(count, **more):
@@ -86,4 +86,4 @@ def writing(data, shared, store):
 if __name__ == "__main__":  # a driver that the tests kill
     place, log = sys.argv[1:]
     with local(2) as pool:
-        conduct(plain, cases(60), shared={"log": log, "seconds": 0.05}, executor=pool, store=Store.open(place))
+        run_cases(plain, cases(60), shared={"log": log, "seconds": 0.05}, executor=pool, store=Store.open(place))

@@ -21,26 +21,26 @@ from turnwright.generation import generate_points
 from turnwright.job import correct
 from turnwright.studies import ErrorBudget, Spread, Store, draws as draws_of
 from turnwright.studies.scenes import (
-    Reach,
+    ContactShift,
+    add_drift,
     drift_share,
-    drifted,
-    kept,
-    lines_of,
-    planned,
+    make_lines,
+    make_scenes,
+    pack_motion,
+    plan_motion,
     scene_motion,
-    scenes_of,
-    stored,
+    select_points,
 )
 from turnwright.studies.sensitivity import (
     MapModel,
-    chance,
-    grouped,
+    binomial_interval,
+    group_inputs,
     neighbour_indices,
     percentile,
     sobol_indices,
     unit_points,
 )
-from turnwright.studies.tolerancing import _Sums
+from turnwright.studies.tolerancing import _SignatureAnalysis
 from turnwright.tracking import track
 
 NM = 1e6
@@ -49,7 +49,7 @@ NM = 1e6
 @pytest.mark.parametrize(("good", "of"), [(0, 200), (1, 30), (150, 200), (200, 200)])
 def test_the_interval_of_a_chance_is_that_of_scipy(good, of):
     exact = stats.binomtest(good, of).proportion_ci(0.95, "exact")
-    assert chance(good, of) == pytest.approx((good / of, exact.low, exact.high), abs=1e-12)
+    assert binomial_interval(good, of) == pytest.approx((good / of, exact.low, exact.high), abs=1e-12)
 
 
 @pytest.mark.parametrize("share", [0.05, 0.5, 0.95])
@@ -104,12 +104,12 @@ def test_sums_of_marks_tell_the_chance_of_a_linear_problem():
     marks = np.array([[1.0, -2.0], [2.0, -0.5]])  # nm per deviation, of each height
     scaled = rng.normal(size=(400, 2))
     maps = np.array([0.2, 0.0]) + scaled @ marks.T
-    model = MapModel.fitted(scaled, maps, np.ones(2))
+    model = MapModel.fit(scaled, maps, np.ones(2))
     assert model.explained_variance() == pytest.approx((1.0, 1.0), abs=1e-12)
-    assert MapModel.fitted(scaled[: MapModel.fewest(2) - 1], maps[: MapModel.fewest(2) - 1], np.ones(2)) is None
-    groups = grouped(list(inputs), lambda name: name)
+    assert MapModel.fit(scaled[: MapModel.min_cases(2) - 1], maps[: MapModel.min_cases(2) - 1], np.ones(2)) is None
+    groups = group_inputs(list(inputs), lambda name: name)
     pv = np.ptp(maps, axis=1)
-    study = _Sums(inputs=inputs, groups=groups, scaled=scaled, maps=maps, weight=np.ones(2), pv=pv, seed=0)
+    study = _SignatureAnalysis(inputs=inputs, groups=groups, scaled=scaled, maps=maps, weight=np.ones(2), pv=pv, seed=0)
     drawn = {name: one.mean + one.deviation * scaled[:, k] for k, (name, one) in enumerate(inputs.items())}
     apart = marks[0] - marks[1]
 
@@ -149,21 +149,21 @@ DEVIATIONS = [
 @pytest.mark.parametrize("kind", ["mirror", "lens array", "raked over the axis"])
 def test_the_thinned_program_leaves_what_the_whole_one_leaves(kind):
     job = job_of(kind)
-    reach = Reach(along=0.03, across=0.012, servos={})
-    plan = planned(job, reach)
+    reach = ContactShift(along=0.03, across=0.012, servos={})
+    plan = plan_motion(job, reach)
     duration = float(plan.motion.time[-1])
-    for scene in scenes_of(job, plan.motion.feed):
-        keep = kept(plan, scene, reach)
+    for scene in make_scenes(job, plan.motion.feed):
+        keep = select_points(plan, scene, reach)
         # A coarse program is needed whole for its lines, never for a patch.
         assert keep.mean() < (0.9 if kind == "mirror" or not scene.polar else 1.01)
-        head, rows = stored(plan, keep, reach)
+        head, rows = pack_motion(plan, keep, reach)
         assert head["duration"] == duration
         for draw in DEVIATIONS:
-            real = draws_of.deviated(job.tool, job.machine, draw)
+            real = draws_of.apply_draw(job.tool, job.machine, draw)
             few = scene_motion(head, rows, job.machine, {})
-            few = drifted(few, *real.drift, drift_share(few.time, duration, 5.0))
+            few = add_drift(few, *real.drift, drift_share(few.time, duration, 5.0))
             left = scene.generated(few, real.tool, real.machine, head["near"])
-            whole = drifted(plan.motion, *real.drift, drift_share(plan.motion.time, duration, 5.0))
+            whole = add_drift(plan.motion, *real.drift, drift_share(plan.motion.time, duration, 5.0))
             z = generate_points(whole, real.tool, x=left.x.ravel(), y=left.y.ravel(), machine=real.machine)
             if scene.polar:  # lines end where a tool above or below centre leaves a core
                 z[np.hypot(left.x, left.y).ravel() < 4 * abs(real.tool.offset[1]) - 1e-12] = np.nan
@@ -174,11 +174,11 @@ def test_the_thinned_program_leaves_what_the_whole_one_leaves(kind):
 def test_few_lines_tell_the_form_of_many():
     job = job_of("mirror")
     budget = ErrorBudget.typical()
-    real = draws_of.deviated(job.tool, job.machine, {"tool offset x": 0.003, "tool offset y": 0.002,
+    real = draws_of.apply_draw(job.tool, job.machine, {"tool offset x": 0.003, "tool offset y": 0.002,
         "waviness P6": 2e-5})  # fmt: skip
-    reach = draws_of.reach_of(budget, job)
-    plan = planned(job, reach)
-    few = lines_of(job, plan.motion.feed)
+    reach = draws_of.bound_shift(budget, job)
+    plan = plan_motion(job, reach)
+    few = make_lines(job, plan.motion.feed)
     ends = np.linspace(0.008, 3.0, 302)  # from the core on
     many = few._replace(
         columns=(ends[1:] + ends[:-1]) / 2, twist=np.zeros(301), weight=np.diff(ends**2),
@@ -198,15 +198,15 @@ def test_few_lines_tell_the_form_of_many():
 def left_by(job, plan, **offset):
     """The error at the lines of a job whose tool stands off, from its thinned program. [mm]"""
     tool = replace(job.tool, offset=(offset.get("x", 0.0), offset.get("y", 0.0), 0.0))
-    scene, reach = lines_of(job, plan.motion.feed), Reach(along=0.02, across=0.01, servos={})
-    head, rows = stored(plan, kept(plan, scene, reach), reach)
+    scene, reach = make_lines(job, plan.motion.feed), ContactShift(along=0.02, across=0.01, servos={})
+    head, rows = pack_motion(plan, select_points(plan, scene, reach), reach)
     left = scene.generated(scene_motion(head, rows, job.machine, {}), tool, job.machine, head["near"])
     return left, left.z - job.part.surface.sag(left.x.ravel(), left.y.ravel()).reshape(left.z.shape), tool
 
 
 def test_lines_reach_the_tip_of_a_cone_on_the_axis():
     job = job_of("fine mirror")  # cusps of a nanometre
-    plan = planned(job, Reach(along=0.02, across=0.01, servos={}))
+    plan = plan_motion(job, ContactShift(along=0.02, across=0.01, servos={}))
     size, rim, nose = 40.0, 3.0 * (1 - 1e-4), 0.5
 
     def sphere(r):
@@ -238,7 +238,7 @@ def test_form_sees_the_highest_cusp_of_the_last_turn(overrun):
     if overrun:
         table["strategy"]["overrun"] = "1.25 um"
     job = tw.Job.read(table)
-    plan = planned(job, Reach(along=0.02, across=0.01, servos={}))
+    plan = plan_motion(job, ContactShift(along=0.02, across=0.01, servos={}))
     # Closed form: neighbouring passes leave a cusp of half a feed; half a turn apart on either side of the axis one of
     # three quarters, which a quarter of a feed more closes.
     half = feed / 2 if overrun else 0.75 * feed
@@ -254,8 +254,8 @@ def test_form_sees_the_highest_cusp_of_the_last_turn(overrun):
 
 def test_nothing_leaps_while_a_core_grows():
     job = job_of("fine mirror")
-    plan = planned(job, Reach(along=0.02, across=0.01, servos={}))
-    scene, rim = lines_of(job, plan.motion.feed), 3.0
+    plan = plan_motion(job, ContactShift(along=0.02, across=0.01, servos={}))
+    scene, rim = make_lines(job, plan.motion.feed), 3.0
     close = tw.Motion(  # what cuts farther out is of no interest here
         time=plan.motion.time[-9000:], axes={letter: one[-9000:] for letter, one in plan.motion.axes.items()},
         machine=plan.motion.machine,
@@ -279,7 +279,7 @@ def test_nothing_leaps_while_a_core_grows():
 @pytest.mark.parametrize("kind", ["fine mirror", "raked over the axis"])
 def test_lines_end_at_the_core_of_a_tool_off_centre(kind):
     job = job_of(kind)
-    plan = planned(job, Reach(along=0.02, across=0.01, servos={}))
+    plan = plan_motion(job, ContactShift(along=0.02, across=0.01, servos={}))
     for aside in (0.003, -0.006):
         left, error, tool = left_by(job, plan, x=-0.004, y=aside)
         away = np.hypot(left.x, left.y)
@@ -295,7 +295,7 @@ def test_lines_end_at_the_core_of_a_tool_off_centre(kind):
 
 def test_a_core_is_never_more_than_half_of_a_part():
     job = job_of("fine mirror")
-    left, error, _ = left_by(job, planned(job, Reach(along=0.02, across=0.01, servos={})), y=0.9)
+    left, error, _ = left_by(job, plan_motion(job, ContactShift(along=0.02, across=0.01, servos={})), y=0.9)
     there = np.isfinite(error)
     assert np.hypot(left.x, left.y)[there].min() == pytest.approx(math.hypot(1.5, 0.9), rel=1e-3)
     assert there.any(axis=0).sum() == 25  # the outer half of 40, the edge of the core, four rings at the rim
@@ -306,9 +306,9 @@ def test_form_is_that_of_the_whole_part_to_its_rim(tmp_path):
     terms = {5: "r^2 cos(2 a)", 10: "r^3 cos(3 a)", 17: "r^4 cos(4 a)", 12: "(4 r^4 - 3 r^2) cos(2 a)"}
     budget = one_budget(**{f"mounting_Z{term}": "normal(0, 100) nm" for term in terms})
     bench = bench_of(job, budget, tmp_path)
-    still, _ = bench.judged(bench.real({}))
+    still, _ = bench.measure(bench.real({}))
     for term in terms:
-        numbers, _ = bench.judged(bench.real({f"mounting Z{term}": 1e-3}))
+        numbers, _ = bench.measure(bench.real({f"mounting Z{term}": 1e-3}))
         # Closed form: all four reach from -c to c at the rim, where the lines leave out 1e-4 of the radius; each
         # has its own root mean square. Of the rotation that measuring leaves free a sphere tells nothing.
         order = {5: 6, 10: 8, 17: 10, 12: 10}[term]
@@ -318,7 +318,7 @@ def test_form_is_that_of_the_whole_part_to_its_rim(tmp_path):
 
 def bench_of(job, budget, folder, *, correction=False):
     store = Store.open(folder)
-    return draws_of.Bench.of(draws_of.laid_out(job, budget, store, correction=correction), store)
+    return draws_of.CaseContext.of(draws_of.plan_cuts(job, budget, store, correction=correction), store)
 
 
 def one_budget(settling=None, **spreads):
@@ -332,7 +332,7 @@ def test_drift_leaves_its_own_history(tmp_path, settling):
     bench = bench_of(job, one_budget(settling, drift_z="normal(0, 100) nm"), tmp_path)
     cut = bench.cuts[""]
     still, drifting = (
-        cut.made(cut.views[0], bench.real({"drift z": by}))[1] for by in (0.0, 5e-4)
+        cut.simulate(cut.views[0], bench.real({"drift z": by}))[1] for by in (0.0, 5e-4)
     )  # fmt: skip
     # Passes come in at an even feed, and each radius is as low as the last pass over it.
     strategy, head = job.strategy, cut.views[0].head
@@ -350,15 +350,15 @@ def test_a_part_springs_back_and_stands_upright(tmp_path):
     bench = bench_of(job, one_budget(mounting_Z5="normal(0, 100) nm"), tmp_path)
     cut = bench.cuts[""]
     view, free = cut.views[0], bench.real({})
-    left, straight = cut.made(view, free)
-    bent = cut.made(view, bench.real({"mounting Z5": 2e-4, "mounting Z9": 1e-4}))[1]
+    left, straight = cut.simulate(view, free)
+    bent = cut.simulate(view, bench.real({"mounting Z5": 2e-4, "mounting Z9": 1e-4}))[1]
     x, y = left.x / 3.0, left.y / 3.0
     q = x**2 + y**2
     expected = -2e-4 * (x**2 - y**2) - 1e-4 * (6 * q**2 - 6 * q + 1)
     assert np.abs(bent - straight - expected).max() < 1e-15
     # A sphere that leaned by two small angles stands upright again: its centre has turned about the vertex.
     about_x, about_y = 3e-5, -2e-5
-    tilted = cut.made(view, bench.real({"chuck tilt x": about_x, "chuck tilt y": about_y}))
+    tilted = cut.simulate(view, bench.real({"chuck tilt x": about_x, "chuck tilt y": about_y}))
     size = 40.0
     centre = np.array(
         [-size * math.sin(about_y), size * math.sin(about_x), size * math.cos(math.hypot(about_x, about_y))]
@@ -373,10 +373,10 @@ def test_a_part_springs_back_and_stands_upright(tmp_path):
 
 def test_servos_between_the_nodes_are_tracked_ones(tmp_path):
     job = job_of("servo", tmp_path)
-    reach = Reach(along=0.01, across=0.002, servos={"X": 0.2, "Z": 0.2, "C": 0.2})
-    plan = planned(job, reach)
-    scene = lines_of(job, plan.motion.feed)
-    head, rows = stored(plan, kept(plan, scene, reach), reach)
+    reach = ContactShift(along=0.01, across=0.002, servos={"X": 0.2, "Z": 0.2, "C": 0.2})
+    plan = plan_motion(job, reach)
+    scene = make_lines(job, plan.motion.feed)
+    head, rows = pack_motion(plan, select_points(plan, scene, reach), reach)
     assert set(head["nodes"]) == {"X", "Z"}
     machine = job.machine
     faster = {"Z": 0.13, "X": -0.17}
@@ -405,9 +405,9 @@ def test_the_short_way_to_a_corrected_part_is_the_long_one(tmp_path, number):
     drawn = budget.draw(3, seed=5, correction=True)
     draw = {name: float(values[number]) for name, values in drawn.items()}
     real = bench.real(draw)
-    found = bench.found(draw, [5, number])
-    planned_only, _ = bench.judged(real)
-    short, _ = bench.judged(draws_of.residual(real, job.tool, job.machine, found))
+    found = bench.diagnose_test_parts(draw, [5, number])
+    planned_only, _ = bench.measure(real)
+    short, _ = bench.measure(draws_of.residual_setup(real, job.tool, job.machine, found))
     # The long way: a job file with what was found, planned, placed and driven anew, cut with the real tool.
     (tmp_path / "better").mkdir()
     draws = found.on(job.part)
@@ -418,7 +418,7 @@ def test_the_short_way_to_a_corrected_part_is_the_long_one(tmp_path, number):
     better = correct(job, found, out=tmp_path / "better").job
     assert better.tool.offset == found.likely_tool.offset
     again = bench_of(better, budget, tmp_path / "two")
-    long, _ = again.judged(real)
+    long, _ = again.measure(real)
     assert short["form_pv_nm"] == pytest.approx(long["form_pv_nm"], rel=0.025, abs=1.0)  # to the rim
     assert short["form_rms_nm"] == pytest.approx(long["form_rms_nm"], rel=0.02, abs=0.1)
     assert planned_only["form_rms_nm"] > 1.5 * long["form_rms_nm"]

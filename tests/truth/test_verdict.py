@@ -12,7 +12,7 @@ from turnwright.generation import generate_polar
 from turnwright.job import PassPlan, finishing_motion, judge, judge_form, missed, plan, unjudged
 from turnwright.job.extremes import find_extremes
 from turnwright.studies import ErrorBudget, Store
-from turnwright.studies.draws import Bench, laid_out
+from turnwright.studies.draws import CaseContext, plan_cuts
 
 DISH = {
     "part": {"name": "dish", "radius": "0.4 mm", "surface": {"family": "sphere", "radius": "20 mm"}},
@@ -125,9 +125,9 @@ def test_a_plan_with_servos_is_run_with_servos(tmp_path):
 def test_a_study_without_errors_finds_the_cusps_of_a_dense_map(kind, tmp_path):
     job = job_of(kind)
     job = tw.Job.read({**job.table(), "simulation": {}})
-    shared = laid_out(job, ErrorBudget.typical(), Store.open(tmp_path / "store"), correction=False)
-    bench = Bench.of(shared, Store.open(tmp_path / "store"))
-    found, _ = bench.judged(bench.real({}))
+    shared = plan_cuts(job, ErrorBudget.typical(), Store.open(tmp_path / "store"), correction=False)
+    bench = CaseContext.of(shared, Store.open(tmp_path / "store"))
+    found, _ = bench.measure(bench.real({}))
     motion, result = finishing_motion(job)
     count = 4000
     radius = job.part.radius * np.sqrt((np.arange(count) + 0.5) / count)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["run_batch", "run_into"]
 
 DEFECT_SUFFIX = "(a defect, please report it)"
-"""Ending of the reason of a job that failed by a defect, see `turnwright.studies.conduct`."""
+"""Ending of the reason of a job that failed by a defect, see `turnwright.studies.run_cases`."""
 
 TYPICAL_JOB_S = 30.0
 
@@ -58,7 +58,7 @@ def run_batch(jobs: Sequence[Path], out: Path, session: Session, *, force: bool,
     typer.Exit
         With the most severe code of all jobs: a defect, then bad input, then a missed tolerance.
     """
-    from turnwright.studies import Case, conduct, fitting, local, share_of  # noqa: PLC0415 - only for several jobs
+    from turnwright.studies import Case, count_threads, count_workers, local, run_cases  # noqa: PLC0415 - only for several jobs
 
     names = Counter(job.stem for job in jobs)
     duplicate = next((name for name, count in names.items() if count > 1), None)
@@ -67,13 +67,13 @@ def run_batch(jobs: Sequence[Path], out: Path, session: Session, *, force: bool,
     cases = [Case(key=job.stem, data={"name": job.stem, "job": str(job)}) for job in jobs]
     shared = {"out": str(out.absolute()), "force": force}
     new_folders = [folder for folder in (out.absolute(), *out.absolute().parents) if not folder.exists()]
-    parallel = min(fitting() if workers is None else workers, len(jobs))
+    parallel = min(count_workers() if workers is None else workers, len(jobs))
     steps = [Step(stage="jobs", work=TYPICAL_JOB_S * len(jobs) / max(parallel, 1))]  # the pool refuses less
     out.mkdir(parents=True, exist_ok=True)
     session.partial = f"finished jobs are in {out}: repeat the command to continue"
     try:
-        with show_progress(session.stop, steps) as progress, local(parallel, threads=share_of(parallel)) as pool:
-            rows = conduct(
+        with show_progress(session.stop, steps) as progress, local(parallel, threads=count_threads(parallel)) as pool:
+            rows = run_cases(
                 _run_case, cases, shared=shared, executor=pool,
                 progress=lambda done, total: progress("jobs", done, total),
             )  # fmt: skip

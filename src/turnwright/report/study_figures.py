@@ -71,12 +71,12 @@ def _logarithmic(axes: Axes, which: str) -> None:
 
 def _job_value(column: Column) -> float | None:
     """Return the axis position of the job's own value of a field."""
-    if column.own is None:
+    if column.job_value is None:
         return None
     if _is_text(column):
-        indices = np.flatnonzero(column.different == column.own)
+        indices = np.flatnonzero(column.different == column.job_value)
         return float(indices[0]) if indices.size else None
-    return float(column.own)
+    return float(column.job_value)
 
 
 def map_over(study: Study, measure: str) -> Picture:

@@ -171,7 +171,7 @@ def _sensitivities(study: ToleranceStudy) -> list[_Section]:
                 columns=["", "first order", "total", "by neighbours", "yield, half the spread", "95th percentile [nm]"],
                 rows=[
                     [
-                        one.group, _share(one.first), _share(one.total), f"{one.given:.2f}",
+                        one.group, _share(one.first), _share(one.total), f"{one.neighbour_index:.2f}",
                         "" if one.probability is None else f"{one.probability:.1%}",
                         "" if one.percentile_nm is None else f"{one.percentile_nm:.3g}",
                     ]

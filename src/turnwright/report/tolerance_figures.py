@@ -54,7 +54,7 @@ def tornado(sensitivities: Sequence[Sensitivity], title: str) -> Picture:
     rows = np.arange(len(shown))
     with _canvas(4.6, max(1.6, 0.75 + 0.27 * len(shown))) as canvas:
         axes = canvas.figure.add_subplot()
-        totals = [max((one.total.value if one.total else one.given), 0.0) for one in shown]
+        totals = [max((one.total.value if one.total else one.neighbour_index), 0.0) for one in shown]
         if shown[0].total is None:
             axes.barh(rows, totals, height=0.6, color=SERIES[0], label="first order, by neighbours")
         else:

@@ -1,17 +1,17 @@
-"""Studies of a job: what becomes of it when its fields are varied, and how likely it is to keep its tolerances."""
+"""Parameter studies, tolerance studies, and maps of whole parts in tiles."""
 
 from turnwright.studies.budget import ErrorBudget, Spread
-from turnwright.studies.cases import Case, Row, Work, case_key, conduct, program_version
+from turnwright.studies.cases import Case, Row, Work, case_key, program_version, run_cases
 from turnwright.studies.designs import DESIGNS
 from turnwright.studies.executors import (
     Cluster,
     LocalPool,
     WorkerDied,
     cluster,
-    fitting,
+    count_threads,
+    count_workers,
     local,
     require_reach,
-    share_of,
 )
 from turnwright.studies.measures import MEASURES
 from turnwright.studies.sensitivity import Interval
@@ -44,14 +44,14 @@ __all__ = [
     "WorkerDied",
     "case_key",
     "cluster",
-    "conduct",
-    "fitting",
+    "count_threads",
+    "count_workers",
     "generate_tiled",
     "local",
     "planned_layout",
     "program_version",
     "require_reach",
-    "share_of",
+    "run_cases",
     "study",
     "tolerance",
 ]

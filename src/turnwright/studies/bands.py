@@ -1,4 +1,4 @@
-"""Reading a large map in pieces, several at a time, and handing on what comes of them in their order."""
+"""Process a large map in pieces on several threads, in order."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from typing import TypeVar
 
 from turnwright.progress import cores
 
-__all__ = ["in_order"]
+__all__ = ["map_in_order"]
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 
-def in_order(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-    """Yield what ``work`` makes of each item, in their order, on as many threads as there are cores and one to read."""
+def map_in_order(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+    """Yield ``work(item)`` of each item in order, on one thread per core plus one that waits for the disk."""
     waiting = iter(items)
     with ThreadPoolExecutor(cores() + 1) as pool:
         running: deque[Future[R]] = deque(pool.submit(work, item) for item in islice(waiting, cores() + 2))
         try:
             while running:
-                found = running.popleft().result()
+                result = running.popleft().result()
                 running.extend(pool.submit(work, item) for item in islice(waiting, 1))
-                yield found
+                yield result
         finally:
             for future in running:
                 future.cancel()

@@ -1,4 +1,4 @@
-"""What cannot be set exactly: distributions, each with its source or a stated assumption."""
+"""Error budgets: a distribution for each set-up error, with its source or a stated assumption."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ if TYPE_CHECKING:
 
     from turnwright._arrays import Floats
 
-__all__ = ["MOST_DRAWS", "ErrorBudget", "Spread", "group_of", "unit_of"]
+__all__ = ["MAX_DRAWS", "ErrorBudget", "Spread", "group_of", "unit_of"]
 
-MOST_DRAWS = 10_000_000
-"""Cases of a study, at most."""
+MAX_DRAWS = 10_000_000
+"""Largest number of cases of a study."""
 
 
 class _Kind(NamedTuple):
     """A family of distributions."""
 
-    numbers: tuple[str, ...]  # what its numbers are called
-    rule: str  # what must hold between them
+    numbers: tuple[str, ...]  # names of its parameters
+    rule: str  # condition on the parameters
 
 
 KINDS = MappingProxyType(
@@ -53,9 +53,9 @@ KINDS = MappingProxyType(
         "truncated normal": _Kind(("mean", "deviation", "low", "high"), "a deviation above 0, low below high"),
     }
 )
-"""The families that a budget knows, as a text states them: ``normal(0, 2) um``."""
+"""Distribution families, written as text such as ``normal(0, 2) um``."""
 
-NAMES = MappingProxyType(
+NAMED_ERRORS = MappingProxyType(
     {
         "tool offset x": "mm",
         "tool offset y": "mm",
@@ -68,35 +68,35 @@ NAMES = MappingProxyType(
         "chuck tilt y": "rad",
     }
 )
-"""Errors that have no number, and their units."""
+"""Errors without an index, and their units."""
 
-NUMBERED = (
+NUMBERED_ERRORS = (
     (re.compile(r"waviness P([2-9]|1[0-2])"), "mm"),
     (re.compile(r"waviness c([1-9])"), "mm/rad^{}"),
     (re.compile(r"servo [A-Z]"), "1"),
     (re.compile(r"mounting Z([1-9][0-9]?)"), "mm"),
     (re.compile(r"instrument Z([1-9][0-9]?)"), "mm"),
 )
-"""Errors of which there are many, and their units."""
+"""Errors with an index, such as the order of a term, and their units."""
 
 ARTEFACTS = ("tilted flat", "concave sphere")
-"""What can be cut and measured beforehand."""
+"""Test parts that can be cut and measured before the part."""
 
-OWN_CUT = ("drift", "mounting", "chuck tilt")
-"""Groups that are different in every cut: an artefact tells nothing of what they will be for the part."""
+GROUPS_PER_CUT = ("drift", "mounting", "chuck tilt")
+"""Groups that differ in every cut: a test part does not predict their values for the part."""
 
-LEAST_TERM = 4
-"""Fringe terms below are piston and tilts, which no mount and no instrument tells."""
+MIN_FRINGE_TERM = 4
+"""Lower fringe terms are piston and tilt, which neither mount nor instrument determines."""
 
-QUANTILE = 1e-9
-"""What a draw stays within, as far as it is foreseen: a study of a million cases leaves it once in a thousand."""
+TAIL_PROBABILITY = 1e-9
+"""Tail probability of the largest draw that a study allows for."""
 
 _TEXT = re.compile(r"\s*([a-z ]+?)\s*\(([^()]*)\)\s*(\S*)\s*")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spread:
-    """What a number may be.
+    """The distribution of an error.
 
     Parameters
     ----------
@@ -104,15 +104,15 @@ class Spread:
         ``"normal"``, ``"uniform"``, ``"triangular"`` or ``"truncated normal"``.
     numbers
         Of a normal distribution mean and standard deviation; of a uniform one its ends; of a triangular one low, most
-        likely and high; of a truncated normal one mean, standard deviation, low and high. In the unit of what it is of:
+        likely and high; of a truncated normal one mean, standard deviation, low and high. In the unit of the error:
         mm, rad or their ratios.
     source
-        Where it is known from, or ``"assumed: ..."`` and why.
+        Source of the values, or ``"assumed: ..."`` with the reason.
 
     Raises
     ------
     InputError
-        If there is no such distribution, or it has no source.
+        If the distribution is unknown or invalid, or has no source.
 
     >>> spread = Spread.read("uniform(-1, 1) um", "mm", source="assumed: a dial indicator")
     >>> float(spread.quantile(0.75)), round(spread.deviation * 1e3, 4)
@@ -128,25 +128,25 @@ class Spread:
         validate.thing(self.source, str, "the source of a distribution")
         if not isinstance(self.kind, str) or self.kind not in KINDS:
             raise InputError(f"the distribution {self.kind!r} is not one of {', '.join(KINDS)}: choose one of them")
-        known = KINDS[self.kind]
+        family = KINDS[self.kind]
         validate.thing(self.numbers, Sequence, f"what states the {self.kind}")
         numbers = tuple(validate.number(one, f"a number of the {self.kind}") for one in self.numbers)
-        if len(numbers) != len(known.numbers):
+        if len(numbers) != len(family.numbers):
             raise InputError(
-                f"{self.kind} has {len(numbers)} numbers, it needs {len(known.numbers)} "
-                f"({', '.join(known.numbers)}): complete or correct them"
+                f"{self.kind} has {len(numbers)} numbers, it needs {len(family.numbers)} "
+                f"({', '.join(family.numbers)}): complete or correct them"
             )
         object.__setattr__(self, "numbers", numbers)
         n = self.numbers
         right = n[1] > 0 if "normal" in self.kind else n[0] < n[-1] and list(n) == sorted(n)
         if not right or (self.kind == "truncated normal" and not n[2] < n[3]):
-            raise InputError(f"{self.kind}({', '.join(f'{one:g}' for one in n)}) cannot be, it needs {known.rule}")
+            raise InputError(f"{self.kind}({', '.join(f'{one:g}' for one in n)}) cannot be, it needs {family.rule}")
         if not self.source.strip():
-            raise InputError(f"{self.kind} has no source: say where it is known from, or 'assumed: ...' and why")
+            raise InputError(f"{self.kind} has no source: state it, or 'assumed: ...' with the reason")
 
     @classmethod
     def read(cls, text: object, unit: str, *, source: str) -> Spread:
-        """Return the distribution that a text states, such as ``normal(0, 2) um``, in some unit."""
+        """Parse a text such as ``normal(0, 2) um`` into a distribution in the given unit."""
         validate.thing(unit, str, "the unit of a distribution")
         match = _TEXT.fullmatch(text) if isinstance(text, str) else None
         if match is None:
@@ -157,24 +157,26 @@ class Spread:
         return cls(kind=kind, numbers=numbers, source=source)
 
     def text(self, unit: str) -> str:
-        """Return the distribution as text that `read` takes back."""
+        """Return the distribution as text that `read` accepts."""
         return f"{self.kind}({', '.join(repr(one) for one in self.numbers)}) {'' if unit == '1' else unit}".strip()
 
     def shown(self, unit: str) -> str:
-        """Return the distribution as people read it."""
+        """Return the distribution as text in um or urad, for display."""
         friendly = {"mm": "um", "rad": "urad"}.get(unit, unit)
         factor = {"mm": 1e3, "rad": 1e6}.get(unit, 1.0)
         inside = ", ".join(f"{one * factor:.6g}" for one in self.numbers)
         return f"{self.kind}({inside}) {'' if unit == '1' else friendly}".strip()
 
     def quantile(self, chance: ArrayLike) -> Floats:
-        """Return the value that is not exceeded with some chance, any shape."""
+        """Return the quantile function at a probability, any shape."""
         return np.asarray(_scipy(self.kind, self.numbers).ppf(chance), dtype=np.float64)[()]
 
     def density_halved(self, values: Floats) -> Floats:
-        """Return how much likelier values are with half the spread about the same mean than with all of it. (n,)."""
-        own = _scipy(self.kind, self.numbers)
-        return np.asarray(2 * own.pdf(2 * values - own.mean()) / own.pdf(values), dtype=np.float64)
+        """Return the density of values with half the spread about the same mean, over the full-spread density. (n,)."""
+        distribution = _scipy(self.kind, self.numbers)
+        return np.asarray(
+            2 * distribution.pdf(2 * values - distribution.mean()) / distribution.pdf(values), dtype=np.float64
+        )
 
     @property
     def deviation(self) -> float:
@@ -188,8 +190,8 @@ class Spread:
 
     @property
     def largest(self) -> float:
-        """Magnitude that no draw will exceed, as far as it is foreseen."""
-        return float(np.abs(self.quantile([QUANTILE, 1 - QUANTILE])).max())
+        """Largest magnitude that a study allows for: the quantile at ``TAIL_PROBABILITY`` of either tail."""
+        return float(np.abs(self.quantile([TAIL_PROBABILITY, 1 - TAIL_PROBABILITY])).max())
 
 
 @cache
@@ -211,28 +213,28 @@ def _scipy(kind: str, numbers: tuple[float, ...]) -> Any:
 def unit_of(name: str) -> str:
     """Return the unit of an error by its name."""
     validate.thing(name, str, "the name of an error")
-    if name in NAMES:
-        return NAMES[name]
-    for pattern, unit in NUMBERED:
+    if name in NAMED_ERRORS:
+        return NAMED_ERRORS[name]
+    for pattern, unit in NUMBERED_ERRORS:
         match = pattern.fullmatch(name)
         if match is not None:
             return unit.format(match.group(1)) if "{}" in unit else unit
-    known = [*NAMES, "waviness P3", "waviness c4", "servo Z", "mounting Z5", "instrument Z5"]
-    near = difflib.get_close_matches(name, known, n=1)
-    remedy = f"did you mean {near[0]!r}?" if near else f"the known ones are {', '.join(known)} and so on, name one"
+    examples = [*NAMED_ERRORS, "waviness P3", "waviness c4", "servo Z", "mounting Z5", "instrument Z5"]
+    near = difflib.get_close_matches(name, examples, n=1)
+    remedy = f"did you mean {near[0]!r}?" if near else f"the known ones are {', '.join(examples)} and so on, name one"
     raise InputError(f"a budget knows no error {name!r}: {remedy}")
 
 
 def group_of(name: str) -> str:
-    """Return the group that an error belongs to, ``drift`` of an artefact being another one than that of the part."""
-    of, _, rest = name.partition(": ")
-    plain = rest or of
+    """Return the group of an error; ``drift`` of a test part and ``drift`` of the part are different groups."""
+    cut, _, error = name.partition(": ")
+    plain = error or cut
     group = plain if plain in {"radius error", "squareness"} else plain.rpartition(" ")[0]
-    return f"{of}: {group}" if rest else group
+    return f"{cut}: {group}" if error else group
 
 
 class Errors(Keyed):
-    """The annotation of distributions by the names of errors, each of which a file states with its source."""
+    """Annotation of a mapping from error names to distributions, each with its source, for budget files."""
 
     keys: Mapping[str, Any] = MappingProxyType({"spread": Text, "source": Text})
 
@@ -251,50 +253,51 @@ class Errors(Keyed):
 
 
 def _spreads(entries: Mapping[str, Mapping[str, str]]) -> dict[str, Spread]:
-    """Return the distributions that a file states by the names of errors, each in the unit of its error."""
-    found: dict[str, Spread] = {}
+    """Parse the distributions of a budget file, each in the unit of its error."""
+    spreads: dict[str, Spread] = {}
     problems: dict[tuple[str | int, ...], Exception | str] = {}
     for name, one in entries.items():
         try:
-            found[name] = Spread.read(one["spread"], unit_of(name), source=one["source"])
+            spreads[name] = Spread.read(one["spread"], unit_of(name), source=one["source"])
         except InputError as error:
             problems[name,] = error
     if problems:
         raise refuse("errors", problems, entries)
-    return found
+    return spreads
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ErrorBudget(Stated):
-    r"""What tool, machine and mount may be off by, when a part is cut.
+    r"""Error budget: the distributions of the errors of tool, machine and mount when a part is cut.
 
     Parameters
     ----------
     errors
         A distribution for each name: ``tool offset x``, ``y``, ``z``; ``radius error``; ``waviness P3`` and so on, a
         Legendre polynomial over the arc of the edge, by its root mean square, or ``waviness c3``, a power of the
-        sweep; ``squareness``; ``servo X`` (any axis), how much higher its natural frequency is than the machine
-        says, as a share; ``drift x`` and ``drift z``, how far the tool has moved against the part at the end of the
-        cut; ``mounting Z5`` and so on, a fringe Zernike term over the clear radius by which the mount bends the part
-        while it is cut; ``chuck tilt x`` and ``y``, by how much the part leans in the chuck; ``instrument Z5`` and so
-        on, what the instrument that measures an artefact shows of a perfect one.
+        sweep; ``squareness``; ``servo X`` (any axis), the relative deviation of its natural frequency from that of
+        the machine file; ``drift x`` and ``drift z``, the displacement of the tool relative to the part at the end
+        of the cut; ``mounting Z5`` and so on, a fringe Zernike term over the clear aperture by which the mount
+        deforms the part during the cut; ``chuck tilt x`` and ``y``, the tilt of the part in the chuck;
+        ``instrument Z5`` and so on, the error of the instrument that measures a test part.
     noise
-        Standard deviation of each height that the instrument measures. [mm]
+        Standard deviation of each measured height. [mm]
     settling
-        Time constant with which the drift dies away; ``None`` for one that goes on evenly. [s]
+        Time constant of an exponentially settling drift; ``None`` for a linear drift. [s]
     artefacts
-        What is cut and measured beforehand: any of ``"tilted flat"`` and ``"concave sphere"``.
+        Test parts that are cut and measured before the part: any of ``"tilted flat"`` and ``"concave sphere"``.
     name
-        Of the budget.
+        Name of the budget.
 
     Raises
     ------
     InputError
-        If an error is not known, or a number cannot be.
+        If an error is unknown, or a number is out of range.
 
     Notes
     -----
-    Drift, mounting and chuck tilt are drawn anew for every cut; tool, slides and servos stay between artefact and part.
+    Drift, mounting and chuck tilt are drawn independently for every cut. Tool, slides and servos keep their errors
+    between test part and part.
     """
 
     errors: Annotated[Mapping[str, Spread], Errors()]
@@ -312,9 +315,9 @@ class ErrorBudget(Stated):
             _ = unit_of(name)
             if name.startswith(("mounting", "instrument")):
                 term = int(name.rpartition("Z")[2])
-                if term < LEAST_TERM:
+                if term < MIN_FRINGE_TERM:
                     raise InputError(
-                        f"{name} is piston or tilt, the first fringe term that counts is Z{LEAST_TERM}: leave it out"
+                        f"{name} is piston or tilt, the first fringe term allowed is Z{MIN_FRINGE_TERM}: leave it out"
                     )
                 zernike_order(term, "fringe")
         kinds = {name[9] for name in self.errors if name.startswith("waviness")}
@@ -339,7 +342,7 @@ class ErrorBudget(Stated):
 
     @classmethod
     def read(cls, table: Mapping[str, Any]) -> ErrorBudget:
-        """Return the budget that a mapping describes, with quantities as text, as a TOML file reads."""
+        """Return the budget described by a mapping with quantities as text, as parsed from TOML."""
         return read_table(cls, table, "the budget")
 
     @classmethod
@@ -357,45 +360,47 @@ class ErrorBudget(Stated):
 
     @classmethod
     def typical(cls) -> ErrorBudget:
-        """Return the budget that comes with Turnwright: all of it assumed, and each assumption stated."""
+        """Return the default budget of Turnwright, in which every value is a stated assumption."""
         file = resources.files("turnwright") / "budgets" / "typical.toml"
         return cls.read(read_toml(file.read_bytes(), "the typical budget"))
 
     def table(self) -> dict[str, Any]:
-        """Return the budget as `read` takes it, every digit kept."""
+        """Return the budget as a mapping for `read`, with all digits."""
         return written(self, whole=True)
 
     def unit(self, name: str) -> str:
-        """Return the unit of an error, that of an artefact's own too."""
+        """Return the unit of an error of the part or of a test part."""
         if not isinstance(name, str) or (plain := name.rpartition(": ")[2]) not in self.errors:
             raise InputError(f"the budget has no error {name!r}, it has {', '.join(self.errors)}: name one of them")
         return unit_of(plain)
 
     def only(self, *groups: str) -> ErrorBudget:
-        """Return the budget with the errors of some groups alone, such as ``"tool offset"`` and ``"drift"``."""
-        kept = {name: spread for name, spread in self.errors.items() if group_of(name) in list(map(str, groups))}
-        if not kept:
+        """Return the budget with only the errors of some groups, such as ``"tool offset"`` and ``"drift"``."""
+        selected = {name: spread for name, spread in self.errors.items() if group_of(name) in list(map(str, groups))}
+        if not selected:
             every = ", ".join(dict.fromkeys(map(group_of, self.errors)))
             raise InputError(
                 f"no error of the budget is of {', '.join(map(str, groups))}, its groups are {every}: name some"
             )
-        return replace(self, errors=kept)
+        return replace(self, errors=selected)
 
     def inputs(self, *, correction: bool) -> dict[str, Spread]:
-        """Return all that is drawn for a case: with a correction, what the artefacts have of their own too."""
+        """Return all random inputs of a case; with a correction, also those of each test part."""
         validate.thing(correction, bool, "whether there is a correction")
         part = {name: spread for name, spread in self.errors.items() if group_of(name) != "instrument"}
         if not correction:
             return part
-        own = {name: spread for name, spread in self.errors.items() if group_of(name) in {*OWN_CUT, "instrument"}}
-        return part | {f"{kind}: {name}": spread for kind in self.artefacts for name, spread in own.items()}
+        per_cut = {
+            name: spread for name, spread in self.errors.items() if group_of(name) in {*GROUPS_PER_CUT, "instrument"}
+        }
+        return part | {f"{kind}: {name}": spread for kind in self.artefacts for name, spread in per_cut.items()}
 
     def draw(self, count: int, *, seed: int, correction: bool) -> dict[str, Floats]:
         """Return independent random draws of all inputs. Each (count,).
 
         The draws of the part are the same with and without a correction.
         """
-        count, seed = validate.whole(count, "the number of draws", 1, MOST_DRAWS), validate.whole(seed, "the seed", 0)
+        count, seed = validate.whole(count, "the number of draws", 1, MAX_DRAWS), validate.whole(seed, "the seed", 0)
         drawn = {}
         for name, spread in self.inputs(correction=correction).items():
             entropy = [seed, *name.encode()]
@@ -403,6 +408,6 @@ class ErrorBudget(Stated):
         return drawn
 
     def largest(self, *names: str) -> float:
-        """Return the sum of what errors may be at most, as far as it is foreseen; of those that begin so."""
+        """Return the sum of `Spread.largest` over the errors whose names begin with one of ``names``."""
         begins = tuple(validate.thing(name, str, "what an error begins with") for name in names)
         return sum(spread.largest for name, spread in self.errors.items() if name.startswith(begins))

@@ -1,4 +1,4 @@
-"""Cases out, rows back: each computed once, none lost, whatever happens to workers and driver."""
+"""Run cases on workers: each is computed once, and none is lost if a worker or the driver process dies."""
 
 from __future__ import annotations
 
@@ -24,42 +24,42 @@ from turnwright.studies.executors import (
     Cluster,
     LocalPool,
     WorkerDied,
-    fitting,
+    count_threads,
+    count_workers,
     local,
     require_reach,
-    share_of,
 )
-from turnwright.studies.store import FULL, Store
+from turnwright.studies.store import DISK_FULL, Store
 
-__all__ = ["Case", "Row", "Work", "case_key", "conduct", "finished", "line", "program_version"]
+__all__ = ["Case", "Row", "Work", "case_key", "iter_finished", "join_lines", "program_version", "run_cases"]
 
 Row: TypeAlias = dict[str, Any]
-"""Numbers, texts or None by name; a case that could not be carried out has only ``reason``, a sentence."""
+"""Numbers, texts or None by name; a failed case has only ``reason``, a sentence."""
 
 Work: TypeAlias = Callable[[Mapping[str, Any], Mapping[str, Any], Store | None], Mapping[str, Any]]
-"""A function of a module, called as ``work(data, shared, store)``."""
+"""A module-level function, called as ``work(data, shared, store)``."""
 
 _Task = TypeVar("_Task")
 _Answer = TypeVar("_Answer")
 
-DEATHS = 3
-"""Workers that a case may take with it among others, before it is tried alone."""
+MAX_DEATHS = 3
+"""Worker deaths after which a case is run with no other case in flight."""
 _MMAP_THRESHOLD, _TRIM_THRESHOLD = -3, -1
-"""What glibc's malloc.h calls its parameters."""
-_LISTEN_S = 0.5
-"""How long at most until a wish to stop is heard, and progress told."""
+"""Parameters M_MMAP_THRESHOLD and M_TRIM_THRESHOLD of glibc's malloc.h."""
+_POLL_S = 0.5
+"""Longest time between two checks for a stop request and two progress reports."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """One thing to compute.
+    """One case to compute.
 
     Parameters
     ----------
     key
-        What it is kept under: it must differ wherever the row may, see `case_key`.
+        Key of its row in the store: cases whose rows may differ must have different keys, see `case_key`.
     data
-        What the work needs to know of it, as JSON could carry it.
+        Input of the work function, as JSON data.
     """
 
     key: str
@@ -67,13 +67,13 @@ class Case:
 
 
 def case_key(data: Mapping[str, Any]) -> str:
-    """Return the name of a case: the digest of its data and of the program that computes it.
+    """Return the key of a case: the digest of its data and of the program version.
 
     Parameters
     ----------
     data
-        Everything that the row depends on, what is shared by all cases included. A text that is the whole path of a
-        file stands for the content of that file, and of those that it names if it is a TOML file.
+        Everything that the row depends on, including data shared by all cases. A text that is the absolute path of a
+        file is replaced by the content of that file and, for a TOML file, of the files that it names.
 
     Raises
     ------
@@ -84,18 +84,18 @@ def case_key(data: Mapping[str, Any]) -> str:
     True
     """
     try:
-        text = json.dumps([_stated(data), program_version()], sort_keys=True, separators=(",", ":"))
+        text = json.dumps([_resolve_files(data), program_version()], sort_keys=True, separators=(",", ":"))
     except (TypeError, ValueError) as error:
         raise InputError(f"a case must be plain data ({error}): use numbers, texts, lists and mappings") from None
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _stated(value: Any, folder: Path | None = None, above: frozenset[Path] = frozenset()) -> Any:
-    """Return data with the files that it names replaced by what is in them."""
+def _resolve_files(value: Any, folder: Path | None = None, above: frozenset[Path] = frozenset()) -> Any:
+    """Return data with file names replaced by digests of the files."""
     if isinstance(value, Mapping):
-        return {key: _stated(one, folder, above) for key, one in value.items()}
+        return {key: _resolve_files(one, folder, above) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [_stated(one, folder, above) for one in value]
+        return [_resolve_files(one, folder, above) for one in value]
     if not isinstance(value, str) or not (folder or value.startswith(("/", "\\")) or value[1:2] == ":"):
         return value
     file = Path(value) if folder is None else folder / value
@@ -109,7 +109,7 @@ def _stated(value: Any, folder: Path | None = None, above: frozenset[Path] = fro
     if file.suffix == ".toml":
         with suppress(OSError, InputError):  # no TOML: its bytes are all there is
             table = read_toml(file.read_bytes(), f"the file {str(file)!r}")
-            content = [content, _stated(table, file.parent, above | {file})]
+            content = [content, _resolve_files(table, file.parent, above | {file})]
     return {"file": content}
 
 
@@ -120,7 +120,7 @@ def _digest(file: Path, _changed_ns: int, _size: int) -> str:
 
 @cache
 def program_version() -> str:
-    """Return the version of this program with a digest of its own files, so that edited code is another program."""
+    """Return the version of Turnwright with a digest of its files, so that edited code has a different version."""
     root = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for file in sorted(file for kind in ("*.py", "*.toml") for file in root.rglob(kind)):
@@ -129,7 +129,7 @@ def program_version() -> str:
     return f"{version_of('turnwright')}+{digest.hexdigest()[:12]}"
 
 
-def conduct(
+def run_cases(
     work: Work,
     cases: Sequence[Case],
     *,
@@ -138,50 +138,50 @@ def conduct(
     store: Store | None = None,
     progress: Progress | None = None,
 ) -> list[Row]:
-    """Carry out cases, each once, and return their rows.
+    """Run cases, each once, and return their rows.
 
-    The worker keeps the row of its case in the store before it says so; a driver that is killed and started again finds
-    it there. A case that fails is a row with its reason; one whose reason lies with the machine (memory, disk, files)
-    is not kept and so tried again the next time. A case whose worker dies is sent again; one that has taken
-    `DEATHS` workers with it is tried alone when all else is done, and if it kills even then it is a row too.
+    A worker writes the row of its case to the store before it returns it, so that a driver process that is killed and
+    started again finds it there. The row of a failed case holds the reason. If the reason is a lack of memory, a full
+    disk or a missing file, the row is not stored, and the case is run again next time. A case whose worker dies is sent
+    again; after `MAX_DEATHS` deaths it is run alone when all others are done, and a further death becomes its reason.
 
     Parameters
     ----------
     work
-        A function of a module, ``work(data, shared, store)``, that returns numbers, texts and None by name.
+        A module-level function ``work(data, shared, store)`` that returns numbers, texts and None by name.
     cases
-        What to compute; equal keys are computed once.
+        Cases to compute; equal keys are computed once.
     shared
-        What every case needs, as JSON could carry it; large arrays go through the store.
+        Input common to all cases, as JSON data; large arrays go through the store.
     executor
-        Any `concurrent.futures.Executor`: `local`, `cluster`, or another whose workers can import the work. A local
-        pool made for this call, if not given.
+        Any `concurrent.futures.Executor`: `local`, `cluster`, or another whose workers can import ``work``. By
+        default a local pool for this call.
     store
-        Where finished cases are kept and found.
+        Where finished cases are read and written.
     progress
-        Called with (done, total), at least twice a second; raising in it stops the work.
+        Called with (done, total) at least twice a second; an exception that it raises stops the study.
 
     Returns
     -------
     list of dict
-        One row for each case, in their order.
+        One row for each case, in the order of ``cases``.
 
     Raises
     ------
     InputError
-        If the store lies in the memory of this process and the workers are others.
+        If the store is in the memory of this process and the workers are other processes.
     StudyError
-        If the work cannot go on: the store takes nothing more, or the executor is broken. What is finished stays.
+        If the store is full or the executor broken. Finished cases are kept.
     """
-    _require_kinds(work, cases, shared, executor, store)
+    _check_types(work, cases, shared, executor, store)
     validate.listener(progress)
     if executor is None:
-        workers = min(fitting(), max(1, len(cases)))
-        with local(workers, threads=share_of(workers)) as pool:
-            return conduct(work, cases, shared=shared, executor=pool, store=store, progress=progress)
+        workers = min(count_workers(), max(1, len(cases)))
+        with local(workers, threads=count_threads(workers)) as pool:
+            return run_cases(work, cases, shared=shared, executor=pool, store=store, progress=progress)
     if store is not None:
         require_reach(store.place, executor)
-    rows = {} if store is None else _kept(cases, store)
+    rows = {} if store is None else _read_finished(cases, store)
     todo = {case.key: case for case in cases if case.key not in rows}
     ours = isinstance(executor, LocalPool)  # its workers run these very files, and reach every folder
     threads = 1 if isinstance(executor, Cluster) else None  # Dask counts one thread for each of its own
@@ -193,34 +193,34 @@ def conduct(
             progress(len(rows), total)
 
     def lost(error: BaseException) -> StudyError:
-        kept = "kept" if store is not None else "lost, for want of a store"
+        state = "kept" if store is not None else "lost, for want of a store"
         return StudyError(
-            f"the executor carries out no more cases ({type(error).__name__}: {line(error)}), the "
-            f"{len(rows)} that are finished are {kept}: start again with another"
+            f"the executor carries out no more cases ({type(error).__name__}: {join_lines(error)}), the "
+            f"{len(rows)} that are finished are {state}: start again with another"
         )
 
     def send(case: Case) -> Future[tuple[Row, bool]]:
         return executor.submit(_carry_out, case.key, dict(case.data), *order)
 
     tell()
-    with closing(finished(send, todo.values(), executor, lost=lost, listen=tell)) as done:
+    with closing(iter_finished(send, todo.values(), executor, lost=lost, listen=tell)) as done:
         for case, future, deaths in done:
-            row, lasting = _row(future, deaths)
+            row, lasting = _read_row(future, deaths)
             if lasting and not ours and store is not None and store.row(case.key) is None:
                 store.put_row(case.key, row)
             rows[case.key] = row
     return [rows[case.key] for case in cases]
 
 
-def _kept(cases: Sequence[Case], store: Store) -> dict[str, Row]:
+def _read_finished(cases: Sequence[Case], store: Store) -> dict[str, Row]:
     """Return the rows of cases that are finished."""
     there = store.keys()
     rows = {case.key: store.row(case.key) for case in cases if case.key in there}
     return {key: row for key, row in rows.items() if row is not None}
 
 
-def _require_kinds(work: object, cases: object, shared: object, executor: object, store: object) -> None:
-    """Raise unless all is of the kind that `conduct` takes."""
+def _check_types(work: object, cases: object, shared: object, executor: object, store: object) -> None:
+    """Raise if an argument of `run_cases` has the wrong type."""
     if not callable(work):
         raise InputError(f"the work is a {type(work).__name__}, it must be a function of a module: give one")
     if not isinstance(cases, Sequence) or not all(isinstance(one, Case) for one in cases):
@@ -236,7 +236,7 @@ def _require_kinds(work: object, cases: object, shared: object, executor: object
         validate.thing(store, Store, "the store")
 
 
-def finished(
+def iter_finished(
     submit: Callable[[_Task], Future[_Answer]],
     tasks: Iterable[_Task],
     executor: Executor,
@@ -244,41 +244,41 @@ def finished(
     lost: Callable[[BaseException], StudyError],
     listen: Callable[[], None] = lambda: None,
 ) -> Generator[tuple[_Task, Future[_Answer], int], None, None]:
-    """Yield tasks as they are done, each with its future; one given up, with how many workers it took with it, else 0.
+    """Yield each task when it is done, with its future and, if it was given up, its number of worker deaths (else 0).
 
-    Few are in flight at a time, so that a stop is quick and a cluster's scheduler never full. A task whose worker dies
-    is sent again; one that has taken `DEATHS` workers with it is tried alone when all else is done.
+    Few tasks are in flight at a time, so that a stop takes effect soon and a cluster's scheduler is not flooded. A task
+    whose worker dies is sent again; after `MAX_DEATHS` deaths it is run alone when all others are done.
 
     Parameters
     ----------
     submit
         Sends a task to the executor.
     tasks
-        What is to be done.
+        Tasks to run.
     executor
-        Who does it.
+        Executor that runs them.
     lost
-        Makes the error to raise of what the executor says when it carries out nothing more.
+        Makes the error to raise from the exception of a broken executor.
     listen
-        Called at least twice a second; raising in it stops the work.
+        Called at least twice a second; an exception that it raises stops the work.
     """
     waiting = _Waiting(enumerate(tasks))
     running: dict[Future[_Answer], tuple[int, _Task]] = {}
     usual = getattr(executor, "_max_workers", None) or cores()
     try:
         while True:
-            # Each worker has one task in hand and one waiting; those of a cluster come and go.
+            # Each worker has one running and one queued task; the number of workers of a cluster may change.
             room = 2 * int(getattr(executor, "workers", usual))
             while len(running) < room and (one := waiting.take(alone=not running)) is not None:
                 try:
                     running[submit(one[1])] = one
-                except Exception as error:  # an executor of somebody else may end in any way
+                except Exception as error:  # a foreign executor may raise anything
                     raise lost(error) from error
             if not running:
                 return
-            for future in wait(running, timeout=_LISTEN_S, return_when=FIRST_COMPLETED).done:
+            for future in wait(running, timeout=_POLL_S, return_when=FIRST_COMPLETED).done:
                 one = running.pop(future)
-                killed = _killed(future, lost)
+                killed = _count_deaths(future, lost)
                 if not waiting.back(one, killed):
                     yield one[1], future, killed and waiting.deaths[one[0]]
             listen()
@@ -288,7 +288,7 @@ def finished(
 
 
 class _Waiting(Generic[_Task]):
-    """Numbered tasks that are still to be sent, and what those that kill have killed."""
+    """Numbered tasks that are still to be sent, and the worker deaths of each."""
 
     def __init__(self, following: Iterator[tuple[int, _Task]]) -> None:
         self.following = following
@@ -297,37 +297,37 @@ class _Waiting(Generic[_Task]):
         self.deaths: Counter[int] = Counter()
 
     def take(self, *, alone: bool) -> tuple[int, _Task] | None:
-        """Return what is to be sent next, a suspect only where it is alone."""
+        """Return the next task; one with `MAX_DEATHS` deaths only if no other is in flight."""
         one = self.again.popleft() if self.again else next(self.following, None)
         return self.suspects.popleft() if one is None and alone and self.suspects else one
 
     def back(self, one: tuple[int, _Task], killed: int) -> bool:
-        """Take back a task if it is to be sent again, and say so."""
-        alone = self.deaths[one[0]] >= DEATHS
+        """Queue a task again if needed, and return whether it was."""
+        alone = self.deaths[one[0]] >= MAX_DEATHS
         self.deaths[one[0]] += killed
         if not killed or alone:
             return False
-        if self.deaths[one[0]] < DEATHS:
+        if self.deaths[one[0]] < MAX_DEATHS:
             self.again.appendleft(one)
         else:
             self.suspects.append(one)
         return True
 
 
-def _killed(future: Future[Any], lost: Callable[[BaseException], StudyError]) -> int:
-    """Return how many workers a task took with it; raise if the executor is lost."""
+def _count_deaths(future: Future[Any], lost: Callable[[BaseException], StudyError]) -> int:
+    """Return how many workers died with a task; raise if the executor is broken."""
     if future.cancelled():
         raise lost(ConnectionError("its cases were cancelled, as when a scheduler is gone"))
     error = future.exception()
     if isinstance(error, BrokenExecutor):
         raise lost(error) from error
-    if type(error).__name__ == "KilledWorker":  # Dask has sent it again by itself, maybe beside the guilty one
-        return int(getattr(error, "allowed_failures", DEATHS)) + 1
+    if type(error).__name__ == "KilledWorker":  # Dask has sent it again by itself, maybe next to the case that kills
+        return int(getattr(error, "allowed_failures", MAX_DEATHS)) + 1
     return int(isinstance(error, WorkerDied))
 
 
-def _row(future: Future[tuple[Row, bool]], deaths: int) -> tuple[Row, bool]:
-    """Return the row of a case, and whether it would be the same another time."""
+def _read_row(future: Future[tuple[Row, bool]], deaths: int) -> tuple[Row, bool]:
+    """Return the row of a case, and whether it is reproducible."""
     try:
         return future.result()
     except (StudyError, Stopped):
@@ -335,9 +335,11 @@ def _row(future: Future[tuple[Row, bool]], deaths: int) -> tuple[Row, bool]:
     except Exception as error:
         if deaths:
             how = str(error) if isinstance(error, WorkerDied) else "as when the memory runs out"
-            return {"reason": f"its worker died {deaths} times, the last time with nothing beside it ({how})"}, False
+            return {
+                "reason": f"its worker died {deaths} times, the last time with no other case running ({how})"
+            }, False
         raise StudyError(
-            f"a case cannot travel to a worker and back ({type(error).__name__}: {line(error)}): the work must be "
+            f"a case cannot be sent to a worker ({type(error).__name__}: {join_lines(error)}): the work must be "
             "a function of a module that the workers can import, its data plain"
         ) from error
 
@@ -351,13 +353,13 @@ def _carry_out(
     version: str | None,
     threads: int | None,
 ) -> tuple[Row, bool]:
-    """Carry out a case in a worker; return its row, and whether it would be the same another time."""
+    """Run a case in a worker; return its row, and whether it is reproducible."""
     if version is not None and version != program_version():
         raise StudyError(
             f"a worker runs turnwright {program_version()}, this is {version}: install the same on all machines"
         )
     _keep_freed_memory()
-    row = None if store is None else store.row(key)  # another driver may have been here
+    row = None if store is None else store.row(key)  # another driver process may have computed it
     if row is not None:
         return row, True
     with nullcontext() if threads is None or THREADS in environ else at_most(threads):
@@ -369,10 +371,10 @@ def _carry_out(
 
 @cache
 def _keep_freed_memory() -> None:
-    """Let this process keep what it frees, up to 64 MB, as glibc comes to by itself unless it is told otherwise.
+    """Let this process keep freed memory up to 64 MB, which is glibc's default.
 
-    Dask tells it otherwise: a worker then gives every array back to the system and takes new pages for the next, which
-    costs a case a third more time.
+    Dask changes the default: a worker then returns every array to the system and requests new pages for the next,
+    which takes a third more time per case.
     """
     with suppress(OSError, AttributeError, TypeError):  # no glibc
         glibc = ctypes.CDLL(None)
@@ -390,24 +392,24 @@ def _compute(work: Work, data: dict[str, Any], shared: Mapping[str, Any], store:
     except MemoryError as error:
         return {"reason": f"the memory is not enough ({error}): use fewer workers or a coarser map"}, False
     except OSError as error:
-        said = error.strerror or str(error)
-        what = "the disk is full" if error.errno in FULL else "the system refuses"
+        reason = error.strerror or str(error)
+        what = "the disk is full" if error.errno in DISK_FULL else "the system refuses"
         where = f" at {error.filename}" if error.filename else ""
-        return {"reason": f"{what} ({said}){where}"}, False
+        return {"reason": f"{what} ({reason}){where}"}, False
     except ImportError as error:
         return {"reason": f"the worker lacks a package ({error})"}, False
     except Exception as error:  # noqa: BLE001 - one case is never the end of the others
-        return {"reason": f"{type(error).__name__}: {line(error)} (a defect, please report it)"}, True
+        return {"reason": f"{type(error).__name__}: {join_lines(error)} (a defect, please report it)"}, True
     return row, True
 
 
-def line(error: BaseException) -> str:
-    """Return what an error says, in one line."""
+def join_lines(error: BaseException) -> str:
+    """Return the message of an error in one line."""
     return " ".join(str(error).split()) or "it gives no reason"
 
 
 def _plain(value: Any) -> Any:
-    """Turn a number of NumPy into one of Python."""
+    """Convert a NumPy scalar to a Python number."""
     if hasattr(value, "item") and getattr(value, "ndim", 1) == 0:
         return value.item()
     raise TypeError(f"a row holds numbers, texts and None, not {type(value).__name__}")

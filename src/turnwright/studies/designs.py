@@ -14,14 +14,14 @@ import numpy as np
 
 from turnwright import _validate as validate
 from turnwright.errors import InputError, UnitError
-from turnwright.studies.fields import Field, Token, changed, data_of, field_of
+from turnwright.studies.fields import Field, Token, apply_changes, find_field, get_job_data
 from turnwright.units import convert, parse
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.job import Job
 
-__all__ = ["DESIGNS", "MOST_CASES", "Design", "Varied", "Vary", "design_cases", "read_varied", "stated"]
+__all__ = ["DESIGNS", "MAX_CASES", "Design", "Varied", "Vary", "design_cases", "get_job_value", "read_varied"]
 
 Vary: TypeAlias = Any
 """A text such as "0.1..1 mm:10", a list of texts or numbers, or a frozen distribution of ``scipy.stats``."""
@@ -30,11 +30,11 @@ Design: TypeAlias = Literal["grid", "random", "sobol", "halton", "latin hypercub
 
 DESIGNS: tuple[str, ...] = get_args(Design)
 
-MOST_CASES = 1_000_000
-"""Beyond this a study is a slip of a count."""
+MAX_CASES = 1_000_000
+"""Largest number of cases of a study."""
 
-LEAST_SHARE = 1e-12
-"""A distribution without ends is not asked for its ends."""
+MIN_TAIL = 1e-12
+"""Least tail probability: distributions without bounds are not evaluated at 0 and 1."""
 
 NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 RANGE = re.compile(rf"({NUMBER})\s*([^.:]*?)\s*\.\.\s*({NUMBER})\s*([^.:]*?)\s*(?::\s*([0-9]+))?\s*(log)?")
@@ -44,20 +44,20 @@ ONE = re.compile(rf"({NUMBER})\s*(.*)")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Varied:
-    """A field that a study varies, and over what.
+    """A varied field and its values.
 
     Parameters
     ----------
     field
-        Which one.
+        The field.
     unit
-        Of its values, as they were given; empty for what has none.
+        Unit of the values; empty if there is none.
     values
-        Of a list, or of a range with a count; empty where only a range or a distribution is known.
+        Values of a list, or of a range with a count; empty for a range without a count or a distribution.
     low, high, log
-        The ends of a range, ``None`` without one; whether it is even in the logarithm.
+        Ends of a range, ``None`` without one; whether the values are spaced logarithmically.
     drawn
-        A distribution, with ``ppf``, in the unit of the values.
+        Distribution with ``ppf``, in the unit of the values.
     """
 
     field: Field
@@ -75,55 +75,55 @@ class Varied:
 
     @property
     def heading(self) -> str:
-        """The name with its unit, as a column is headed."""
+        """Column heading: the name with its unit."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     def at(self, share: Floats) -> list[Token]:
-        """Return the values at some shares of probability, each between 0 and 1. (n,)."""
+        """Return the values at cumulative probabilities between 0 and 1. (n,)."""
         from scipy import stats  # noqa: PLC0415 - costly to import
 
-        share = np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)
-        whole = self.field.kind == "whole"
+        share = np.clip(share, MIN_TAIL, 1 - MIN_TAIL)
+        is_whole = self.field.kind == "whole"
         if self.drawn is not None:
             drawn = self.drawn
         elif self.low is None or self.high is None:
             return [self.values[int(pick)] for pick in stats.randint(0, len(self.values)).ppf(share)]
         else:
             low, high = self.low, self.high
-            if whole:  # half a step beyond, so that the ends come as often as what is between
+            if is_whole:  # half a step beyond, so that the ends are as likely as the others
                 low, high = math.ceil(low) - 0.5, math.floor(high) + 0.5
             drawn = stats.loguniform(low, high) if self.log else stats.uniform(low, high - low)
-        found = drawn.ppf(share)
-        return [round(float(value)) if whole else float(value) for value in found]
+        drawn_values = drawn.ppf(share)
+        return [round(float(value)) if is_whole else float(value) for value in drawn_values]
 
 
 def read_varied(job: Job, name: str, given: Vary) -> Varied:
-    """Return what is varied, of what a person wrote.
+    """Parse the values of a varied field.
 
     Parameters
     ----------
     job
-        Whose field it is.
+        Job with the field.
     name
-        Of the field, see `field_of`.
+        Name of the field, see `find_field`.
     given
-        See `Vary`. Numbers in a list, and distributions, are in the unit of the house (mm, rad, mm/rev, rpm).
+        See `Vary`. Numbers in a list, and distributions, are in base units (mm, rad, mm/rev, rpm).
 
     Raises
     ------
     InputError
-        If there is no such field, or it takes no such value.
+        If the field does not exist, or a value is not allowed.
     """
-    field = field_of(job, name)
-    found = _read(field, given)
-    tokens: list[Token] = [one for one in (found.low, found.high) if one is not None]
-    for token in (*found.values, *(tokens if not found.values and field.kind != "whole" else ())):
-        field.check(token, found.unit)
-    if field.kind == "whole" and math.floor(found.high or 0.0) < math.ceil(found.low or 0.0):
-        raise InputError(f"{name} takes whole numbers, {found.low:g} to {found.high:g} holds none: widen the range")
-    if found.log and not (found.low or 0.0) > 0:
-        raise InputError(f"{name}: a range that is even in the logarithm begins at {found.low:g}: begin above 0")
-    return found
+    field = find_field(job, name)
+    varied = _read(field, given)
+    tokens: list[Token] = [one for one in (varied.low, varied.high) if one is not None]
+    for token in (*varied.values, *(tokens if not varied.values and field.kind != "whole" else ())):
+        field.check(token, varied.unit)
+    if field.kind == "whole" and math.floor(varied.high or 0.0) < math.ceil(varied.low or 0.0):
+        raise InputError(f"{name} takes whole numbers, {varied.low:g} to {varied.high:g} holds none: widen the range")
+    if varied.log and not (varied.low or 0.0) > 0:
+        raise InputError(f"{name}: a range that is even in the logarithm begins at {varied.low:g}: begin above 0")
+    return varied
 
 
 def _read(field: Field, given: Vary) -> Varied:
@@ -132,13 +132,13 @@ def _read(field: Field, given: Vary) -> Varied:
     if hasattr(given, "ppf"):
         if field.kind not in ("quantity", "number", "whole"):
             raise InputError(f"{field.name} is no number, so it has no distribution: give a list of its values")
-        return Varied(field=field, unit=_own(field), drawn=given)
+        return Varied(field=field, unit=_base_unit(field), drawn=given)
     if isinstance(given, Sequence | np.ndarray):
         return _read_list(field, list(given))
     return _read_list(field, [given])
 
 
-def _own(field: Field) -> str:
+def _base_unit(field: Field) -> str:
     return field.units[0] if field.units and field.units[0] != "1" else ""
 
 
@@ -150,13 +150,15 @@ def _read_list(field: Field, given: list[Any]) -> Varied:
     if field.kind in ("text", "flag"):
         return Varied(field=field, values=tuple(_flag(field, one) for one in plain))
     if any(isinstance(one, str) for one in plain):
-        return _in_one_unit(field, [one if isinstance(one, str) else f"{one!r} {_own(field)}" for one in plain])
+        return _in_one_unit(field, [one if isinstance(one, str) else f"{one!r} {_base_unit(field)}" for one in plain])
     for one in plain:
         if isinstance(one, bool) or not isinstance(one, int | float):
             raise InputError(f"{field.name} cannot be {one!r}: give numbers, or texts with a unit")
-    whole = field.kind == "whole"
+    is_whole = field.kind == "whole"
     return Varied(
-        field=field, unit=_own(field), values=tuple(one if whole else validate.number(one, field.name) for one in plain)
+        field=field,
+        unit=_base_unit(field),
+        values=tuple(one if is_whole else validate.number(one, field.name) for one in plain),
     )
 
 
@@ -199,15 +201,15 @@ def _in_one_unit(field: Field, texts: list[str]) -> Varied:
         if match is None:
             raise InputError(f"{field.name} cannot be {text.strip()!r}: write one number and one unit")
         read.append((match[1], match[2]))
-    own = next((units for _, units in reversed(read) if units), "")
-    unit = _unit(field, own, texts[-1])
+    written = next((units for _, units in reversed(read) if units), "")
+    unit = _unit(field, written, texts[-1])
     values = []
     for number, units in reversed(read):
-        value, own = _number(field, number), units or own
-        if own != unit:
-            _unit(field, own, f"{number} {own}")
+        value, written = _number(field, number), units or written
+        if written != unit:
+            _unit(field, written, f"{number} {written}")
             try:
-                value = convert(float(value), own, unit)
+                value = convert(float(value), written, unit)
             except UnitError as error:
                 raise UnitError(f"{field.name}: {error}") from error
         values.append(value)
@@ -224,7 +226,7 @@ def _number(field: Field, digits: str) -> Token:
 
 
 def _unit(field: Field, written: str, quoted: str) -> str:
-    """Return a unit that measures what the field is."""
+    """Return the unit of a value after a check that it fits the field."""
     if field.kind != "quantity":
         if written:
             raise InputError(
@@ -234,15 +236,15 @@ def _unit(field: Field, written: str, quoted: str) -> str:
     if field.over_time(written):
         return written
     errors: list[UnitError] = []
-    for known in field.units:
+    for house_unit in field.units:
         try:
-            parse(f"1 {written}", known)
+            parse(f"1 {written}", house_unit)
         except UnitError as error:
             errors.append(error)
         else:
             return written
-    said = str(errors[0]).replace(repr(f"1 {written}"), repr(quoted.strip()))
-    raise UnitError(f"{field.name}: {said}")
+    reason = str(errors[0]).replace(repr(f"1 {written}"), repr(quoted.strip()))
+    raise UnitError(f"{field.name}: {reason}")
 
 
 def _read_drawn(field: Field, kind: str, first: str, second: str, units: str) -> Varied:
@@ -263,21 +265,21 @@ def _read_drawn(field: Field, kind: str, first: str, second: str, units: str) ->
 
 
 def _read_range(
-    field: Field, text: str, first: str, own: str, last: str, units: str, count: str | None, log: str | None
+    field: Field, text: str, first: str, first_units: str, last: str, units: str, count: str | None, log: str | None
 ) -> Varied:
     """Return a range; its values are those of exact decimals, so 0.1..1:10 holds 0.3 and not 0.30000000000000004."""
     unit = _unit(field, units, f"{last} {units}")
-    if own and own != units:
-        raise InputError(f"{field.name}: {text!r} has two units, {own!r} and {units!r}: write one, at the end")
+    if first_units and first_units != units:
+        raise InputError(f"{field.name}: {text!r} has two units, {first_units!r} and {units!r}: write one, at the end")
     low, high = float(first), float(last)
     if not math.isfinite(low) or not math.isfinite(high) or low == high:
         raise InputError(f"{field.name}: {text!r} has no width: give two different ends")
     if count is None:
         return Varied(field=field, unit=unit, low=min(low, high), high=max(low, high), log=bool(log))
     number = int(count)
-    if not 2 <= number <= MOST_CASES:
+    if not 2 <= number <= MAX_CASES:
         raise InputError(
-            f"{field.name}: {text!r} has {number} values, it needs from 2 to {MOST_CASES:_}: change the count"
+            f"{field.name}: {text!r} has {number} values, it needs from 2 to {MAX_CASES:_}: change the count"
         )
     if log:
         if not min(low, high) > 0:
@@ -316,25 +318,25 @@ def design_cases(
     job
         The job.
     varied
-        What is varied. A list of cases names its fields itself.
+        Varied fields; empty for a list of cases, which names its fields itself.
     design
         "grid" for every value with every other, the last field fastest; "random", "sobol", "halton" (both scrambled) or
         "latin hypercube" for ``count`` cases drawn from ranges and distributions; or the cases themselves, a mapping
         for each.
     count, seed
-        Of what is drawn.
+        Number of cases and seed of a random design.
 
     Raises
     ------
     InputError
-        If the design does not fit what is varied.
+        If the design does not fit the varied fields.
     """
     if not isinstance(design, str):
         if varied:
             raise InputError(
-                f"a list of cases says itself what is varied, and {varied[0].name} is varied beside it: leave one out"
+                f"a list of cases names its fields itself, and {varied[0].name} is varied as well: leave one out"
             )
-        fields, rows = _listed(job, design)
+        fields, rows = _read_cases(job, design)
     else:
         fields = tuple(varied)
         if not fields:
@@ -344,14 +346,14 @@ def design_cases(
         for name, place in zip(names, places, strict=True):
             if places.count(place) > 1:
                 raise InputError(f"{name} is varied {places.count(place)} times, the limit is 1: keep one of them")
-        rows = _gridded(fields, count) if design == "grid" else _drawn(fields, design, count, seed)
+        rows = _make_grid(fields, count) if design == "grid" else _draw_cases(fields, design, count, seed)
     if not rows:
         raise InputError("the design has 0 cases: give at least 1")
-    changed(data_of(job), [(one.field, one.unit, token) for one, token in zip(fields, rows[0], strict=True)])
+    apply_changes(get_job_data(job), [(one.field, one.unit, token) for one, token in zip(fields, rows[0], strict=True)])
     return fields, rows
 
 
-def _gridded(fields: tuple[Varied, ...], count: int | None) -> list[tuple[Token, ...]]:
+def _make_grid(fields: tuple[Varied, ...], count: int | None) -> list[tuple[Token, ...]]:
     if count is not None:
         raise InputError(f"a grid has as many cases as its values make, {count} are asked for: choose design = sobol")
     for one in fields:
@@ -361,26 +363,30 @@ def _gridded(fields: tuple[Varied, ...], count: int | None) -> list[tuple[Token,
                 "'0.1..1 mm:10', or choose another design, such as sobol"
             )
     cases = math.prod(len(one.values) for one in fields)
-    if cases > MOST_CASES:
+    if cases > MAX_CASES:
         raise InputError(
-            f"the grid has {cases:_} cases, the limit is {MOST_CASES:_}: take fewer values, or draw a design"
+            f"the grid has {cases:_} cases, the limit is {MAX_CASES:_}: take fewer values, or draw a design"
         )
     return list(product(*(one.values for one in fields)))
 
 
-def _drawn(fields: tuple[Varied, ...], design: str, count: int | None, seed: int | None) -> list[tuple[Token, ...]]:
+def _draw_cases(
+    fields: tuple[Varied, ...], design: str, count: int | None, seed: int | None
+) -> list[tuple[Token, ...]]:
     if design not in DESIGNS:
         raise InputError(f"design is {design!r}, it can be {', '.join(DESIGNS)}: choose one of them")
     if count is None:
         raise InputError(
-            f"the design {design!r} has no number of cases, it needs from 1 to {MOST_CASES:_}: state how many cases"
+            f"the design {design!r} has no number of cases, it needs from 1 to {MAX_CASES:_}: state how many cases"
         )
-    count = validate.whole(count, f"the number of cases of the design {design!r}", 1, MOST_CASES)
-    shares = _shares(design, len(fields), count, None if seed is None else validate.whole(seed, "the seed", 0))
+    count = validate.whole(count, f"the number of cases of the design {design!r}", 1, MAX_CASES)
+    shares = _draw_unit_points(
+        design, len(fields), count, None if seed is None else validate.whole(seed, "the seed", 0)
+    )
     return list(zip(*(one.at(shares[:, number]) for number, one in enumerate(fields)), strict=True))
 
 
-def _shares(design: str, width: int, count: int, seed: int | None) -> Floats:
+def _draw_unit_points(design: str, width: int, count: int, seed: int | None) -> Floats:
     """Return points of the unit cube. (count, width)."""
     if design == "random":
         return np.random.default_rng(seed).random((count, width))
@@ -393,7 +399,7 @@ def _shares(design: str, width: int, count: int, seed: int | None) -> Floats:
     return np.asarray(qmc.LatinHypercube(width, seed=seed).random(count))  # type: ignore[call-arg, unused-ignore]
 
 
-def _listed(job: Job, design: Sequence[Mapping[str, Any]]) -> tuple[tuple[Varied, ...], list[tuple[Token, ...]]]:
+def _read_cases(job: Job, design: Sequence[Mapping[str, Any]]) -> tuple[tuple[Varied, ...], list[tuple[Token, ...]]]:
     """Return the cases of a list."""
     if not design:
         raise InputError("the list of cases is empty: give at least 1")
@@ -410,8 +416,8 @@ def _listed(job: Job, design: Sequence[Mapping[str, Any]]) -> tuple[tuple[Varied
     return fields, [tuple(one.values[number] for one in fields) for number in range(len(design))]
 
 
-def stated(job: Job, varied: Varied) -> Token | None:
-    """Return the job's own value of a field, in the unit in which it is varied; ``None`` where it states none."""
+def get_job_value(job: Job, varied: Varied) -> Token | None:
+    """Return the value of a field in the job, in the unit in which it is varied; ``None`` if the job states none."""
     data: Any = job.table(whole=True)
     for step in varied.field.place:
         if isinstance(data, dict):
@@ -420,14 +426,14 @@ def stated(job: Job, varied: Varied) -> Token | None:
             data = data[step] if isinstance(data, list) and isinstance(step, int) and step < len(data) else None
     if varied.field.kind != "quantity" or data is None:
         return data if isinstance(data, int | float | str) else None
-    if not isinstance(data, str):  # a coefficient of a series, which is in the house's unit once it is read
+    if not isinstance(data, str):  # a coefficient of a series, which is in the base unit after parsing
         return convert(float(data), varied.field.units[0], varied.unit or "1")
     if varied.field.over_time(varied.unit):
         speed = job.strategy.spindle_rpm
         return None if speed is None else convert(parse(data, "mm/rev") * speed, "mm/min", varied.unit)
-    for known in varied.field.units:
+    for house_unit in varied.field.units:
         try:
-            parse(f"1 {varied.unit}", known)
+            parse(f"1 {varied.unit}", house_unit)
             return parse(data, varied.unit or "1")
         except UnitError:
             continue

@@ -1,4 +1,4 @@
-"""What a value or a function of one's own depends on, so that what is kept of it is never taken for that of another."""
+"""Digests of values and user functions, so that a stored result is reused only for the same inputs."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ __all__ = ["digest_of"]
 
 
 def digest_of(value: object) -> str:
-    """Return a digest of a value, or of a function: its code, what it holds and what it names, alike in all processes.
+    """Return a digest of a value or a function that is the same in all processes.
 
-    Of a dataclass what it is made from counts. Of the functions that a function names, those of its own package count;
-    the others are taken as they are. What holds something that cannot be told, such as an open file, is another one
-    each time.
+    The digest of a function covers its code, its defaults and closure, and the module values that it names: functions
+    only of its own package. The digest of a dataclass covers its constructor arguments. An object whose contents
+    cannot be read, such as an open file, has a new digest each time.
     """
     return _digest(value, {}).hex()
 
@@ -28,10 +28,10 @@ def digest_of(value: object) -> str:
 def _digest(value: Any, met: dict[int, tuple[Any, bytes]]) -> bytes:
     if id(value) in met:
         return met[id(value)][1]
-    met[id(value)] = value, b"above"  # a ring; and the value is kept, so that nothing else gets its number
+    met[id(value)] = value, b"above"  # stops cycles; a reference to the value keeps its id unique
     digest = hashlib.sha256()
-    for one in _told(value):
-        if isinstance(one, _Said):
+    for one in _parts(value):
+        if isinstance(one, _Word):
             digest.update(f"{one}\n".encode())
         elif isinstance(one, memoryview):
             digest.update(one)
@@ -41,99 +41,99 @@ def _digest(value: Any, met: dict[int, tuple[Any, bytes]]) -> bytes:
     return digest.digest()
 
 
-class _Said(str):
-    """A word for the digest; whatever else `_told` yields, but for bytes as they are, is told in turn."""
+class _Word(str):
+    """A text that enters the digest; other values that `_parts` yields, except bytes, are digested recursively."""
 
     __slots__ = ()
 
 
 @singledispatch
-def _told(value: Any) -> Iterator[Any]:
-    """Yield words and further values that say what a value is."""
+def _parts(value: Any) -> Iterator[Any]:
+    """Yield the words and values that identify a value."""
     kind = type(value)
-    yield _Said(f"{kind.__module__}.{kind.__qualname__}")
+    yield _Word(f"{kind.__module__}.{kind.__qualname__}")
     if is_dataclass(value):
         for one in fields(value):
             if one.init:
-                yield from (_Said(one.name), getattr(value, one.name))
+                yield from (_Word(one.name), getattr(value, one.name))
         return
     if not hasattr(value, "__dict__"):
-        yield _Said(uuid4().hex)
+        yield _Word(uuid4().hex)
         return
     yield vars(value)
     yield from (one for one in vars(kind).values() if isinstance(one, FunctionType))
 
 
-@_told.register(NoneType | bool | int | float | complex | str | bytes | EllipsisType | np.generic)
+@_parts.register(NoneType | bool | int | float | complex | str | bytes | EllipsisType | np.generic)
 def _(value: Any) -> Iterator[Any]:
-    yield _Said(repr(value))
+    yield _Word(repr(value))
 
 
-@_told.register(CodeType)
+@_parts.register(CodeType)
 def _(value: CodeType) -> Iterator[Any]:
-    yield _Said(f"code {value.co_code.hex()} {value.co_names} {value.co_varnames} {value.co_freevars}")
+    yield _Word(f"code {value.co_code.hex()} {value.co_names} {value.co_varnames} {value.co_freevars}")
     yield value.co_consts
 
 
-@_told.register(FunctionType)
+@_parts.register(FunctionType)
 def _(value: FunctionType) -> Iterator[Any]:
     yield value.__code__
     yield [value.__defaults__, value.__kwdefaults__, *(one.cell_contents for one in value.__closure__ or ())]
     for name in _names(value.__code__):
         one = value.__globals__.get(name)
         if isinstance(one, FunctionType):
-            known = one.__module__.partition(".")[0] == value.__module__.partition(".")[0]
+            is_input = one.__module__.partition(".")[0] == value.__module__.partition(".")[0]
         else:
-            known = isinstance(one, int | float | str | list | tuple | dict | np.ndarray)
-        if known:
+            is_input = isinstance(one, int | float | str | list | tuple | dict | np.ndarray)
+        if is_input:
             yield one
 
 
 def _names(code: CodeType) -> Iterator[str]:
-    """Yield the names that a function, or one within it, uses."""
+    """Yield the global names that a function and its inner functions use."""
     yield from code.co_names
     for one in code.co_consts:
         if isinstance(one, CodeType):
             yield from _names(one)
 
 
-@_told.register(partial)
+@_parts.register(partial)
 def _(value: partial[Any]) -> Iterator[Any]:
     yield from (value.func, value.args, value.keywords)
 
 
-@_told.register(MethodType)
+@_parts.register(MethodType)
 def _(value: MethodType) -> Iterator[Any]:
     yield from (value.__func__, value.__self__)
 
 
-@_told.register(type | ModuleType | BuiltinFunctionType | np.ufunc)
+@_parts.register(type | ModuleType | BuiltinFunctionType | np.ufunc)
 def _(value: Any) -> Iterator[Any]:
-    yield _Said(f"{getattr(value, '__module__', '')} {value.__name__}")
+    yield _Word(f"{getattr(value, '__module__', '')} {value.__name__}")
 
 
-@_told.register(Mapping)
+@_parts.register(Mapping)
 def _(value: Mapping[Any, Any]) -> Iterator[Any]:
-    yield _Said(f"{len(value)} pairs")
+    yield _Word(f"{len(value)} pairs")
     for key, one in value.items():
-        yield _Said(repr(key))
+        yield _Word(repr(key))
         yield one
 
 
-@_told.register(list | tuple)
+@_parts.register(list | tuple)
 def _(value: Any) -> Iterator[Any]:
-    yield _Said(f"{len(value)} of")
+    yield _Word(f"{len(value)} of")
     yield from value
 
 
-@_told.register(set | frozenset)
+@_parts.register(set | frozenset)
 def _(value: Any) -> Iterator[Any]:
-    yield _Said(f"set {sorted(map(repr, value))}")  # the order of a set differs from process to process
+    yield _Word(f"set {sorted(map(repr, value))}")  # the order of a set differs from process to process
 
 
-@_told.register(np.ndarray)
+@_parts.register(np.ndarray)
 def _(value: np.ndarray) -> Iterator[Any]:
-    yield _Said(f"{value.dtype.str} {value.shape}")
+    yield _Word(f"{value.dtype.str} {value.shape}")
     yield (
         np.ascontiguousarray(value).reshape(-1).view(np.uint8).data if value.dtype.kind in "biufcSU" else value.tolist()
     )

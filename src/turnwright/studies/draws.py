@@ -1,4 +1,4 @@
-"""What one draw of an error budget makes of a part: cut as planned, and cut with what an artefact told beforehand."""
+"""Simulate one draw of an error budget: the part cut as planned, and corrected by test parts measured before it."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from turnwright.heightmap import HeightMap
 from turnwright.job import Job, artefact
 from turnwright.metrology import remove_form
 from turnwright.studies.budget import ErrorBudget
-from turnwright.studies.files import at_hand, fetched, files_of, kept_files, moved
+from turnwright.studies.files import fetch_array, list_files, provide_files, relocate_paths, store_files
 from turnwright.studies.scenes import (
-    Left,
-    Planned,
-    Reach,
+    ContactShift,
+    CutSurface,
+    PlannedMotion,
     Scene,
-    answers,
+    add_drift,
     drift_share,
-    drifted,
-    kept,
-    lines_of,
-    planned,
+    make_lines,
+    make_scenes,
+    pack_motion,
+    plan_motion,
     scene_motion,
-    scenes_of,
-    stored,
+    select_points,
+    servos_respond,
 )  # fmt: skip
 from turnwright.surface import Zernike
 from turnwright.tool import WavinessTable
@@ -44,68 +44,77 @@ if TYPE_CHECKING:
     from turnwright.studies.store import Store
     from turnwright.tool import Tool
 
-__all__ = ["Bench", "Real", "carry_out", "deviated", "form_error", "laid_out", "reach_of", "residual"]
+__all__ = [
+    "ActualSetup",
+    "CaseContext",
+    "apply_draw",
+    "bound_shift",
+    "carry_out",
+    "form_error",
+    "plan_cuts",
+    "residual_setup",
+]
 
 NM = 1e6
 
-EDGE = 721
-"""Sweeps at which the rest of a wavy edge is stated."""
+EDGE_POINTS = 721
+"""Sweep angles at which the residual waviness of an edge is tabulated."""
 
-FLAT = 1e-6
-"""Slopes below this are none: such a surface looks the same wherever it lies."""
+MIN_SLOPE = 1e-6
+"""Slopes below this count as zero: a lateral shift of such a surface changes nothing."""
 
-RANK = 1e-9
-"""Rigid motions that a surface tells apart by less than this are one."""
+RANK_TOL = 1e-9
+"""Relative singular value below which rigid motions of a surface are not distinguished."""
 
-_benches: dict[str, Bench] = {}
-"""The bench that this process works at: the same for all cases of a study."""
+_benches: dict[str, CaseContext] = {}
+"""Context of the study that this process last worked on."""
 
 
-class Real(NamedTuple):
-    """What a part is really cut with, and what holds it."""
+class ActualSetup(NamedTuple):
+    """The actual tool, machine and mount of a cut."""
 
     tool: Tool
     machine: Machine
-    faster: Mapping[str, float]  # natural frequency of an axis beyond what is stated, as a share
+    faster: Mapping[str, float]  # relative deviation of the natural frequency of each axis
     drift: tuple[float, float]  # along X and Z at the end of the cut [mm]
     mounting: Mapping[int, float]  # fringe terms [mm]
     tilt: tuple[float, float]  # of the part in the chuck, about x and y [rad]
 
 
-def deviated(tool: Tool, machine: Machine, draw: Mapping[str, float], cut: str = "") -> Real:
-    """Return tool and machine with what was drawn.
+def apply_draw(tool: Tool, machine: Machine, draw: Mapping[str, float], cut: str = "") -> ActualSetup:
+    """Return the actual set-up with the errors of a draw.
 
     Parameters
     ----------
     tool, machine
-        The actual ones, but for what is drawn.
+        Actual tool and machine without the drawn errors.
     draw
-        A number for each error. [mm, rad]
+        Value of each error. [mm, rad]
     cut
-        The artefact that is cut; the part if not given.
+        Test part that is cut; by default the part.
     """
 
-    def one(name: str, *, own: bool = False) -> float:
-        return draw.get(f"{cut}: {name}" if own and cut else name, 0.0)
+    def one(name: str, *, per_cut: bool = False) -> float:
+        return draw.get(f"{cut}: {name}" if per_cut and cut else name, 0.0)
 
     def terms(of: str) -> dict[int, float]:
         head = f"{cut}: {of} Z" if cut else f"{of} Z"
         return {int(name[len(head) :]): value for name, value in draw.items() if name.startswith(head)}
 
-    x, y, z = (own + one(f"tool offset {axis}") for own, axis in zip(tool.offset, "xyz", strict=True))
+    x, y, z = (offset + one(f"tool offset {axis}") for offset, axis in zip(tool.offset, "xyz", strict=True))
     real = replace(tool, offset=(x, y, z), radius_error=tool.radius_error + one("radius error"))
-    return Real(
-        tool=_wavier(real, draw),
+    return ActualSetup(
+        tool=_add_waviness(real, draw),
         machine=replace(machine, squareness=machine.squareness + one("squareness")),
         faster={name[-1]: value for name, value in draw.items() if name.startswith("servo ")},
-        drift=(one("drift x", own=True), one("drift z", own=True)),
+        drift=(one("drift x", per_cut=True), one("drift z", per_cut=True)),
         mounting=terms("mounting"),
-        tilt=(one("chuck tilt x", own=True), one("chuck tilt y", own=True)),
+        tilt=(one("chuck tilt x", per_cut=True), one("chuck tilt y", per_cut=True)),
     )
 
 
-def _wavier(tool: Tool, draw: Mapping[str, float]) -> Tool:
-    """Return a tool with the waviness that was drawn on top of its own, 0 at the tip."""
+def _add_waviness(tool: Tool, draw: Mapping[str, float]) -> Tool:
+    """Return a tool with the drawn waviness added to its own, 0 at the tip."""
     powers = np.zeros(13)
     far = max(abs(end) for end in tool.arc)
     for name, value in draw.items():
@@ -116,48 +125,52 @@ def _wavier(tool: Tool, draw: Mapping[str, float]) -> Tool:
             series = np.zeros(order + 1)
             series[order] = value * math.sqrt(2 * order + 1)
             powers[: order + 1] += legendre.leg2poly(series) / far ** np.arange(order + 1.0)
-    powers[0] = 0.0  # the tip is what is touched off
+    powers[0] = 0.0  # the tip is touched off
     if not powers.any():
         return tool
     if isinstance(tool.waviness, WavinessTable):
-        own = tool.waviness
-        table = WavinessTable(sweep=own.sweep, deviation=own.deviation + np.polyval(powers[::-1], own.sweep))
+        table_of_tool = tool.waviness
+        table = WavinessTable(
+            sweep=table_of_tool.sweep, deviation=table_of_tool.deviation + np.polyval(powers[::-1], table_of_tool.sweep)
+        )
         return replace(tool, waviness=table)
     powers[1 : 1 + len(tool.waviness)] += tool.waviness
     return replace(tool, waviness=tuple(np.trim_zeros(powers[1:], "b")))
 
 
-def residual(real: Real, tool: Tool, machine: Machine, found: Diagnosis) -> Real:
-    """Return what is left of the deviations where the part is planned with what was found.
+def residual_setup(real: ActualSetup, tool: Tool, machine: Machine, found: Diagnosis) -> ActualSetup:
+    """Return the set-up with the deviations that remain after a correction by the diagnosis.
 
-    A part planned with the found tool and cut with the real one leaves, but for products of small errors, what one
-    planned with the nominal tool leaves when it is cut with the nominal tool and the difference of the two.
+    To first order in the errors, planning with the diagnosed tool and cutting with the actual one gives the same
+    surface as planning with the nominal tool and cutting with nominal plus actual minus diagnosed tool.
     """
-    known, slide_known = found.likely_tool, found.likely_machine
-    x, y, z = (plan + is_ - was for plan, is_, was in zip(tool.offset, real.tool.offset, known.offset, strict=True))
-    radius = tool.radius_error + real.tool.radius_error - known.radius_error
-    left = replace(real.tool, offset=(x, y, z), radius_error=radius)
-    if known.waviness is not tool.waviness:
-        sweep = np.linspace(*tool.arc, EDGE)
-        rest = tool.deviation(sweep) + real.tool.deviation(sweep) - known.deviation(sweep)
-        left = replace(left, waviness=WavinessTable(sweep=sweep, deviation=rest))
-    square = machine.squareness + real.machine.squareness - slide_known.squareness
+    likely_tool, likely_machine = found.likely_tool, found.likely_machine
+    x, y, z = (
+        plan + is_ - was for plan, is_, was in zip(tool.offset, real.tool.offset, likely_tool.offset, strict=True)
+    )
+    radius = tool.radius_error + real.tool.radius_error - likely_tool.radius_error
+    tool_left = replace(real.tool, offset=(x, y, z), radius_error=radius)
+    if likely_tool.waviness is not tool.waviness:
+        sweep = np.linspace(*tool.arc, EDGE_POINTS)
+        deviation = tool.deviation(sweep) + real.tool.deviation(sweep) - likely_tool.deviation(sweep)
+        tool_left = replace(tool_left, waviness=WavinessTable(sweep=sweep, deviation=deviation))
+    square = machine.squareness + real.machine.squareness - likely_machine.squareness
     slide = replace(real.machine, squareness=square)
-    if slide_known.straightness is not None and slide_known.straightness is not machine.straightness:
-        at, wrong = slide_known.straightness
-        own_at, own = real.machine.straightness or (at, np.zeros_like(wrong))
+    if likely_machine.straightness is not None and likely_machine.straightness is not machine.straightness:
+        at, wrong = likely_machine.straightness
+        actual_at, actual = real.machine.straightness or (at, np.zeros_like(wrong))
         plan_at, plan = machine.straightness or (at, np.zeros_like(wrong))
-        every = np.unique(np.concatenate([at, own_at, plan_at]))
-        rest = np.interp(every, own_at, own) + np.interp(every, plan_at, plan) - np.interp(every, at, wrong)
-        slide = replace(slide, straightness=(every, rest))
-    return real._replace(tool=left, machine=slide)
+        every = np.unique(np.concatenate([at, actual_at, plan_at]))
+        deviation = np.interp(every, actual_at, actual) + np.interp(every, plan_at, plan) - np.interp(every, at, wrong)
+        slide = replace(slide, straightness=(every, deviation))
+    return real._replace(tool=tool_left, machine=slide)
 
 
-def reach_of(budget: ErrorBudget, job: Job) -> Reach:
-    """Return how far what a budget may draw moves the contact.
+def bound_shift(budget: ErrorBudget, job: Job) -> ContactShift:
+    """Return a bound on the shift of the contact point by the errors of a budget.
 
-    Along the radius by the offset, by the slope of the edge's own waves, by the drift and by the share of the nose that
-    is wrong; twice that for what a corrected job finds wrongly.
+    Offset, slope of the edge waviness, drift and nose radius error shift it along the radius. The bound is twice their
+    sum, to allow for errors of the diagnosis.
     """
     tool = job.tool
     far = max(abs(end) for end in tool.arc)
@@ -171,160 +184,163 @@ def reach_of(budget: ErrorBudget, job: Job) -> Reach:
             waves += spread.largest * order * far ** (order - 1)
     along = budget.largest("tool offset x", "drift x", "radius error") + waves
     servos = {name[-1]: spread.largest for name, spread in budget.errors.items() if name.startswith("servo ")}
-    return Reach(along=2 * along, across=2 * budget.largest("tool offset y"), servos=servos)
+    return ContactShift(along=2 * along, across=2 * budget.largest("tool offset y"), servos=servos)
 
 
 def artefact_job(job: Job, kind: str) -> Job:
-    """Return the job of an artefact, whose servos count as they do for the part."""
+    """Return the job of a test part, with the same treatment of servos as for the part."""
     free = replace(job, program=replace(job.program, precorrect=False))
     made = artefact(free, kind)  # type: ignore[arg-type] # a budget knows no other
     return replace(made, simulation=replace(made.simulation, tracking=job.simulation.tracking), program=job.program)
 
 
-def laid_out(
+def plan_cuts(
     job: Job, budget: ErrorBudget, store: Store, *, correction: bool, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Plan the part, and its artefacts, once; put what the cases need of it into a store and say where it is.
+    """Plan the part and its test parts once, and write the motions that the cases need to a store.
 
     Returns
     -------
     dict
-        What is shared by all cases, as JSON could carry it.
+        Input shared by all cases, as JSON data.
     """
-    told = progress or (lambda _done, _total: None)
-    reach = reach_of(budget, job)
+    report = progress or (lambda _done, _total: None)
+    reach = bound_shift(budget, job)
     kinds = budget.artefacts if correction else ()
     jobs = {"": job} | {kind: artefact_job(job, kind) for kind in kinds}
     cuts: dict[str, Any] = {}
-    for number, (kind, own) in enumerate(jobs.items()):
+    for number, (kind, cut_job) in enumerate(jobs.items()):
 
         def tell(done: int, total: int, number: int = number) -> None:
-            told(number * total + done, len(jobs) * total)
+            report(number * total + done, len(jobs) * total)
 
-        plan = planned(own, reach, tell)
+        plan = plan_motion(cut_job, reach, tell)
         feed = plan.motion.feed
-        scenes = [lines_of(own, feed, even=True)] if kind else scenes_of(own, feed)
+        scenes = [make_lines(cut_job, feed, even=True)] if kind else make_scenes(cut_job, feed)
         cuts[kind] = {
-            "job": own.to_toml(),
+            "job": cut_job.to_toml(),
             "feed": feed,
             "scenes": [_put(plan, scene, reach, store) for scene in scenes],
         }
         del plan
-    files = files_of(job)
-    return {"budget": budget.table(), "cuts": cuts, "files": files, "kept": kept_files(files, store)}
+    files = list_files(job)
+    return {"budget": budget.table(), "cuts": cuts, "files": files, "kept": store_files(files, store)}
 
 
-def _put(plan: Planned, scene: Scene, reach: Reach, store: Store) -> dict[str, Any]:
-    head, rows = stored(plan, kept(plan, scene, reach), reach)
+def _put(plan: PlannedMotion, scene: Scene, reach: ContactShift, store: Store) -> dict[str, Any]:
+    head, rows = pack_motion(plan, select_points(plan, scene, reach), reach)
     word = "".join(one if one.isalnum() else "-" for one in scene.name if one.isascii()) or "patch"
     return {**head, "array": store.put_array(f"motion-{word}", rows)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _View:
-    """A scene and the motion over it."""
+    """A sampling grid and the motion over it."""
 
     scene: Scene
     head: Mapping[str, Any]
     rows: Floats
-    share: Floats  # of the drift that there is at each point: the same in all cases
+    share: Floats  # fraction of the final drift at each point, the same in all cases
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Cut:
-    """A part or an artefact, planned."""
+    """A planned part or test part."""
 
     job: Job
     feed: float
     views: tuple[_View, ...]
 
-    def made(self, view: _View, real: Real) -> tuple[Left, Floats]:
-        """Return what is left at the places of a scene, and how far that is off the design, released. [mm]."""
+    def simulate(self, view: _View, real: ActualSetup) -> tuple[CutSurface, Floats]:
+        """Return the cut surface on a sampling grid, and its form error after release from the mount. [mm]."""
         motion = scene_motion(view.head, view.rows, self.job.machine, real.faster)
-        motion = drifted(motion, *real.drift, view.share)
-        left = view.scene.generated(motion, real.tool, real.machine, view.head["near"])
+        motion = add_drift(motion, *real.drift, view.share)
+        cut = view.scene.generated(motion, real.tool, real.machine, view.head["near"])
         surface, radius = self.job.part.surface, self.job.part.radius
-        shape, x, y = left.z.shape, left.x.ravel(), left.y.ravel()
+        shape, x, y = cut.z.shape, cut.x.ravel(), cut.y.ravel()
         needed = 1 if any(real.tilt) else 0
         f, *slopes = surface.evaluate(np.ascontiguousarray(x), np.ascontiguousarray(y), needed)
-        error = left.z.ravel() - f
+        error = cut.z.ravel() - f
         if real.mounting:
-            # Cut while it is bent, the part springs back by as much.
+            # A part deformed by the mount springs back by the same amount.
             error -= Zernike(terms=real.mounting, radius=radius, indexing="fringe").sag(x, y)
         if needed:
-            # Cut while it leans, the part stands upright by as much the other way, as its flange shows.
+            # A part cut with a tilt is measured against its flange, which is tilted by the opposite angle.
             about_x, about_y = real.tilt
             fx, fy = slopes
             error -= about_x * (y + f * fy) - about_y * (x + f * fx)
-        return left, error.reshape(shape)
+        return cut, error.reshape(shape)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Bench:
-    """Everything that the cases of a study share."""
+class CaseContext:
+    """Budget and planned cuts shared by the cases of a study."""
 
     budget: ErrorBudget
     cuts: Mapping[str, _Cut]
 
     @classmethod
-    def of(cls, shared: Mapping[str, Any], store: Store) -> Bench:
-        """Return the bench of what `laid_out` has put into a store."""
+    def of(cls, shared: Mapping[str, Any], store: Store) -> CaseContext:
+        """Load the data that `plan_cuts` wrote to a store."""
         cuts, budget = {}, ErrorBudget.read(shared["budget"])
-        with at_hand(shared["files"], shared["kept"], store) as places:
-            jobs = {kind: Job.read(moved(tomllib.loads(own["job"]), places)) for kind, own in shared["cuts"].items()}
+        with provide_files(shared["files"], shared["kept"], store) as places:
+            jobs = {
+                kind: Job.read(relocate_paths(tomllib.loads(head_of_cut["job"]), places))
+                for kind, head_of_cut in shared["cuts"].items()
+            }
             for job in jobs.values():  # what reads a file reads it now
                 _ = job.actual_tool, job.actual_machine, job.part.aimed
-        for kind, own in shared["cuts"].items():
+        for kind, head_of_cut in shared["cuts"].items():
             job = jobs[kind]
-            feed = own["feed"]
-            scenes = [lines_of(job, feed, even=True)] if kind else scenes_of(job, feed)
+            feed = head_of_cut["feed"]
+            scenes = [make_lines(job, feed, even=True)] if kind else make_scenes(job, feed)
             views = []
-            for scene, head in zip(scenes, own["scenes"], strict=True):
-                rows = fetched(store, head["array"])
+            for scene, head in zip(scenes, head_of_cut["scenes"], strict=True):
+                rows = fetch_array(store, head["array"])
                 share = drift_share(rows[0], head["duration"], budget.settling)
                 views.append(_View(scene=scene, head=head, rows=rows, share=share))
             cuts[kind] = _Cut(job=job, feed=feed, views=tuple(views))
         return cls(budget=budget, cuts=cuts)
 
-    def real(self, draw: Mapping[str, float], cut: str = "") -> Real:
-        """Return what a draw makes of tool and machine."""
+    def real(self, draw: Mapping[str, float], cut: str = "") -> ActualSetup:
+        """Return the actual set-up of a draw."""
         job = self.cuts[""].job
-        real = deviated(job.actual_tool, job.actual_machine, draw, cut)
-        return real if answers(job) else real._replace(faster={})
+        real = apply_draw(job.actual_tool, job.actual_machine, draw, cut)
+        return real if servos_respond(job) else real._replace(faster={})
 
-    def judged(self, real: Real) -> tuple[dict[str, float], Floats]:
-        """Return the numbers of a part, and its form error at the lines. [nm]."""
+    def measure(self, real: ActualSetup) -> tuple[dict[str, float], Floats]:
+        """Return the measures of a part, and its form error along the lines. [nm]."""
         part = self.cuts[""]
         numbers: dict[str, float] = {}
         form: Floats | None = None
         for view in part.views:
-            left, error = part.made(view, real)
+            cut, error = part.simulate(view, real)
             if view.scene.polar:
-                form = form_error(part.job, left, error)
-                weight = np.broadcast_to(left.weight, form.shape)[np.isfinite(form)]
+                form = form_error(part.job, cut, error)
+                weight = np.broadcast_to(cut.weight, form.shape)[np.isfinite(form)]
                 there = form[np.isfinite(form)]
                 numbers["form_pv_nm"] = float(np.ptp(there)) * NM
                 numbers["form_rms_nm"] = math.sqrt(float(np.average(there**2, weights=weight))) * NM
                 continue
             patch = HeightMap(z=error, x=view.scene.columns, y=view.scene.rows)
-            rest = remove_form(patch, part.job.roughness.form).z
-            numbers[f"sq_nm@{view.scene.name}"] = math.sqrt(float(np.nanmean(rest**2))) * NM
-            numbers[f"sa_nm@{view.scene.name}"] = float(np.nanmean(np.abs(rest))) * NM
+            residual = remove_form(patch, part.job.roughness.form).z
+            numbers[f"sq_nm@{view.scene.name}"] = math.sqrt(float(np.nanmean(residual**2))) * NM
+            numbers[f"sa_nm@{view.scene.name}"] = float(np.nanmean(np.abs(residual))) * NM
         assert form is not None  # noqa: S101 - the lines are always among the scenes
         return numbers, form * NM
 
-    def found(self, draw: Mapping[str, float], seed: object) -> Diagnosis:
-        """Return what the artefacts tell: cut with the real tool on the real machine, measured, diagnosed."""
+    def diagnose_test_parts(self, draw: Mapping[str, float], seed: object) -> Diagnosis:
+        """Simulate cutting and measuring the test parts with the actual set-up, and diagnose them."""
         rng = np.random.default_rng(seed)  # type: ignore[arg-type] # a list of whole numbers
         job = self.cuts[""].job
-        asked = job.measurement
+        measurement = job.measurement
         maps, parts = [], []
         for kind, cut in self.cuts.items():
             if not kind:
                 continue
-            left, error = cut.made(cut.views[0], self.real(draw, kind))
+            surface, error = cut.simulate(cut.views[0], self.real(draw, kind))
             design = cut.job.part
-            x, y = left.x.ravel(), left.y.ravel()
+            x, y = surface.x.ravel(), surface.y.ravel()
             seen = error.ravel() + rng.normal(0.0, 1.0, x.size) * self.budget.noise
             head = f"{kind}: instrument Z"
             terms = {int(name[len(head) :]): value for name, value in draw.items() if name.startswith(head)}
@@ -334,24 +350,24 @@ class Bench:
             parts.append(design)
         return diagnose(
             maps, parts, job.tool, job.machine,
-            causes=asked.causes or DEFAULT, free=[one for one in FREE if one not in asked.fixed],
-            waviness=asked.waviness, sense=job.strategy.sense, feed=next(iter(self.cuts.values())).feed,
-            worth_nm=asked.worth * NM,
+            causes=measurement.causes or DEFAULT, free=[one for one in FREE if one not in measurement.fixed],
+            waviness=measurement.waviness, sense=job.strategy.sense, feed=next(iter(self.cuts.values())).feed,
+            worth_nm=measurement.worth * NM,
         )  # fmt: skip
 
 
-def form_error(job: Job, left: Left, error: Floats) -> Floats:
-    """Return the departure from the design beyond the rigid motions that measuring leaves free.
+def form_error(job: Job, cut: CutSurface, error: Floats) -> Floats:
+    """Return the deviation from the nominal surface after a fit of the free rigid motions.
 
-    They are the motions of the job's ``measurement``, ``free`` but for what is ``fixed``, fitted with each place by its
-    area.
+    The free motions are those of the job's ``measurement``: ``free`` without ``fixed``. The fit weights each place by
+    its area.
     """
-    asked = job.measurement
+    measurement = job.measurement
     fixed = {"piston": ("z",), "tilt": ("tilt_x", "tilt_y"), "decentre": ("x", "y"), "clocking": ("rotation",)}
-    held = {name for one in asked.fixed for name in fixed[one]}
-    x, y = (np.ascontiguousarray(one.ravel()) for one in (left.x, left.y))
+    fixed_motions = {name for one in measurement.fixed for name in fixed[one]}
+    x, y = (np.ascontiguousarray(one.ravel()) for one in (cut.x, cut.y))
     f, fx, fy = job.part.surface.evaluate(x, y, 1)
-    marks = {
+    signatures = {
         "z": np.ones(x.size),
         "tilt_x": y + f * fy,
         "tilt_y": x + f * fx,
@@ -359,51 +375,52 @@ def form_error(job: Job, left: Left, error: Floats) -> Floats:
         "y": fy,
         "rotation": x * fy - y * fx,
     }
-    # In units of what a mark is made of, so that the rounding of one that should be zero, such as that of the rotation
-    # of a sphere, counts as zero and is not fitted.
-    far, steep = float(np.hypot(x, y).max()), max(float(np.hypot(fx, fy).max()), FLAT)
-    sizes = dict.fromkeys(marks, far) | {"z": 1.0, "x": steep, "y": steep, "rotation": far * steep}
-    columns = [marks[name] / sizes[name] for name in marks if name in asked.free and name not in held]
+    # Scaled, so that a signature that is zero up to rounding, such as the rotation of a sphere, is not fitted.
+    far, steep = float(np.hypot(x, y).max()), max(float(np.hypot(fx, fy).max()), MIN_SLOPE)
+    sizes = dict.fromkeys(signatures, far) | {"z": 1.0, "x": steep, "y": steep, "rotation": far * steep}
+    columns = [
+        signatures[name] / sizes[name] for name in signatures if name in measurement.free and name not in fixed_motions
+    ]
     flat = error.ravel()
     if not columns:
         return error
     there = np.isfinite(flat)
-    root = np.sqrt(np.broadcast_to(left.weight, error.shape)).ravel()
+    root = np.sqrt(np.broadcast_to(cut.weight, error.shape)).ravel()
     matrix = np.stack(columns, axis=1)
-    share = np.linalg.lstsq(matrix[there] * root[there, None], flat[there] * root[there], rcond=RANK)[0]
+    share = np.linalg.lstsq(matrix[there] * root[there, None], flat[there] * root[there], rcond=RANK_TOL)[0]
     return np.asarray((flat - matrix @ share).reshape(error.shape), dtype=np.float64)
 
 
 def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store | None) -> Row:
-    """Return the row of one case: a worker's function, see `turnwright.studies.conduct`.
+    """Return the row of one case; the work function of `turnwright.studies.run_cases`.
 
     Parameters
     ----------
     data
-        The ``draw``, its ``seed`` for the noise, whether there is a ``correction``, and the ``study`` it belongs to.
+        The ``draw``, its ``seed`` for the noise, whether there is a ``correction``, and the key of its ``study``.
     shared
-        What `laid_out` returned.
+        Result of `plan_cuts`.
     store
-        Where the motions lie, and the form errors go.
+        Store with the motions, to which the form errors are written.
     """
     assert store is not None  # noqa: S101 - a study of tolerances always has one
     bench = _benches.get(data["study"])
     if bench is None:
-        bench = Bench.of(shared, store)
+        bench = CaseContext.of(shared, store)
         _benches.clear()
         _benches[data["study"]] = bench
     draw = data["draw"]
     real = bench.real(draw)
-    numbers, form = bench.judged(real)
+    numbers, form = bench.measure(real)
     row: Row = {**numbers, "map": store.put_array("form", form)}
     if data["correction"]:
         job = bench.cuts[""].job
-        found = bench.found(draw, data["seed"])
-        # Where `turnwright.correct` would write nothing the part is cut as it was planned.
-        draws = found.on(job.part)
+        diagnosis = bench.diagnose_test_parts(draw, data["seed"])
+        # If `turnwright.correct` would write no correction, the part is cut as planned.
+        draws = diagnosis.on(job.part)
         certain = prove(draws, np.zeros(draws.x.size), worth_nm=job.measurement.worth * NM).ok
-        left = residual(real, job.tool, job.machine, found) if certain else real
-        better, form = bench.judged(left)
+        setup = residual_setup(real, job.tool, job.machine, diagnosis) if certain else real
+        better, form = bench.measure(setup)
         row |= {f"corrected {name}": value for name, value in better.items()}
         row["corrected map"] = store.put_array("form", form)
     return row

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from turnwright.job import Job, Pipeline
-from turnwright.studies.files import at_hand, moved
+from turnwright.studies.files import provide_files, relocate_paths
 from turnwright.studies.measures import Measure, evaluate, measure_of
 
 if TYPE_CHECKING:
@@ -16,30 +16,30 @@ if TYPE_CHECKING:
 __all__ = ["REFUSED", "SECONDS", "carry_out"]
 
 REFUSED = "refused"
-"""Column of why `run` would refuse a job whose measures are there all the same."""
+"""Column with the reason why `run` would refuse a job that can still be measured."""
 
 SECONDS = "seconds"
-"""Column of what a case took."""
+"""Column with the computing time of a case. [s]"""
 
 
 def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store | None) -> dict[str, Any]:
-    """Return the row of a case: its measures, why `run` would refuse it, and what it took.
+    """Return the row of a case: its measures, the reason why `run` would refuse it, and its computing time.
 
     Parameters
     ----------
     data
-        The data of the job, and the digests of the files that it names.
+        Data of the job, and digests of the files that it names.
     shared
-        The names of the measures, functions of one's own by name, and under which names the store has the files.
+        Names of the measures, user functions by name, and names of the job's files in the store.
     store
-        Where to find files that this machine does not have.
+        Store with files that this machine does not have.
     """
     start = time.perf_counter()
-    with at_hand(data["files"], shared.get("files", {}), store) as places:
-        job = Job.read(moved(data["job"], places))
+    with provide_files(data["files"], shared.get("files", {}), store) as places:
+        job = Job.read(relocate_paths(data["job"], places))
         pipeline = Pipeline(job)
-        own = shared.get("own", {})
-        measures = [_measure(job, name, own) for name in shared["measures"]]
+        functions = shared.get("own", {})
+        measures = [_measure(job, name, functions) for name in shared["measures"]]
         row = evaluate(pipeline, measures)
     if pipeline.refused:
         row[REFUSED] = "; ".join(pipeline.refused)
@@ -48,4 +48,4 @@ def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store |
 
 
 def _measure(job: Job, name: str, own: Mapping[str, Any]) -> Measure:
-    return Measure(name=name, unit="", stage="place", own=own[name]) if name in own else measure_of(job, name)
+    return Measure(name=name, unit="", stage="place", function=own[name]) if name in own else measure_of(job, name)

@@ -1,8 +1,8 @@
-"""Who carries cases out: processes of this machine, or a Dask cluster.
+"""Executors for cases: processes of this machine, or a Dask cluster.
 
-The process pool of the standard library loses the cases of all its workers when one is killed, and cannot say whose
-case killed it. So the pool of this machine has one of them for each worker: one that dies takes one case with it, and
-the others do not notice.
+When one worker of a standard process pool is killed, the pool loses the cases of all its workers and does not report
+which case was running. The local pool therefore has one standard pool of one process for each worker: a worker that
+dies affects only its own case.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ __all__ = [
     "LocalPool",
     "WorkerDied",
     "cluster",
-    "fitting",
+    "count_threads",
+    "count_workers",
     "local",
     "require_reach",
-    "share_of",
 ]
 
 MEMORY_GB = 2.0
-"""What a worker may need if nobody says: a whole run of the freeform infrared lens with its maps takes 1.6 GB."""
-MOST_WORKERS = 1000
-"""Processes of one machine: each has a thread of its own here."""
-_REACH_S = 5.0
-_GRACE_S = 0.7  # for a worker whose driver is gone: within a second so is it
-_FAREWELL_S = 5.0  # for a worker that is told to stop; nearly all go at once
-_ASK_AGAIN_S = 5.0
+"""Default memory of a worker: a complete run of the freeform infrared lens with its maps takes 1.6 GB."""
+MAX_WORKERS = 1000
+"""Largest number of processes of one machine: each needs a thread in this process."""
+_CONNECT_TIMEOUT_S = 5.0
+_GRACE_S = 0.7  # a worker ends within a second of its driver process
+_TERMINATE_TIMEOUT_S = 5.0  # for a worker after SIGTERM
+_REFRESH_S = 5.0
 _LIBRARIES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _starting = threading.Lock()
 
@@ -56,13 +56,13 @@ _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
 
-class WorkerDied(Exception):  # noqa: N818 - it says what happened to the worker, the case may be innocent
-    """The process that had a case in hand is gone.
+class WorkerDied(Exception):  # noqa: N818 - the case is not necessarily at fault
+    """The worker process that ran a case has died.
 
     Parameters
     ----------
     exitcode
-        Minus the number of the signal that ended it, or its own exit code.
+        Negative number of the signal that ended it, or its exit code.
     """
 
     def __init__(self, exitcode: int | None) -> None:
@@ -78,14 +78,14 @@ class WorkerDied(Exception):  # noqa: N818 - it says what happened to the worker
 
 
 class LocalPool(Executor):
-    """Processes of this machine, each started when it is first needed and again when it died.
+    """Processes of this machine, each started when it is first needed and restarted when it dies.
 
     Parameters
     ----------
     workers
-        How many.
+        Number of processes.
     threads
-        How many threads each may use.
+        Number of threads of each process.
     """
 
     def __init__(self, *, workers: int, threads: int) -> None:
@@ -97,34 +97,34 @@ class LocalPool(Executor):
         self._ended = False
 
     def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
-        """Have a function of a module called in a worker; a worker that dies over it ends it with `WorkerDied`."""
+        """Call a module-level function in a worker; if the worker dies, the future raises `WorkerDied`."""
         return self._lanes.submit(self._carry_out, partial(fn, *args, **kwargs))
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Let the workers end when nothing waits any more."""
+        """End the workers when all submitted calls are done."""
         self._lanes.shutdown(wait, cancel_futures=cancel_futures)
         if wait:
             for worker in tuple(self._running):
                 worker.executor.shutdown()
 
     def kill(self) -> None:
-        """End the workers now; one that has something to clean up gets a moment for it."""
+        """Terminate the workers at once, with some seconds to clean up."""
         self._lanes.shutdown(wait=False, cancel_futures=True)
         with _starting:
-            self._ended = True  # from here on none starts
+            self._ended = True  # no worker starts after this
             processes = [worker.process for worker in self._running]
         for process in processes:
             process.terminate()
-        until = time.monotonic() + _FAREWELL_S
+        until = time.monotonic() + _TERMINATE_TIMEOUT_S
         for process in processes:
             process.join(max(0.0, until - time.monotonic()))
             process.kill()
         self.shutdown()
 
     def _carry_out(self, call: Callable[[], _T]) -> _T:
-        """Have a call answered by the worker of this thread."""
+        """Run a call in the worker of this thread."""
         worker: _Worker | None = getattr(self._lane, "worker", None)
-        if worker is None or not worker.process.is_alive():  # killed while it waited: no case is to blame
+        if worker is None or not worker.process.is_alive():  # killed while idle, not by a case
             worker = self._lane.worker = self._start(worker)
         try:
             return worker.executor.submit(call).result()
@@ -141,62 +141,62 @@ class LocalPool(Executor):
         try:
             worker.ready.result()
         except BrokenProcessPool:
-            raise _none_starts(WorkerDied(worker.exitcode())) from None
+            raise _start_error(WorkerDied(worker.exitcode())) from None
         return worker
 
 
 class _Worker(SpawnContext):
-    """An executor of the standard library with one process, which it starts in this context."""
+    """A standard executor with one process, which is started in this context."""
 
     process: SpawnProcess
 
     def __init__(self, threads: int) -> None:
-        self.executor = ProcessPoolExecutor(1, mp_context=self, initializer=_begin)
-        # Libraries read these when they are loaded, before a line of ours runs in the worker.
+        self.executor = ProcessPoolExecutor(1, mp_context=self, initializer=_start_worker)
+        # Libraries read these when they are loaded, before any code of Turnwright runs in the worker.
         names = (THREADS, *_LIBRARIES)
         before = {name: os.environ[name] for name in names if name in os.environ}
         os.environ.update(dict.fromkeys(names, str(threads)))
         try:
             self.ready = self.executor.submit(os.getpid)
         except (OSError, RuntimeError) as error:  # Python starts none while it reads a worker's copy of the script
-            raise _none_starts(error) from error
+            raise _start_error(error) from error
         finally:
             for name in names:
                 del os.environ[name]
             os.environ.update(before)
 
     def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]  # noqa: N802 - there a class
-        """Make the process, and remember it: the executor tells nobody how it ended."""
+        """Create the process and keep a reference: the executor does not report its exit code."""
         self.process = SpawnProcess(*args, **kwargs)
         return self.process
 
     def exitcode(self) -> int | None:
-        """Return how a process that is gone has ended."""
+        """Return the exit code of a process that has ended."""
         self.executor.shutdown()  # it waits for the process
         return self.process.exitcode
 
 
-def _none_starts(error: Exception) -> StudyError:
-    said = str(error).split("\n\n")[0].strip()
+def _start_error(error: Exception) -> StudyError:
+    reason = str(error).split("\n\n")[0].strip()
     return StudyError(
-        f"no worker process can be started ({' '.join(said.split())}): start the work of a script below "
+        f"no worker process can be started ({' '.join(reason.split())}): start the work of a script below "
         'if __name__ == "__main__":, or use fewer workers'
     )
 
 
-def _begin() -> None:
-    """Prepare a worker, before it carries out anything."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the driver too, which knows what to do
+def _start_worker() -> None:
+    """Initialise a worker process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the driver process too, which ends its workers
     threading.Thread(target=_end_with_driver, daemon=True).start()
 
 
 def _end_with_driver() -> None:
-    """End this process when the one that started it is gone, however it went."""
+    """End this process when its parent process has ended for any reason."""
     driver = multiprocessing.parent_process()
     if driver is None:
         return
     wait([driver.sentinel])
-    os.kill(os.getpid(), signal.SIGTERM)  # whoever has a half-written folder hears this and removes it
+    os.kill(os.getpid(), signal.SIGTERM)  # the handler removes incomplete folders
     time.sleep(_GRACE_S)
     os._exit(1)
 
@@ -207,31 +207,31 @@ class Cluster(Executor):
     Parameters
     ----------
     client
-        Connected to it.
+        Client that is connected to it.
     """
 
     def __init__(self, client: Any) -> None:
         self._client = client
-        self._executor = client.get_executor(pure=False)  # equal cases are told apart by their keys, not by Dask
+        self._executor = client.get_executor(pure=False)  # equal cases are distinguished by their keys, not by Dask
         self._workers = 1
-        self._asked = -_ASK_AGAIN_S
+        self._asked = -_REFRESH_S
 
     @property
     def workers(self) -> int:
-        """Cases that the cluster carries out at a time; workers come and go, so it is asked now and then."""
-        if time.monotonic() - self._asked > _ASK_AGAIN_S:
-            with suppress(OSError):  # a lost scheduler is told of by the cases that it had
+        """Number of cases that the cluster runs at a time, refreshed every few seconds."""
+        if time.monotonic() - self._asked > _REFRESH_S:
+            with suppress(OSError):  # a lost scheduler is reported by the cases that it had
                 self._workers = max(1, sum(self._client.nthreads().values()))
             self._asked = time.monotonic()
         return self._workers
 
     def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
-        """Have a function called on a worker."""
+        """Call a function on a worker."""
         future: Future[_T] = self._executor.submit(fn, *args, **kwargs)
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Let go of what was submitted; the cluster goes on."""
+        """Release the submitted calls; the cluster continues to run."""
         self._executor.shutdown(wait=wait and not cancel_futures)
 
 
@@ -239,17 +239,16 @@ class Cluster(Executor):
 def local(
     workers: int | None = None, memory_gb: float | None = None, *, threads: int | None = None
 ) -> Iterator[LocalPool]:
-    """Yield a pool of processes of this machine; it ends with the block, at once if that ends with an error.
+    """Yield a pool of processes of this machine, which ends with the block; at once if the block raises.
 
     Parameters
     ----------
     workers
-        How many; as many as there are cores and as there is memory for, if not given.
+        Number of processes; by default limited by cores and free memory.
     memory_gb
-        What one worker may need, 2 if not given. [GB]
+        Memory of one worker, 2 by default. [GB]
     threads
-        How many threads each may use. If not given, one each of the workers asked for, which thus use as many cores as
-        they are; all cores together where memory has decided how many.
+        Number of threads of each process. By default 1 if ``workers`` is given, else an equal part of all cores.
 
     Raises
     ------
@@ -257,14 +256,14 @@ def local(
         If a number is not positive.
     """
     if workers is not None:
-        workers = validate.whole(workers, "the number of workers", 1, MOST_WORKERS)
+        workers = validate.whole(workers, "the number of workers", 1, MAX_WORKERS)
     if memory_gb is not None and not validate.number(memory_gb, "the memory of a worker") > 0:
         raise InputError(f"a worker cannot do with {memory_gb} GB of memory: use more than 0")
     if threads is not None:
-        threads = validate.whole(threads, "the number of threads", 1, MOST_WORKERS)
+        threads = validate.whole(threads, "the number of threads", 1, MAX_WORKERS)
     if workers is None:
-        workers = fitting(memory_gb)
-        threads = threads or share_of(workers)
+        workers = count_workers(memory_gb)
+        threads = threads or count_threads(workers)
     pool = LocalPool(workers=workers, threads=threads or 1)
     try:
         yield pool
@@ -275,22 +274,22 @@ def local(
 
 
 def require_reach(place: str, executor: Executor, *, arrays: bool = False) -> None:
-    """Raise if a store lies in the memory of this process, and the workers are others.
+    """Raise if a store is in the memory of this process and the workers are other processes.
 
     Parameters
     ----------
     place
-        Of the store.
+        Place of the store.
     executor
-        Whose workers they are.
+        Executor of the workers.
     arrays
-        Whether the workers must find what this process has put there: rows of the workers of a cluster, or of an
-        executor of somebody else, are brought here, but no array of ours goes there.
+        Whether the workers must read arrays that this process has written. Rows from a cluster or a foreign executor
+        are returned to this process, but arrays are not sent to the workers.
 
     Raises
     ------
     InputError
-        Naming the store.
+        If the workers cannot reach the store.
     """
     processes = isinstance(executor, LocalPool | ProcessPoolExecutor)
     apart = not isinstance(executor, ThreadPoolExecutor) if arrays else processes
@@ -301,30 +300,30 @@ def require_reach(place: str, executor: Executor, *, arrays: bool = False) -> No
         )
 
 
-def share_of(workers: int) -> int:
-    """Return how many threads each of so many workers can have of all cores, at least one."""
+def count_threads(workers: int) -> int:
+    """Return the number of threads per worker that use all cores, at least one."""
     return max(1, cores() // max(workers, 1))
 
 
-def fitting(memory_gb: float | None = None) -> int:
-    """Return how many workers there are cores and memory for, at least one."""
+def count_workers(memory_gb: float | None = None) -> int:
+    """Return the number of workers that cores and free memory allow, at least one."""
     free = free_memory_gb()
     return max(1, cores() if free is None else min(cores(), int(free / (memory_gb or MEMORY_GB))))
 
 
 @contextmanager
 def cluster(address: str) -> Iterator[Cluster]:
-    """Yield an executor over the workers of a Dask scheduler that runs already.
+    """Yield an executor over the workers of a running Dask scheduler.
 
     Parameters
     ----------
     address
-        Where it listens, such as "tcp://head:8786".
+        Address of the scheduler, such as "tcp://head:8786".
 
     Raises
     ------
     InputError
-        If distributed is not installed, or the address is none.
+        If distributed is not installed, or the address is invalid.
     StudyError
         If no scheduler answers within five seconds.
     """
@@ -336,11 +335,11 @@ def cluster(address: str) -> Iterator[Cluster]:
         ) from None
     if not isinstance(address, str):
         raise InputError(f"{address!r} is no address of a Dask scheduler: write tcp://host:port, or tls://host:port")
-    _knock(address)
-    # They tell of a lost scheduler by tracebacks, this by a sentence.
-    with _quiet("distributed"), _quiet("distributed.client"):
+    _require_scheduler(address)
+    # These loggers print tracebacks when a scheduler is lost; Turnwright raises an error instead.
+    with _silence("distributed"), _silence("distributed.client"):
         try:
-            client = distributed.Client(address, timeout=_REACH_S, set_as_default=False)
+            client = distributed.Client(address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise _no_scheduler(address, error) from None
         try:
@@ -350,8 +349,8 @@ def cluster(address: str) -> Iterator[Cluster]:
                 client.close()
 
 
-def _knock(address: str) -> None:
-    """Raise unless a scheduler answers: Dask's own client hangs where somebody listens who is none."""
+def _require_scheduler(address: str) -> None:
+    """Raise unless a scheduler answers: Dask's client hangs if another server listens at the address."""
     try:
         parts = urlsplit(address)
         host, port = parts.hostname, parts.port
@@ -360,10 +359,10 @@ def _knock(address: str) -> None:
     if parts.scheme not in {"tcp", "tls"} or not host or not port:
         raise InputError(f"{address!r} is no address of a Dask scheduler: write tcp://host:port, or tls://host:port")
     try:
-        socket.create_connection((host, port), timeout=_REACH_S).close()  # Dask would try a closed door for long
-        with ThreadPoolExecutor(1) as thread:  # a notebook has a loop of its own in this one
+        socket.create_connection((host, port), timeout=_CONNECT_TIMEOUT_S).close()  # Dask retries a closed port
+        with ThreadPoolExecutor(1) as thread:  # this thread may have an event loop, as in a notebook
             kind = thread.submit(asyncio.run, _kind_of(address)).result()
-    except Exception as error:  # noqa: BLE001 - who is no scheduler may answer anything
+    except Exception as error:  # noqa: BLE001 - another server may answer anything
         raise _no_scheduler(address, error) from None
     if kind != "Scheduler":
         raise InputError(f"at {address!r} is a {kind} of Dask: give the address of its scheduler")
@@ -372,8 +371,8 @@ def _knock(address: str) -> None:
 async def _kind_of(address: str) -> str:
     distributed = import_module("distributed")
     connection = distributed.Security().get_connection_args("client")
-    async with asyncio.timeout(_REACH_S):
-        there = distributed.rpc(address, connection_args=connection, timeout=_REACH_S)
+    async with asyncio.timeout(_CONNECT_TIMEOUT_S):
+        there = distributed.rpc(address, connection_args=connection, timeout=_CONNECT_TIMEOUT_S)
         try:
             return str((await there.identity())["type"])
         finally:
@@ -388,8 +387,8 @@ def _no_scheduler(address: str, error: Exception) -> StudyError:
 
 
 @contextmanager
-def _quiet(name: str) -> Iterator[None]:
-    """Let a logger say nothing for a while."""
+def _silence(name: str) -> Iterator[None]:
+    """Silence a logger."""
     talker = logging.getLogger(name)
     level = talker.level
     talker.setLevel(logging.CRITICAL)

@@ -1,4 +1,4 @@
-"""Any field of a job by its name, as the job file writes it: what it holds, in which unit, and how to change it."""
+"""Fields of a job by their dotted names as in the job file: type, unit, and how to change them."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
 
     from turnwright.job import Job
 
-__all__ = ["Data", "Field", "Token", "changed", "data_of", "field_of"]
+__all__ = ["Data", "Field", "Token", "apply_changes", "find_field", "get_job_data"]
 
 Token: TypeAlias = float | int | str | bool
 """A value of a field: a number in the field's unit, a whole or plain number, a text or a flag."""
 
 _STEP = re.compile(r"\[[0-9]{1,9}\]|[^.\[\]]+")
 _NAME = re.compile(r"[^.\[\]]+(?:\.[^.\[\]]+|\[[0-9]{1,9}\])*")
-"""Keys with dots between them, and numbers of entries in brackets, from 1."""
+"""Keys separated by dots, and indices in brackets, counted from 1."""
 
 PER_MINUTE = "mm/min"
-"""What measures a feed over time, which a job states over a turn."""
+"""Unit of a feed per time, which a job states per revolution."""
 
 TOUCHED: dict[str, tuple[str, ...]] = {
     "spindle_speed": ("spindle_speeds",),
@@ -51,17 +51,17 @@ class Field:
     Parameters
     ----------
     name
-        As it was asked for, such as ``passes.finish.feed``.
+        Name as requested, such as ``passes.finish.feed``.
     place
-        Its keys in the data of the job.
+        Keys in the data of the job.
     units
-        In which its numbers may be given, the first one is the house's; empty for what has none.
+        Allowed units, the base unit first; empty if there is none.
     kind
         "quantity", "number", "whole", "flag" or "text".
     annotation
-        Its type in the table that it belongs to.
+        Type annotation of the field.
     among
-        How many entries the list has that it is one of; 0 where any number may be.
+        Length of the list that it is an entry of; 0 if any length is allowed.
     """
 
     name: str
@@ -77,7 +77,7 @@ class Field:
         return self.units == ("mm/rev",)
 
     def over_time(self, units: str) -> bool:
-        """Say whether these units measure a feed over time."""
+        """Return whether these units state a feed per time."""
         if not self.is_feed:
             return False
         with suppress(UnitError):
@@ -86,22 +86,22 @@ class Field:
         return False
 
     def written(self, token: Token, units: str) -> Token:
-        """Return a value as a job file takes it."""
+        """Return a value as it is written in a job file."""
         return f"{float(token)!r} {units}".rstrip() if self.kind == "quantity" and not isinstance(token, str) else token
 
     def spelled(self, text: str) -> Token:
-        """Return what a text means where a field takes words: a whole number if one of its words is that number."""
+        """Return the allowed word that a text states: a whole number if the field accepts numbers."""
         for one in _alternatives(self.annotation):
-            known = get_args(_bare(one)) if get_origin(_bare(one)) is Literal else ()
+            words = get_args(_bare(one)) if get_origin(_bare(one)) is Literal else ()
             if _bare(one) is int and text.isdigit():
                 return int(text)
-            for word in known:
+            for word in words:
                 if str(word) == text:
                     return word  # type: ignore[no-any-return] # a text or a number
         return text
 
     def check(self, token: Token, units: str) -> None:
-        """Raise unless the field takes a value, whatever the rest of the job says.
+        """Raise if the field does not accept a value, regardless of other fields.
 
         Raises
         ------
@@ -119,27 +119,27 @@ class Field:
 
 
 class Data(NamedTuple):
-    """The data of a job, as a job file reads."""
+    """The data of a job, as in a job file."""
 
-    stated: dict[str, Any]  # what the file states
-    whole: dict[str, Any]  # with the defaults of what it does not
+    stated: dict[str, Any]  # without defaults
+    whole: dict[str, Any]  # with defaults
 
 
-def data_of(job: Job) -> Data:
+def get_job_data(job: Job) -> Data:
     """Return the data of a job."""
     return Data(job.table(), job.table(whole=True))
 
 
-def field_of(job: Job, name: str) -> Field:
-    """Return a field of a job by its dotted name, as the file writes it.
+def find_field(job: Job, name: str) -> Field:
+    """Return a field of a job by its dotted name, as in the job file.
 
-    Entries of a list are named by their name, or counted from 1 in brackets, as in the messages of a job; a field need
-    not have a value in the file.
+    Entries of a list are identified by name or by an index from 1 in brackets, as in the messages of a job. The job
+    need not state a value of the field.
 
     Parameters
     ----------
     job
-        Whose tables say what there is.
+        Job with the field.
     name
         Such as ``tool.nose_radius``, ``passes.finish.feed``, ``simulation.patches[1].pixel`` or
         ``actual.tool.offset[1]``.
@@ -147,7 +147,7 @@ def field_of(job: Job, name: str) -> Field:
     Raises
     ------
     InputError
-        If there is no such field, naming the nearest.
+        If the field does not exist; the message suggests the nearest.
     """
     if not isinstance(name, str):
         raise InputError(f"{name!r} is no name of a field: write it as in the job file, such as 'tool.nose_radius'")
@@ -202,7 +202,7 @@ def _leaf(name: str, place: tuple[str | int, ...], annotation: Any, units: tuple
 
 
 def _unit_of_entry(value: Any, step: str, rest: list[str]) -> tuple[str, ...] | None:
-    """Return the unit of a coefficient, which its place in a series says and no type does."""
+    """Return the unit of a coefficient, which depends on its index in a series."""
     if len(rest) != 1:
         return None
     if step == "waviness" and rest[0].startswith("["):
@@ -216,7 +216,7 @@ def _unit_of_entry(value: Any, step: str, rest: list[str]) -> tuple[str, ...] | 
 
 
 def _alternatives(annotation: Any) -> list[Any]:
-    """Return what a field may hold, apart from nothing."""
+    """Return the alternatives of a type, without ``None``."""
     bare = _bare(annotation)
     if _is_union(bare):
         return [one for part in get_args(bare) if part is not NoneType for one in _alternatives(part)]
@@ -231,14 +231,14 @@ def _is_union(annotation: Any) -> bool:
 
 
 def _bare(annotation: Any) -> Any:
-    """Return a type without what is annotated to it."""
+    """Return a type without its annotations."""
     while get_origin(annotation) is Annotated:
         annotation = get_args(annotation)[0]
     return annotation
 
 
 def _table(value: Any, annotation: Any) -> Mapping[str, Any] | None:
-    """Return the keys of the table that a field holds, or would hold, with their types."""
+    """Return the keys, with their types, of the table that a field holds or may hold."""
     if isinstance(value, Placed):
         return _table(value.surface, annotation)
     if isinstance(value, Surface):
@@ -249,7 +249,7 @@ def _table(value: Any, annotation: Any) -> Mapping[str, Any] | None:
 
 
 def _held(value: Any, step: str) -> Any:
-    """Return what a table holds at a key; ``None`` where it holds nothing, or the key is one of a file alone."""
+    """Return the value of a key of a table; ``None`` if there is none, or if only a file has the key."""
     if isinstance(value, Placed):
         if step == "placed":
             return value.pose
@@ -262,7 +262,7 @@ def _is_mapping(annotation: Any) -> bool:
 
 
 def _element(annotation: Any, index: int) -> Any:
-    """Return the type of an entry of a list, ``None`` if it has none there."""
+    """Return the type of an entry of a list; ``None`` if it has no such entry."""
     for one in _alternatives(annotation):
         bare = _bare(one)
         if get_origin(bare) is tuple:
@@ -274,7 +274,7 @@ def _element(annotation: Any, index: int) -> Any:
 
 
 def _joined(steps: list[str]) -> str:
-    """Return keys and numbers of entries as a name writes them."""
+    """Return keys and indices as a dotted name."""
     return ".".join(filter(None, steps)).replace(".[", "[")
 
 
@@ -283,7 +283,7 @@ def _entry(value: Any, step: str) -> Any:
 
 
 def _index(name: str, before: str, step: str, value: Any, annotation: Any) -> int:
-    """Return the number of a list's entry that is named or counted."""
+    """Return the index of a list entry that is identified by name or index."""
     if _element(annotation, 0) is None:
         raise InputError(f"{name} is not a field of this job, {before} holds nothing further: vary {before} itself")
     names = [str(getattr(one, "name", "")) for one in value or ()]
@@ -292,8 +292,8 @@ def _index(name: str, before: str, step: str, value: Any, annotation: Any) -> in
     tables = any(_table(one, None) is not None for one in value or ())
     index = int(step[1:-1]) - 1 if step.startswith("[") else -1
     if index < 0 or _element(annotation, index) is None or (tables and index >= len(names)):
-        known = [one for one in names if one] or [f"[1] to [{max(_length(value, annotation), 1)}]"]
-        raise InputError(_unknown(name, before, step, known))
+        choices = [one for one in names if one] or [f"[1] to [{max(_length(value, annotation), 1)}]"]
+        raise InputError(_unknown(name, before, step, choices))
     if value is None and _table(None, _element(annotation, 0)) is not None:
         raise InputError(f"{name} is not a field of this job, {before} has no entries: add one to the job")
     return index
@@ -304,7 +304,7 @@ def _length(value: Any, annotation: Any) -> int:
 
 
 def _unknown(name: str, before: str, step: str, known: list[str]) -> str:
-    """Say that a field is not there, and which one was probably meant."""
+    """Return the message for an unknown field, with the nearest known one."""
     close = difflib.get_close_matches(step.lower(), known, n=1, cutoff=0.5)
     remedy = (
         f"did you mean {_joined([before, close[0]])}?"
@@ -328,17 +328,17 @@ def _some(value: Any, annotation: Any) -> str:
 
 
 def _unit_in(annotation: Any) -> unit | None:
-    """Return how a field reads its unit, if it has one."""
+    """Return the unit annotation of a field; ``None`` without a unit."""
     if isinstance(annotation, unit):
         return annotation
     for inner in get_args(annotation):
-        found = _unit_in(inner)
-        if found is not None:
-            return found
+        inner_unit = _unit_in(inner)
+        if inner_unit is not None:
+            return inner_unit
     return None
 
 
-def changed(base: Data, changes: list[tuple[Field, str, Token]]) -> dict[str, Any]:
+def apply_changes(base: Data, changes: list[tuple[Field, str, Token]]) -> dict[str, Any]:
     """Return the data of a job with some fields changed.
 
     Parameters
@@ -346,13 +346,13 @@ def changed(base: Data, changes: list[tuple[Field, str, Token]]) -> dict[str, An
     base
         The data of the job.
     changes
-        Fields, the units of their values, and the values. A feed over time is divided by the spindle speed of the same
-        case, rounded once.
+        Fields, the units of their values, and the values. A feed per time is divided by the spindle speed of the same
+        case, with one rounding.
 
     Raises
     ------
     InputError
-        If a feed over time meets no spindle speed.
+        If a feed per time is given without a spindle speed.
     """
     import copy  # noqa: PLC0415 - for this one call
 
@@ -366,7 +366,7 @@ def changed(base: Data, changes: list[tuple[Field, str, Token]]) -> dict[str, An
 
 
 def _per_turn(field: Field, token: float, units: str, data: Mapping[str, Any]) -> float:
-    """Return the advance per revolution of one over time. [mm/rev]."""
+    """Convert a feed per time to a feed per revolution. [mm/rev]."""
     tables = [data["strategy"]]
     if field.place[0] == "passes":
         tables.insert(0, data["passes"][field.place[1]])
@@ -382,12 +382,12 @@ def _per_turn(field: Field, token: float, units: str, data: Mapping[str, Any]) -
     )
 
 
-def _put(whole: Any, data: dict[str, Any], field: Field, value: Token) -> None:
-    """Put a value where a field is, with whatever must be there first, such as the lists that the file leaves out."""
+def _put(complete: Any, data: dict[str, Any], field: Field, value: Token) -> None:
+    """Set the value of a field, and create tables and lists on its path that the file leaves out."""
     node: Any = data
     for number, step in enumerate(field.place):
         last = number == len(field.place) - 1
-        whole = _below(whole, step)
+        complete = _below(complete, step)
         if isinstance(step, int):
             while len(node) <= max(step, field.among - 1 if last else 0):
                 node.append(_nothing(field, len(node)))
@@ -401,8 +401,8 @@ def _put(whole: Any, data: dict[str, Any], field: Field, value: Token) -> None:
             return
         if isinstance(node, dict) and node.get(key) is None:
             node[key] = [] if isinstance(field.place[number + 1], int) else {}
-            if isinstance(whole, list):
-                node[key] = _stated(whole)
+            if isinstance(complete, list):
+                node[key] = _stated(complete)
         node = node[key]
 
 
@@ -413,14 +413,14 @@ def _below(whole: Any, step: str | int) -> Any:
 
 
 def _stated(whole: Any) -> Any:
-    """Return data without what is not stated."""
+    """Return data without ``None``."""
     if isinstance(whole, dict):
         return {key: _stated(one) for key, one in whole.items() if one is not None}
     return [_stated(one) for one in whole] if isinstance(whole, list) else whole
 
 
 def _nothing(field: Field, index: int) -> Token:
-    """Return the zero that stands in a list before an entry that is asked for."""
+    """Return the zero that fills a list before a changed entry."""
     if "waviness" in field.place:
         return f"0 mm/rad^{index + 1}"
     if not field.units or field.units[0].startswith("1/"):

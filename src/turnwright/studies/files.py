@@ -19,30 +19,30 @@ if TYPE_CHECKING:
     from turnwright.job import Job
     from turnwright.studies.store import Store
 
-__all__ = ["at_hand", "fetched", "files_of", "kept_files", "moved"]
+__all__ = ["fetch_array", "list_files", "provide_files", "relocate_paths", "store_files"]
 
 
-def files_of(job: Job) -> dict[str, str]:
-    """Return the files that a job names, and those that these name, by whole path with the digest of the content."""
-    found: set[str] = set()
+def list_files(job: Job) -> dict[str, str]:
+    """Return the files that a job names, and the files named in those: absolute path to digest of the content."""
+    paths: set[str] = set()
     for text in _texts(job.table()):
         if Path(text).is_absolute() and os.path.isfile(text):  # noqa: PTH113 - false of a name that no system takes, too
-            _add(Path(text), found)
-    return {path: hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in sorted(found)}
+            _add_file(Path(text), paths)
+    return {path: hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in sorted(paths)}
 
 
-def _add(file: Path, found: set[str]) -> None:
-    """Add a file, and what it names if it is TOML, as a machine file names its base and measured responses."""
+def _add_file(file: Path, found: set[str]) -> None:
+    """Add a file and, if it is TOML, the files that it names, such as the base of a machine file."""
     if str(file) in found:
         return
     found.add(str(file))
     if file.suffix != ".toml":
         return
     for text in _texts(read_toml(file.read_bytes(), f"the file {str(file)!r}")):
-        with suppress(OSError, ValueError):  # no name of a file after all
+        with suppress(OSError, ValueError):  # not a file name
             other = Path(os.path.normpath(file.parent / text))
             if other.is_file():
-                _add(other, found)
+                _add_file(other, found)
 
 
 def _texts(value: Any) -> Iterator[str]:
@@ -53,21 +53,21 @@ def _texts(value: Any) -> Iterator[str]:
             yield from _texts(one)
 
 
-def kept_files(files: Mapping[str, str], store: Store | None) -> dict[str, str]:
-    """Keep files in a store, for workers on machines that do not have them; return what the store calls them."""
+def store_files(files: Mapping[str, str], store: Store | None) -> dict[str, str]:
+    """Copy files to a store, for workers on other machines; return the name of each in the store."""
     if store is None:
         return {}
     return {path: store.put_array("file", np.frombuffer(Path(path).read_bytes(), dtype=np.uint8)) for path in files}
 
 
-def fetched(store: Store, name: str) -> np.ndarray:
-    """Return an array that the driver has put into a store, as a worker finds it.
+def fetch_array(store: Store, name: str) -> np.ndarray:
+    """Return an array that the driver process has written to a store.
 
     Raises
     ------
     StudyError
-        If it is not there, as in a folder of another machine: a reason to stop, not the outcome of a case, which the
-        driver would keep for good.
+        If a worker does not find it, as in a folder of another machine. This stops the study: as the reason of a case
+        it would be stored.
     """
     try:
         return store.array(name)
@@ -79,24 +79,24 @@ def fetched(store: Store, name: str) -> np.ndarray:
 
 
 @contextmanager
-def at_hand(files: Mapping[str, str], kept: Mapping[str, str], store: Store | None) -> Iterator[dict[str, str]]:
-    """Yield where the files of a job are on this machine, if they are elsewhere than the job says.
+def provide_files(files: Mapping[str, str], kept: Mapping[str, str], store: Store | None) -> Iterator[dict[str, str]]:
+    """Yield the local paths of the files of a job, by their paths in the job; empty if all are in place.
 
-    If one is missing or another, all are put into a folder, at the same places as seen from each other.
+    If a file is missing or differs, all files are copied to a temporary folder with the same relative paths.
 
     Parameters
     ----------
     files
-        By whole path, with the digest of the content.
+        Absolute path to digest of the content.
     kept
-        What the store calls them.
+        Absolute path to name in the store.
     store
-        Where to find what this machine does not have.
+        Store with the files.
 
     Raises
     ------
     StudyError
-        If files are missing here, and in the store as this machine sees it.
+        If files are missing both on this machine and in the store.
     """
     missing = [path for path, digest in files.items() if not _is_there(path, digest)]
     if not missing:
@@ -110,8 +110,8 @@ def at_hand(files: Mapping[str, str], kept: Mapping[str, str], store: Store | No
     with tempfile.TemporaryDirectory(prefix="turnwright-") as folder:
         places = {path: str(Path(folder) / path.replace(":", "").lstrip("/\\")) for path in files}
         for path, place in places.items():
-            content = np.asarray(fetched(store, kept[path])).tobytes()
-            if path.endswith(".toml"):  # it may name others by their whole path
+            content = np.asarray(fetch_array(store, kept[path])).tobytes()
+            if path.endswith(".toml"):  # it may name others by absolute path
                 for other, there in places.items():
                     content = content.replace(other.encode(), there.encode())
             Path(place).parent.mkdir(parents=True, exist_ok=True)
@@ -126,12 +126,12 @@ def _is_there(path: str, digest: str) -> bool:
         return False
 
 
-def moved(value: Any, places: Mapping[str, str]) -> Any:
-    """Return data with files where they are on this machine."""
+def relocate_paths(value: Any, places: Mapping[str, str]) -> Any:
+    """Return data with paths replaced by their local paths."""
     if not places:
         return value
     if isinstance(value, str):
         return places.get(value, value)
     if isinstance(value, Mapping):
-        return {key: moved(one, places) for key, one in value.items()}
-    return [moved(one, places) for one in value] if isinstance(value, list) else value
+        return {key: relocate_paths(one, places) for key, one in value.items()}
+    return [relocate_paths(one, places) for one in value] if isinstance(value, list) else value

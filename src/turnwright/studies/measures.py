@@ -1,4 +1,4 @@
-"""What a study measures of a case: named numbers of any stage, each with its unit, or a function of one's own."""
+"""Measures of a case: named numbers of any stage with their units, or user functions."""
 
 from __future__ import annotations
 
@@ -18,70 +18,70 @@ from turnwright.studies.digests import digest_of
 if TYPE_CHECKING:
     from turnwright.job import Job
 
-__all__ = ["MEASURES", "Measure", "Own", "Value", "evaluate", "measure_of"]
+__all__ = ["MEASURES", "Measure", "MeasureFunction", "Value", "evaluate", "measure_of"]
 
 Value: TypeAlias = float | int | str | None
-Own: TypeAlias = Callable[[Pipeline], Value]
-"""A measure of one's own: takes the stages of a case, returns a number."""
+MeasureFunction: TypeAlias = Callable[[Pipeline], Value]
+"""A user-defined measure: a function of the pipeline of a case that returns a number."""
 
-WHOLE = "whole part"
+WHOLE_PART = "whole part"
 NM = 1e6
-MN = 1e3
+MN_PER_N = 1e3
 """Millinewtons of a newton."""
 
-ORDER = ("access", "plan", "drive", "chips", "place")
-"""Stages in the order in which they are asked for: a whole path that is there anyway serves the patches too."""
+STAGE_ORDER = ("access", "plan", "drive", "chips", "place")
+"""Order in which stages are evaluated: a complete path, if needed, is also used for the patches."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measure:
-    """A number that a study takes of every case.
+    """A quantity that a study evaluates for every case.
 
     Parameters
     ----------
     name
-        As it is asked for; what stands behind an @ is a patch, or an axis.
+        Name as requested; the text after an @ is a patch or an axis.
     unit
-        Of the number; empty for what has none, or what carries its unit in its name.
+        Unit of the number; empty if there is none, or if the name contains it.
     stage
-        What of the job must be carried out: "access", "plan" (the finishing path), "drive" (all passes, with their
-        limits), "chips", or "place" (what a patch, or the whole part, will look like).
-    own
-        A function, of a measure of one's own.
+        Stage of the job that it needs: "access", "plan" (the finishing path), "drive" (all passes, with their
+        limits), "chips", or "place" (the predicted surface of a patch or the whole part).
+    function
+        Function of a user-defined measure.
     """
 
     name: str
     unit: str
     stage: str
-    own: Own | None = None
+    function: MeasureFunction | None = None
 
     @property
     def heading(self) -> str:
-        """The name with its unit, as a column is headed."""
+        """Column heading: the name with its unit."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     @property
     def sign(self) -> str:
-        """What a kept row depends on: the name, and of a measure of one's own its code and what it holds."""
-        if self.own is None:
+        """Key of the measure in stored rows: the name, and for a user function a digest of its code and data."""
+        if self.function is None:
             return self.name
-        return f"{self.name} {getattr(self.own, '__module__', '')} {digest_of(self.own)}"
+        return f"{self.name} {getattr(self.function, '__module__', '')} {digest_of(self.function)}"
 
 
 def _margin(pipeline: Pipeline, name: str) -> float:
-    """Return how much a tool has left of what a part asks of it; infinite where nothing is asked."""
+    """Return the margin of a tool in an access check; infinite if the part makes no demand."""
     margins = [one.margin for one in pipeline.access.findings if one.name == name]
     return margins[0] if margins and margins[0] is not None else math.inf
 
 
-def _most(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return max(known) if known else None
+def _largest(values: Sequence[float | None]) -> float | None:
+    numbers = [value for value in values if value is not None]
+    return max(numbers) if numbers else None
 
 
-_Taken: TypeAlias = Callable[[Pipeline, str], Value]
+_Evaluator: TypeAlias = Callable[[Pipeline, str], Value]
 
-PLAIN: dict[str, tuple[str, str, _Taken]] = {
+JOB_MEASURES: dict[str, tuple[str, str, _Evaluator]] = {
     "nose_radius_limit": ("mm", "access", lambda pipeline, _: pipeline.access.nose_radius_limit),
     "included_margin_deg": ("", "access", lambda pipeline, _: math.degrees(_margin(pipeline, "included angle"))),
     "clearance_margin_deg": ("", "access", lambda pipeline, _: math.degrees(_margin(pipeline, "clearance"))),
@@ -102,43 +102,43 @@ PLAIN: dict[str, tuple[str, str, _Taken]] = {
     "axial_force_mN": ("", "chips", lambda pipeline, _: _milli(pipeline.chips[-1].axial)),
     "cutting_force_mN": ("", "chips", lambda pipeline, _: _milli(pipeline.chips[-1].cutting)),
     "form_pv_nm": ("", "place", lambda pipeline, _: pipeline.form_pv_nm),
-    "form_rms_nm": ("", "place", lambda pipeline, _: pipeline.prediction(WHOLE).roughness.sq_nm),
+    "form_rms_nm": ("", "place", lambda pipeline, _: pipeline.prediction(WHOLE_PART).roughness.sq_nm),
 }  # fmt: skip
-"""Measures of a whole job: unit, stage and how it is taken. Chips and forces are those of the finishing pass."""
+"""Measures of a whole job: unit, stage and function. Chips and forces are those of the finishing pass."""
 
-ROUGHNESS: dict[str, str] = {
+PATCH_MEASURES: dict[str, str] = {
     "sa_nm": "", "sq_nm": "", "sp_nm": "", "sv_nm": "", "sz_nm": "", "pv_nm": "", "ssk": "", "sku": "", "sdq": "",
     "sdr": "", "sal": "mm", "str": "", "missing": "",
 }  # fmt: skip
 """Measures of a patch, and their units: see `turnwright.metrology.Roughness`."""
 
-AXES: dict[str, tuple[str, str]] = {
+AXIS_MEASURES: dict[str, tuple[str, str]] = {
     "peak_speed": ("mm/s", "rad/s"),
     "peak_acceleration": ("mm/s^2", "rad/s^2"),
     "peak_jerk": ("mm/s^3", "rad/s^3"),
     "stroke": ("mm", "rad"),
 }
-"""Measures of an axis in the finishing pass, in the units of slides and of what turns."""
+"""Measures of an axis in the finishing pass, with the units of linear and rotary axes."""
 
 MEASURES: tuple[str, ...] = (
-    *PLAIN,
-    *(f"{name}@PATCH" for name in ROUGHNESS),
-    *(f"{name}@AXIS" for name in AXES),
+    *JOB_MEASURES,
+    *(f"{name}@PATCH" for name in PATCH_MEASURES),
+    *(f"{name}@AXIS" for name in AXIS_MEASURES),
 )
-"""What can be asked for by name."""
+"""Names of all measures."""
 
 
 def _milli(force: float | None) -> float | None:
-    return None if force is None else force * MN
+    return None if force is None else force * MN_PER_N
 
 
-def measure_of(job: Job, asked: str | Own) -> Measure:
-    """Return a measure by its name, or of a function of one's own.
+def measure_of(job: Job, asked: str | MeasureFunction) -> Measure:
+    """Return a measure by its name, or of a user function.
 
     Parameters
     ----------
     job
-        Whose patches there are to measure.
+        Job with the patches and axes.
     asked
         Such as "minutes", "sq_nm" (of the first patch), "sq_nm@axis" (of the patch called axis), "pv_nm@whole part",
         "peak_acceleration@X"; or a function.
@@ -151,18 +151,20 @@ def measure_of(job: Job, asked: str | Own) -> Measure:
     if not isinstance(asked, str):
         if not callable(asked):
             raise InputError(f"a measure is {asked!r}, it must be a name or a function: give one of {_known()}")
-        return Measure(name=getattr(asked, "__name__", type(asked).__name__), unit="", stage="place", own=asked)
+        return Measure(name=getattr(asked, "__name__", type(asked).__name__), unit="", stage="place", function=asked)
     name, at, where = asked.strip().partition("@")
-    if name in ROUGHNESS:
+    if name in PATCH_MEASURES:
         patches = [patch.name for patch in job.simulation.patches]
         if not at and not patches:
             raise InputError(
-                f"{name} is that of a patch, and the job has none: add one to [simulation], or ask for {name}@{WHOLE}"
+                f"{name} needs a patch, and the job has none: add one to [simulation], or use {name}@{WHOLE_PART}"
             )
-        if at and where not in (WHOLE, *patches):
-            raise InputError(f"{asked}: the job has no patch {where!r}, it predicts {', '.join((WHOLE, *patches))}")
-        return Measure(name=asked.strip(), unit=ROUGHNESS[name], stage="place")
-    if name in AXES:
+        if at and where not in (WHOLE_PART, *patches):
+            raise InputError(
+                f"{asked}: the job has no patch {where!r}, it predicts {', '.join((WHOLE_PART, *patches))}"
+            )
+        return Measure(name=asked.strip(), unit=PATCH_MEASURES[name], stage="place")
+    if name in AXIS_MEASURES:
         axes = job.machine.axes
         if where not in axes:
             what = f"has no axis {where!r}" if at else "has several"
@@ -170,13 +172,13 @@ def measure_of(job: Job, asked: str | Own) -> Measure:
                 f"{asked}: {name} is that of an axis, {job.machine.name} {what}: ask for "
                 f"{' or '.join(f'{name}@{letter}' for letter in sorted(axes))}"
             )
-        return Measure(name=asked.strip(), unit=AXES[name][where in ROTARY], stage="drive")
-    if name in PLAIN and not at:
-        unit, stage, _ = PLAIN[name]
+        return Measure(name=asked.strip(), unit=AXIS_MEASURES[name][where in ROTARY], stage="drive")
+    if name in JOB_MEASURES and not at:
+        unit, stage, _ = JOB_MEASURES[name]
         return Measure(name=name, unit=unit, stage=stage)
-    known = [*PLAIN, *ROUGHNESS, *AXES]
-    close = [one for one in known if name and one.startswith(name)] or difflib.get_close_matches(name, known, 1, 0.5)
-    if name in PLAIN:
+    names = [*JOB_MEASURES, *PATCH_MEASURES, *AXIS_MEASURES]
+    close = [one for one in names if name and one.startswith(name)] or difflib.get_close_matches(name, names, 1, 0.5)
+    if name in JOB_MEASURES:
         raise InputError(f"{asked}: {name} is that of the whole job: leave out what stands behind the @")
     remedy = f"did you mean {close[0]}?" if close else f"the known ones are {_known()}, use one of them"
     raise InputError(f"{asked!r} is not a measure: {remedy}")
@@ -187,47 +189,47 @@ def _known() -> str:
 
 
 def evaluate(pipeline: Pipeline, measures: Sequence[Measure]) -> dict[str, Value]:
-    """Return the measures of a case by name; only the stages that they need are carried out.
+    """Return the measures of a case by name; only the stages that they need are computed.
 
     Parameters
     ----------
-    stages
-        Of the job of the case.
+    pipeline
+        Stages of the job of the case.
     measures
-        What is asked for.
+        Requested measures.
     """
-    found: dict[str, Value] = {}
-    for one in sorted(measures, key=lambda measure: ORDER.index(measure.stage)):
-        found[one.name] = _finite(_taken(pipeline, one))
-    return {one.name: found[one.name] for one in measures}
+    values: dict[str, Value] = {}
+    for one in sorted(measures, key=lambda measure: STAGE_ORDER.index(measure.stage)):
+        values[one.name] = _finite(_evaluate_one(pipeline, one))
+    return {one.name: values[one.name] for one in measures}
 
 
-def _taken(pipeline: Pipeline, one: Measure) -> Value:
-    if one.own is not None:
+def _evaluate_one(pipeline: Pipeline, one: Measure) -> Value:
+    if one.function is not None:
         try:
-            return one.own(pipeline)
+            return one.function(pipeline)
         except (TurnwrightError, MemoryError, OSError, ImportError):  # of a stage, or of the machine
             raise
         except Exception as error:
-            said = " ".join(str(error).split()) or "it gives no reason"
-            raise InputError(f"the measure {one.name} fails ({type(error).__name__}: {said}): correct it") from error
+            reason = " ".join(str(error).split()) or "it gives no reason"
+            raise InputError(f"the measure {one.name} fails ({type(error).__name__}: {reason}): correct it") from error
     name, _, where = one.name.partition("@")
-    if name in ROUGHNESS:
+    if name in PATCH_MEASURES:
         patch = where or pipeline.job.simulation.patches[0].name
         value: Any = getattr(pipeline.prediction(patch).roughness, name)
         return value  # type: ignore[no-any-return] # a number
-    if name in AXES:
+    if name in AXIS_MEASURES:
         if where not in pipeline.limits.travel:
             raise InputError(f"{one.name}: this case does not move axis {where}")
         if name == "stroke":
             low, high = pipeline.limits.travel[where]
             return high - low
         return float(getattr(pipeline.limits, name)[where])
-    return PLAIN[name][2](pipeline, where)
+    return JOB_MEASURES[name][2](pipeline, where)
 
 
 def _finite(value: Any) -> Value:
-    """Return a number of NumPy as one of Python."""
+    """Convert a NumPy scalar to a Python number."""
     plain = value.item() if isinstance(value, np.generic) else value
     if plain is not None and not isinstance(plain, int | float | str):
         raise InputError(f"a measure gives {type(plain).__name__}, it must be a number, a text or None: change it")

@@ -1,8 +1,8 @@
-"""Where the surface is looked at, and the little of a program that matters there.
+"""Sampling grids on the part, and the points of a program that affect the surface there.
 
-A program of ten million points is planned once. What a map needs of it are the passes over its places: every one that
-the real tool may reach them with, and nothing in between. The points that are kept are points of the program, so the
-surface at these places is the same to the last digits.
+A program of ten million points is planned once. A sampling grid needs only the revolutions whose cut can reach its
+places, with the errors of the actual tool. The selected points are points of the program, so the surface at these
+places is the same to the last digits.
 """
 
 from __future__ import annotations
@@ -28,75 +28,74 @@ if TYPE_CHECKING:
     from turnwright.tool import Tool
 
 __all__ = [
-    "Left",
-    "Planned",
-    "Reach",
+    "ContactShift",
+    "CutSurface",
+    "PlannedMotion",
     "Scene",
-    "answers",
+    "add_drift",
     "drift_share",
-    "drifted",
-    "kept",
-    "lines_of",
-    "planned",
+    "make_lines",
+    "make_scenes",
+    "pack_motion",
+    "plan_motion",
     "scene_motion",
-    "scenes_of",
-    "stored",
+    "select_points",
+    "servos_respond",
 ]
 
 TURN = 2 * math.pi
 
-INWARD = 2
-"""How many times nearer to the axis each ring is than the one before, where lines go on inward."""
+RING_RATIO = 2
+"""Ratio of the radii of successive rings, where lines continue inward."""
 
-GAP = 0.25
-"""Where the last turn of a spiral leaves its highest cusp, in feeds from the axis: the passes on either side of it are
-half a turn apart, so that the middle between them is a quarter of a feed aside."""
+CUSP_RING_FEEDS = 0.25
+"""Distance of the highest central cusp from the axis, in feeds: the cuts on either side of it are half a revolution
+apart, so that the middle between them is a quarter of a feed from the axis."""
 
-AROUND = 12
-"""How many times as finely that cusp is looked at: it rises along half a turn and falls at once, where the cut ends."""
+CUSP_OVERSAMPLING = 12
+"""Azimuthal oversampling of that cusp: it rises over half a revolution and drops at the end of the cut."""
 
-GOLDEN = (math.sqrt(5) - 1) / 2
-"""Where these places lie between lines, in steps: never at the azimuth of that fall, which is a fraction of a turn, so
-that the least turn of the surface does not lift or drop one."""
+GOLDEN_FRACTION = (math.sqrt(5) - 1) / 2
+"""Azimuth of these places between lines, in steps: irrational, so that none is at the drop of the cusp, where a slight
+rotation would change its height."""
 
-NEAR_RIM = 4
-"""How many times as finely as by one ring, whose azimuths meet each cusp once a turn, the cusps at the rim are met."""
+RIM_RINGS = 4
+"""Number of rings that sample the cusps at the rim; one ring meets each cusp once per revolution."""
 
-PER_FEATURE = 6
-"""Places to a feature of the surface, along the radius and around the rim."""
+PLACES_PER_FEATURE = 6
+"""Places per feature of the surface, along the radius and around the rim."""
 
-FEWEST_RADII, MOST_RADII = 40, 300
-FEWEST_ANGLES, MOST_ANGLES = 48, 360
+MIN_RADII, MAX_RADII = 40, 300
+MIN_ANGLES, MAX_ANGLES = 48, 360
 
-RIM = 1 - 1e-4
-"""Where lines end, in clear radii: a tip beside the axis may still turn them outward within the surface."""
+RIM_FRACTION = 1 - 1e-4
+"""Radius of the ends of lines, relative to the clear semi-diameter: a tool height error moves places outward."""
 
-MOST_IN_PATCH = 8_000
-"""Heights of a patch that its finish is told from, about."""
+MAX_PATCH_HEIGHTS = 8_000
+"""Approximate number of heights of a patch from which its roughness is computed."""
 
-FEWEST_ACROSS = 12
-"""Rows or columns of a patch along the passes, which repeat there."""
+MIN_PATCH_ROWS = 12
+"""Least number of rows or columns of a patch along the cutting direction, in which the surface hardly varies."""
 
-CORE = 4.0
-"""How far from the axis the core reaches that a tool above or below centre leaves, in distances of its tip from there:
-farther out each place is cut from both sides, nearer hardly or not at all."""
+CORE_RATIO = 4.0
+"""Radius of the uncut core, relative to the tool height error: farther out each place is cut from both sides."""
 
-FEEDS = 5.0
-"""How far from its contact a pass is kept, in feeds, at least."""
+MARGIN_FEEDS = 5.0
+"""Least distance from its contact within which a revolution is kept, in feeds."""
 
-BLOCK = 1 << 20
-"""Points of a program at a time."""
+BLOCK_POINTS = 1 << 20
+"""Points of a program that are processed together."""
 
-GOUGED = 1e-9
-"""Clearance below zero that is rounding. [mm]"""
+GOUGE_TOL_MM = 1e-9
+"""Negative clearance that counts as rounding. [mm]"""
 
-NODES = 5
-"""Natural frequencies of an axis between which its motion is interpolated."""
+SERVO_NODES = 5
+"""Number of natural frequencies of an axis at which its motion is computed, for interpolation."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reach:
-    """How far what is drawn may move the contact, at most.
+class ContactShift:
+    """Largest shift of the contact by drawn errors.
 
     Parameters
     ----------
@@ -105,7 +104,7 @@ class Reach:
     across
         Around the axis. [mm]
     servos
-        How far the natural frequency of an axis may be off, by letter, as a share.
+        Largest relative deviation of the natural frequency of each axis, by letter.
     """
 
     along: float
@@ -113,8 +112,8 @@ class Reach:
     servos: Mapping[str, float]
 
 
-class Left(NamedTuple):
-    """A surface at some places, each (rows, columns) [mm], and the area that those of a column stand for (columns,)."""
+class CutSurface(NamedTuple):
+    """Points of a cut surface, each (rows, columns) [mm], and the area weight of each column (columns,)."""
 
     x: Floats
     y: Floats
@@ -123,11 +122,11 @@ class Left(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """A grid over the part: lines across all passes, or a patch.
+    """A sampling grid on the part: radial lines, or a patch.
 
-    ``rows`` and ``columns`` are azimuths and radii of lines [rad, mm], y and x of a patch [mm]; ``twist`` is how far
-    around from its line a place of each column is [rad]; ``weight`` is the area that a place of each column stands for,
-    of lines in such a unit that the whole disc has the square of its radius.
+    ``rows`` and ``columns`` are azimuths and radii of lines [rad, mm], or y and x of a patch [mm]. ``twist`` is the
+    azimuth of the places of each column relative to their lines [rad]. ``weight`` is the area of a place of each
+    column; for lines in a unit in which the whole disc has the square of its radius.
     """
 
     name: str
@@ -137,26 +136,26 @@ class Scene(NamedTuple):
     twist: Floats
     weight: Floats
 
-    def generated(self, motion: Motion, tool: Tool, machine: Machine, near: float) -> Left:
-        """Return what a motion leaves there.
+    def generated(self, motion: Motion, tool: Tool, machine: Machine, near: float) -> CutSurface:
+        """Return the surface that a motion generates on the grid.
 
         Parameters
         ----------
         motion, tool, machine
-            Who cuts.
+            Motion, tool and machine of the cut.
         near
-            Distance from the axis within which passes from beyond it matter. [mm]
+            Distance from the axis within which cuts from the other side of it matter. [mm]
 
         Returns
         -------
-        Left
-            On lines that end where a tool above or below centre leaves a core; there is nan for what lies within. The
-            place before the edge of the core is moved there, so that nothing leaps while a core grows.
+        CutSurface
+            Lines end at the uncut core that a tool height error leaves; heights within it are nan. The last place
+            inside its edge is moved to the edge, so that results change continuously with the core.
         """
         if not self.polar:
             made = generate(motion, tool, x=self.columns, y=self.rows, machine=machine)
-            return Left(*made.points(), made.z, self.weight)
-        scene, there = self._beyond(min(CORE * abs(tool.offset[1]), float(self.columns[-1]) / 2))
+            return CutSurface(*made.points(), made.z, self.weight)
+        scene, there = self._beyond(min(CORE_RATIO * abs(tool.offset[1]), float(self.columns[-1]) / 2))
         x, y = scene.points()
         z = np.full(x.shape, np.nan)
         fine = there & (scene.twist > 0)
@@ -166,24 +165,24 @@ class Scene(NamedTuple):
             z[:, fine] = ring.reshape(scene.rows.size, -1)
         plain = there & ~fine
         x[:, plain], y[:, plain], z[:, plain] = self._along(scene.columns[plain], motion, tool, machine, near)
-        return Left(x, y, z, scene.weight)
+        return CutSurface(x, y, z, scene.weight)
 
     def _along(
         self, radius: Floats, motion: Motion, tool: Tool, machine: Machine, near: float
     ) -> tuple[Floats, Floats, Floats]:
-        """Return places at some radii of the lines, and what is left there. Each (rows, radii) [mm]."""
-        aside = tool.offset[1]
+        """Return places at some radii of the lines, and the surface there. Each (rows, radii) [mm]."""
+        height = tool.offset[1]
         outer = radius > near
-        if not aside or tool.rake or "Y" in motion.axes or not outer.any():
+        if not height or tool.rake or "Y" in motion.axes or not outer.any():
             made = generate_polar(motion, tool, radius=radius, angle=self.rows, machine=machine)
             return *made.points(), made.z
-        # A whole edge that stands beside the plane through the axis cuts what it would cut in that plane, a little
-        # farther out and around: so lines stay lines, which are quick. Near the axis both sides mix.
+        # With a tool height error the edge cuts the same profile at a slightly larger radius and another azimuth, so
+        # that lines remain lines, which are fast to compute. Near the axis both sides overlap.
         level = replace(tool, offset=(tool.offset[0], 0.0, tool.offset[2]))
         r = radius[outer]
         made = generate_polar(motion, level, radius=r, angle=self.rows, machine=machine)
         x, y = made.points()
-        turned = aside / r
+        turned = height / r
         parts = [(x - turned * y, y + turned * x, made.z)]
         if not outer.all():
             inner = self._inner(motion, near)
@@ -193,7 +192,7 @@ class Scene(NamedTuple):
         return x, y, z
 
     def _beyond(self, core: float) -> tuple[Scene, Bools]:
-        """Return the lines from the edge of a core on, and which of their columns there are. (columns,)."""
+        """Return the lines outside a core, and which of their columns remain. (columns,)."""
         within = int(np.searchsorted(self.columns, core, side="right"))
         inmost = int(np.searchsorted(self.columns, self.columns[within - 1])) if within else 0
         there = np.arange(self.columns.size) >= inmost
@@ -204,11 +203,11 @@ class Scene(NamedTuple):
 
     @staticmethod
     def _inner(motion: Motion, near: float) -> Motion:
-        """Return the turns about the axis."""
+        """Return the motion near the axis."""
         at = np.flatnonzero(np.abs(motion.axes["X"]) <= 3 * near)
-        own = slice(max(int(at[0]) - 1, 0), int(at[-1]) + 2)
-        axes = {letter: values[own] for letter, values in motion.axes.items()}
-        return Motion(time=motion.time[own], axes=axes, machine=motion.machine)
+        near_axis = slice(max(int(at[0]) - 1, 0), int(at[-1]) + 2)
+        axes = {letter: values[near_axis] for letter, values in motion.axes.items()}
+        return Motion(time=motion.time[near_axis], axes=axes, machine=motion.machine)
 
     def points(self) -> tuple[Floats, Floats]:
         """Return x and y of every place. Each (rows, columns) [mm]."""
@@ -219,46 +218,46 @@ class Scene(NamedTuple):
         return x, y
 
 
-def lines_of(job: Job, feed: float, *, even: bool = False) -> Scene:
-    """Return lines across the whole part, as many as its features need.
+def make_lines(job: Job, feed: float, *, even: bool = False) -> Scene:
+    """Return radial lines over the whole part, with a density that depends on its features.
 
-    They run from the axis, by the ring of the highest cusp there, to the rim, where most errors are largest. These
-    stand for no area: the places between do for all of it.
+    They include the axis, the ring of the highest central cusp and the rim, where most errors are largest. These
+    places have no area weight; the others share the whole area.
 
     Parameters
     ----------
     job
-        Of the part.
+        Job of the part.
     feed
-        Of the finishing pass. [mm]
+        Feed of the finishing pass. [mm]
     even
-        Whether every place stands for the same area, as for a map of an instrument, which sees neither.
+        Whether all places have the same area, as in a map of an instrument; then axis, ring and rim are left out.
     """
     part = job.part
-    asked = PER_FEATURE * part.radius / part.surface.feature_size
-    radii = int(np.clip(math.ceil(asked), FEWEST_RADII, MOST_RADII))
-    angles = 2 * int(np.clip(math.ceil(TURN * asked / 2), FEWEST_ANGLES // 2, MOST_ANGLES // 2))
+    places = PLACES_PER_FEATURE * part.radius / part.surface.feature_size
+    radii = int(np.clip(math.ceil(places), MIN_RADII, MAX_RADII))
+    angles = 2 * int(np.clip(math.ceil(TURN * places / 2), MIN_ANGLES // 2, MAX_ANGLES // 2))
     share = (np.arange(radii) + 0.5) / radii
     azimuth = np.linspace(0, TURN, angles, endpoint=False)
     if even:
         radius, weight = np.sqrt(share), np.full(radii, 1 / radii)
         twist = np.zeros(radii)
     else:
-        rings = [GAP * feed / part.radius]
-        while INWARD * rings[-1] < share[0]:
-            rings.append(INWARD * rings[-1])
-        fine = (np.arange(AROUND) + GOLDEN) / AROUND * azimuth[1]
-        # Rings a whole number of feeds apart would meet all cusps alike, and a tilt would take that off.
+        rings = [CUSP_RING_FEEDS * feed / part.radius]
+        while RING_RATIO * rings[-1] < share[0]:
+            rings.append(RING_RATIO * rings[-1])
+        fine = (np.arange(CUSP_OVERSAMPLING) + GOLDEN_FRACTION) / CUSP_OVERSAMPLING * azimuth[1]
+        # Rings a whole number of feeds apart would meet all cusps at the same phase, and a tilt would remove them.
         across, area = feed / part.radius, 2 * share / radii
         if across * radii < 1:
-            share = (np.floor(share / across) + np.arange(1, radii + 1) * GOLDEN % 1) * across
+            share = (np.floor(share / across) + np.arange(1, radii + 1) * GOLDEN_FRACTION % 1) * across
             share = np.where(share > 1 - across, share - across, share)
-        rim = RIM - np.arange(NEAR_RIM) / NEAR_RIM * across / angles
-        radius = np.concatenate([[0.0], np.full(AROUND, rings[0]), rings[1:], share, rim])
+        rim = RIM_FRACTION - np.arange(RIM_RINGS) / RIM_RINGS * across / angles
+        radius = np.concatenate([[0.0], np.full(CUSP_OVERSAMPLING, rings[0]), rings[1:], share, rim])
         twist = np.zeros(radius.size)
-        twist[1 : 1 + AROUND] = fine
+        twist[1 : 1 + CUSP_OVERSAMPLING] = fine
         weight = np.zeros(radius.size)
-        weight[-NEAR_RIM - radii : -NEAR_RIM] = area
+        weight[-RIM_RINGS - radii : -RIM_RINGS] = area
         order = np.argsort(radius, kind="stable")
         radius, twist, weight = radius[order], twist[order], weight[order]
     return Scene(
@@ -271,19 +270,19 @@ def lines_of(job: Job, feed: float, *, even: bool = False) -> Scene:
     )
 
 
-def scenes_of(job: Job, feed: float) -> list[Scene]:
-    """Return the lines for the form of a part, and its patches, in as many rows as their finish needs."""
-    scenes = [lines_of(job, feed)]
+def make_scenes(job: Job, feed: float) -> list[Scene]:
+    """Return the lines for the form of a part, and its patches, thinned to what their roughness needs."""
+    scenes = [make_lines(job, feed)]
     for patch in job.simulation.patches:
         x, y = patch.axes
-        every = max(1.0, x.size * y.size / MOST_IN_PATCH)
+        every = max(1.0, x.size * y.size / MAX_PATCH_HEIGHTS)
         over_axis = x[0] <= 0 <= x[-1] and y[0] <= 0 <= y[-1]
         if over_axis:
             steps = round(math.sqrt(every)), round(math.sqrt(every))
-        elif abs(x.mean()) > abs(y.mean()):  # the passes run along y
-            steps = 1, max(1, min(round(every), y.size // FEWEST_ACROSS))
+        elif abs(x.mean()) > abs(y.mean()):  # the cutting direction is along y
+            steps = 1, max(1, min(round(every), y.size // MIN_PATCH_ROWS))
         else:
-            steps = max(1, min(round(every), x.size // FEWEST_ACROSS)), 1
+            steps = max(1, min(round(every), x.size // MIN_PATCH_ROWS)), 1
         x, y = (axis[step // 2 :: step] for axis, step in zip((x, y), steps, strict=True))
         one = np.ones(x.size)
         scenes.append(Scene(patch.name, polar=False, rows=y, columns=x, twist=0 * one, weight=one))
@@ -291,29 +290,28 @@ def scenes_of(job: Job, feed: float) -> list[Scene]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Planned:
-    """A finishing pass as the axes move, and where each point is cut.
+class PlannedMotion:
+    """Motion of the axes in the finishing pass, and its contact points.
 
     Parameters
     ----------
     motion
-        What the surface follows: the plan, or with servos what they make of it.
+        Actual motion: the plan, or the response of the servos to it.
     contact
         Distance of the contact from the axis at each point. (n,) [mm]
     across
-        How far the edge stands beside the plane through the axis as planned. [mm]
+        Planned lateral distance of the edge from the plane through the axis. [mm]
     edge
-        How far from its tip the nose is used. [mm]
+        Distance from the tip within which the nose is used. [mm]
     blend
-        How far apart one place of the nose cuts from another at the same place of the part. [mm]
+        Distance between points of the nose that cut the same place of the part. [mm]
     core
-        How far from the axis the passes stand whose raked edge comes over it, per root of how far the tip stands aside.
-        [mm^0.5]
+        Distance from the axis of the revolutions whose raked edge reaches it, per square root of the tool height
+        error. [mm^0.5]
     upright
-        Whether the whole edge stays in one plane, as without rake and Y.
+        Whether the edge stays in one plane, as without rake and Y.
     servos
-        Natural frequencies as shares of the stated ones, less 1, and the positions of the axis that goes with them, by
-        letter. (k,), (k, n)
+        Relative deviations of the natural frequency, and the positions of the axis at each, by letter. (k,), (k, n)
     """
 
     motion: Motion
@@ -325,75 +323,75 @@ class Planned:
     upright: bool
     servos: Mapping[str, tuple[Floats, Floats]]
 
-    def near(self, reach: Reach) -> float:
-        """Return how near to the axis a place must be for passes from beyond it to matter. [mm].
+    def near(self, reach: ContactShift) -> float:
+        """Return the distance from the axis within which cuts from its other side matter. [mm].
 
-        Farther out they would have to use more of the nose than any does.
+        To reach farther, they would need more of the nose than is used.
         """
         beyond = max(-float(self.motion.axes["X"].min()), 0.0)
-        return self.edge + beyond + self.blend + reach.along + FEEDS * self.motion.feed
+        return self.edge + beyond + self.blend + reach.along + MARGIN_FEEDS * self.motion.feed
 
 
-def planned(job: Job, reach: Reach, progress: Progress | None = None) -> Planned:
-    """Return the finishing pass of a job, planned once for all cases."""
-    told = progress or (lambda _done, _total: None)
+def plan_motion(job: Job, reach: ContactShift, progress: Progress | None = None) -> PlannedMotion:
+    """Plan the finishing pass of a job, once for all cases."""
+    report = progress or (lambda _done, _total: None)
     tool, machine = job.tool, job.machine
-    told(0, 2)
+    report(0, 2)
     plan = PassPlan(job)
-    path, commanded, meant = plan.path, plan.commanded, plan.planned
-    told(1, 2)
-    real, actual = meant, job.actual_machine
+    path, commanded, planned = plan.path, plan.commanded, plan.planned
+    report(1, 2)
+    real, actual = planned, job.actual_machine
     servos: dict[str, tuple[Floats, Floats]] = {}
     if job.simulation.tracking:
         real = track(commanded, actual)
         for letter, most in reach.servos.items():
             if letter in real.axes and letter in actual.axes and actual.axes[letter].response is not None:
-                shares = most * np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
+                shares = most * np.cos(np.pi * (np.arange(SERVO_NODES) + 0.5) / SERVO_NODES)
                 at = real.time + commanded.time[0]
-                rows = [track(commanded, _quicker(actual, letter, one), at=at).axes[letter] for one in shares]
+                rows = [track(commanded, _raise_frequency(actual, letter, one), at=at).axes[letter] for one in shares]
                 servos[letter] = shares, np.stack(rows)
     elif machine.controller.interpolation != "linear":
-        real = track(meant, without_servos(actual, corrected=job.program.precorrect))
+        real = track(planned, without_servos(actual, corrected=job.program.precorrect))
     contact = np.hypot(path.contact_x, path.contact_y)
     if real.time.size != contact.size:
-        way = meant.sense
-        contact = np.interp(way * real.axes["C"], way * meant.axes["C"], contact)
+        way = planned.sense
+        contact = np.interp(way * real.axes["C"], way * planned.axes["C"], contact)
     low, high = float(path.sweep.min()), float(path.sweep.max())
     radius = tool.actual_radius
     edge = radius * math.sin(min(max(-low, high, 0.0), math.pi / 2))
     sine = abs(math.sin(tool.rake))
     lean = radius * (1 - math.cos(min(max(-low, high, 0.0), math.pi / 2))) * sine
-    aside = max((float(np.abs(axis).max()) for letter, axis in real.axes.items() if letter == "Y"), default=0.0)
-    # Where the nose does not fit, one place is cut by passes that touch the part elsewhere.
-    tight = job.part.aimed.surface.in_pieces or float(path.clearance.min()) < -GOUGED or not _fits(job)
-    told(2, 2)
-    return Planned(
-        motion=real, contact=contact, across=lean + aside + abs(tool.offset[1]), edge=edge + abs(tool.offset[0]),
+    lateral = max((float(np.abs(axis).max()) for letter, axis in real.axes.items() if letter == "Y"), default=0.0)
+    # Where the nose does not fit, a place is cut by revolutions whose contact is elsewhere.
+    tight = job.part.aimed.surface.in_pieces or float(path.clearance.min()) < -GOUGE_TOL_MM or not _fits(job)
+    report(2, 2)
+    return PlannedMotion(
+        motion=real, contact=contact, across=lean + lateral + abs(tool.offset[1]), edge=edge + abs(tool.offset[0]),
         blend=2 * edge if tight else 0.0, core=1.5 * math.sqrt(2 * radius / sine) if sine else 0.0,
         upright=not tool.rake and "Y" not in real.axes, servos=servos,
     )  # fmt: skip
 
 
 def _fits(job: Job) -> bool:
-    """Say whether the nose reaches everywhere."""
+    """Return whether the nose reaches the whole surface."""
     access = check_access(job.part.aimed, job.tool, sense=job.strategy.sense)
     return all(one.ok for one in access.findings if one.name in {"nose radius", "valley", "step"})
 
 
-def _quicker(machine: Machine, letter: str, share: float) -> Machine:
-    """Return a machine one of whose axes has a natural frequency that is higher by a share."""
+def _raise_frequency(machine: Machine, letter: str, share: float) -> Machine:
+    """Return a machine with the natural frequency of one axis raised by a relative amount."""
     axis = machine.axes[letter]
-    assert axis.response is not None  # noqa: S101 - asked before
+    assert axis.response is not None  # noqa: S101 - checked by the caller
     quick = replace(axis, response=axis.response.slower(1 / (1 + share)))
     return replace(machine, axes={**machine.axes, letter: quick})
 
 
-def kept(plan: Planned, scene: Scene, reach: Reach) -> Bools:
-    """Return which points of a program a scene needs.
+def select_points(plan: PlannedMotion, scene: Scene, reach: ContactShift) -> Bools:
+    """Return which points of a program a sampling grid needs.
 
-    A pass cuts at its planned contact, give or take what the tool, the slides and the cusps move that by; it cuts at
-    the azimuth that the spindle shows, or on the other side of the axis, give or take how far the edge stands beside
-    the plane through the axis.
+    A revolution cuts at its planned contact, within the shift by tool errors, slide errors and cusps. It cuts at the
+    azimuth of the spindle or on the other side of the axis, within the angle that follows from the lateral distance of
+    the edge from the plane through the axis.
     """
     c, x = plan.motion.axes["C"], plan.motion.axes["X"]
     if scene.polar:
@@ -410,23 +408,25 @@ def kept(plan: Planned, scene: Scene, reach: Reach) -> Bools:
         half = math.pi if nearest == 0 else float(np.abs((places - middle + math.pi) % TURN - math.pi).max())
         many = 1
     across = plan.across + reach.across
-    along = plan.blend + plan.core * math.sqrt(across) + FEEDS * plan.motion.feed + reach.along
+    along = plan.blend + plan.core * math.sqrt(across) + MARGIN_FEEDS * plan.motion.feed + reach.along
     near = np.flatnonzero((plan.contact >= nearest - along) & (plan.contact <= farthest + along))
-    # Along lines a tip that stands aside cuts at another place, not at another azimuth; see `Scene.generated`.
+    # Along lines a tool height error shifts the places, not the azimuth; see `Scene.generated`.
     level = plan.near(reach) + along if scene.polar and plan.upright else math.inf
     keep = np.zeros(c.size, dtype=np.bool_)
     if near.size == 0:
         return keep
     first, last = max(int(near[0]) - 1, 0), min(int(near[-1]) + 2, c.size)
     turns = many / TURN
-    for start in range(first, last - 1, BLOCK):
-        stop = min(start + BLOCK, last - 1)
+    for start in range(first, last - 1, BLOCK_POINTS):
+        stop = min(start + BLOCK_POINTS, last - 1)
         a = (c[start : stop + 1] - middle) * turns
         low, high = np.minimum(a[:-1], a[1:]), np.maximum(a[:-1], a[1:])
         served = np.maximum(plan.contact[start:stop] - along, max(nearest, 1e-9))
-        aside = np.where(plan.contact[start:stop] > level, plan.across, across)
-        # The axis itself is met at every azimuth.
-        window = half + np.where(served > np.maximum(aside, 1e-9), np.arcsin(np.minimum(aside / served, 1.0)), math.pi)
+        lateral = np.where(plan.contact[start:stop] > level, plan.across, across)
+        # The axis is met at every azimuth.
+        window = half + np.where(
+            served > np.maximum(lateral, 1e-9), np.arcsin(np.minimum(lateral / served, 1.0)), math.pi
+        )
         wide = window * turns
         crosses = np.floor(high + wide) >= np.ceil(low - wide)
         if not scene.polar:
@@ -438,8 +438,8 @@ def kept(plan: Planned, scene: Scene, reach: Reach) -> Bools:
     return keep
 
 
-def stored(plan: Planned, keep: Bools, reach: Reach) -> tuple[dict[str, Any], Floats]:
-    """Return what is kept of a motion: what its rows are, and they. (m, n)."""
+def pack_motion(plan: PlannedMotion, keep: Bools, reach: ContactShift) -> tuple[dict[str, Any], Floats]:
+    """Return the selected points of a motion: a description of the rows, and the rows. (m, n)."""
     motion = plan.motion
     letters = list(motion.axes)
     rows = [motion.time[keep], *(motion.axes[letter][keep] for letter in letters)]
@@ -455,19 +455,19 @@ def stored(plan: Planned, keep: Bools, reach: Reach) -> tuple[dict[str, Any], Fl
 
 
 def scene_motion(head: Mapping[str, Any], rows: Floats, machine: Machine, faster: Mapping[str, float]) -> Motion:
-    """Return the motion of a scene with axes whose natural frequencies are higher by a share, by letter."""
+    """Return the motion on a sampling grid, for relative deviations of the natural frequencies by letter."""
     letters = head["letters"]
     axes = {letter: rows[1 + k] for k, letter in enumerate(letters)}
     after = 1 + len(letters)
     for letter, shares in head["nodes"].items():
-        own = rows[after : after + len(shares)]
+        positions = rows[after : after + len(shares)]
         after += len(shares)
-        axes[letter] = _lagrange(np.asarray(shares), faster.get(letter, 0.0)) @ own
+        axes[letter] = _lagrange(np.asarray(shares), faster.get(letter, 0.0)) @ positions
     return Motion(time=rows[0], axes=axes, machine=machine)
 
 
 def _lagrange(nodes: Floats, at: float) -> Floats:
-    """Return the weights of values at nodes that the polynomial through them has at some place. (k,)."""
+    """Return the Lagrange interpolation weights of the nodes at a point. (k,)."""
     apart = nodes[:, None] - nodes + np.eye(nodes.size)
     off = (at - nodes)[None, :] + np.zeros((nodes.size, 1))
     np.fill_diagonal(off, 1.0)
@@ -475,7 +475,7 @@ def _lagrange(nodes: Floats, at: float) -> Floats:
 
 
 def drift_share(time: Floats, duration: float, settling: float | None) -> Floats:
-    r"""Return how much of a drift there is at each time, 1 at the end of the cut.
+    r"""Return the fraction of the final drift at each time, 1 at the end of the cut.
 
     .. math:: \frac{t}{T} \quad\text{or}\quad \frac{1 - e^{-t/\tau}}{1 - e^{-T/\tau}}
     """
@@ -484,13 +484,13 @@ def drift_share(time: Floats, duration: float, settling: float | None) -> Floats
     return np.asarray(np.expm1(-time / settling) / math.expm1(-duration / settling))
 
 
-def drifted(motion: Motion, x: float, z: float, share: Floats) -> Motion:
-    """Return a motion whose tool drifts along X and Z, by so much at the end of the cut; see `drift_share`."""
+def add_drift(motion: Motion, x: float, z: float, share: Floats) -> Motion:
+    """Return a motion with a drift of ``x`` and ``z`` at the end of the cut [mm]; see `drift_share`."""
     if not x and not z:
         return motion
     return replace(motion, axes={**motion.axes, "X": motion.axes["X"] + x * share, "Z": motion.axes["Z"] + z * share})
 
 
-def answers(job: Job) -> bool:
-    """Say whether servos count in the prediction of a job."""
+def servos_respond(job: Job) -> bool:
+    """Return whether the prediction of a job includes the servos."""
     return job.simulation.tracking and has_servos(job.actual_machine)

@@ -1,7 +1,7 @@
-r"""What a result depends on: shares of its variance, and how often it keeps a limit.
+r"""Variance-based sensitivity indices, and intervals of probabilities and percentiles.
 
-The first-order index of an input, or of a group of inputs, is the share of the variance that knowing it would take
-away; the total index is the share that would be left if only it were not known:
+The first-order index of an input, or of a group of inputs, is the part of the variance that fixing it would remove on
+average; the total index is the part that remains on average if all other inputs are fixed:
 
 .. math:: S_i = \frac{\mathrm{Var}\,\mathrm E[y | x_i]}{\mathrm{Var}\,y}, \qquad
    T_i = \frac{\mathrm E\,\mathrm{Var}[y | x_{\sim i}]}{\mathrm{Var}\,y}
@@ -24,55 +24,57 @@ __all__ = [
     "Indices",
     "Interval",
     "MapModel",
-    "chance",
-    "grouped",
+    "binomial_interval",
+    "group_inputs",
     "neighbour_indices",
     "percentile",
     "sobol_indices",
     "unit_points",
 ]
 
-MISSED = 0.05
-"""An interval misses the truth this often."""
+MISS_PROBABILITY = 0.05
+"""Probability that an interval does not hold the true value."""
 
-PIECE = 2_000
-"""Maps at a time."""
+MAPS_PER_BLOCK = 2_000
+"""Maps that are evaluated together."""
 
 
 class Interval(NamedTuple):
-    """A number, and the interval that holds the true one in 95 of 100 studies."""
+    """An estimate with its 95 % confidence interval."""
 
     value: float
     low: float
     high: float
 
 
-def chance(successes: int, trials: int) -> Interval:
-    """Return how likely success is, with the interval of Clopper and Pearson.
+def binomial_interval(successes: int, trials: int) -> Interval:
+    """Return the estimated probability of success with the exact interval of Clopper and Pearson.
 
-    It never misses the truth more often than it says, at 0 and at all successes too.
+    Its coverage is at least 95 %, also with no successes and with all.
 
     Sources
     -------
     [Clopper1934]_. Oracle: ``scipy.stats.binomtest``.
 
-    >>> [round(one, 4) for one in chance(190, 200)]
+    >>> [round(one, 4) for one in binomial_interval(190, 200)]
     [0.95, 0.91, 0.9758]
     """
     from scipy.special import betaincinv  # noqa: PLC0415 - costly to import
 
     if not 0 <= successes <= trials or trials < 1:
-        raise InputError(f"{successes} of {trials} cases are good, which cannot be: give at least 1 case")
+        raise InputError(
+            f"successes must be 0 to the number of trials, and trials at least 1, got {successes} of {trials}"
+        )
     k, n = successes, trials
-    low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, MISSED / 2))
-    high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1 - MISSED / 2))
+    low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, MISS_PROBABILITY / 2))
+    high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1 - MISS_PROBABILITY / 2))
     return Interval(k / n, low, high)
 
 
 def percentile(values: Floats, share: float) -> Interval:
-    """Return a percentile of a distribution that some draws come from, with its interval by order statistics.
+    """Estimate a percentile from draws, with its confidence interval by order statistics.
 
-    Where there are too few draws for an end of the interval it is infinite.
+    An end of the interval for which there are too few draws is infinite.
 
     Sources
     -------
@@ -83,15 +85,15 @@ def percentile(values: Floats, share: float) -> Interval:
     ordered = np.sort(values)
     n = ordered.size
     below = bdtr(np.arange(n + 1.0), n, share)  # chance that at most so many draws lie below
-    first = int(np.searchsorted(below, MISSED / 2, side="right"))
-    last = int(np.searchsorted(below, 1 - MISSED / 2, side="left")) + 1
+    first = int(np.searchsorted(below, MISS_PROBABILITY / 2, side="right"))
+    last = int(np.searchsorted(below, 1 - MISS_PROBABILITY / 2, side="left")) + 1
     low = -np.inf if first == 0 else float(ordered[first - 1])
     high = np.inf if last > n else float(ordered[last - 1])
     return Interval(float(np.quantile(ordered, share)), low, high)
 
 
 class Indices(NamedTuple):
-    """Sobol' indices of groups of inputs, and their standard errors by the design. Each (groups,)."""
+    """Sobol' indices of groups of inputs, and their standard errors of sampling. Each (groups,)."""
 
     first: Floats
     total: Floats
@@ -115,11 +117,11 @@ def sobol_indices(
     Parameters
     ----------
     function
-        From inputs to a result. (n, d) to (n,)
+        Function of the inputs. (n, d) to (n,)
     groups
         Numbers of the inputs in each group.
     a, b
-        Independent draws of all inputs, best the two halves of one sequence. Each (n, d)
+        Independent draws of all inputs, preferably the two halves of one sequence. Each (n, d)
 
     Sources
     -------
@@ -142,18 +144,18 @@ def sobol_indices(
 
 
 def neighbour_indices(inputs: Floats, result: Floats, groups: Sequence[Sequence[int]]) -> Floats:
-    """Return first-order indices of groups of inputs from given cases, whatever they were drawn by.
+    """Estimate first-order indices of groups of inputs from independent cases.
 
-    Two cases that are nearest neighbours in a group differ by what the others do; for one input that is the rank
-    correlation of Chatterjee with the result in place of its ranks. It scatters by about 1 over the root of the number
-    of cases.
+    Two cases that are nearest neighbours in the inputs of a group differ by the effect of the other inputs. For one
+    input this is Chatterjee's rank correlation with the result in place of its ranks. The standard error is about 1
+    over the square root of the number of cases.
 
     Parameters
     ----------
     inputs
-        In units of their standard deviations. (n, d)
+        Inputs in units of their standard deviations. (n, d)
     result
-        Of each case. (n,)
+        Result of each case. (n,)
     groups
         Numbers of the inputs in each group.
 
@@ -169,14 +171,14 @@ def neighbour_indices(inputs: Floats, result: Floats, groups: Sequence[Sequence[
         return indices
     centred = result - result.mean()
     for k, group in enumerate(groups):
-        own = inputs[:, group]
+        columns = inputs[:, group]
         if len(group) == 1:
-            order = np.argsort(own[:, 0])
+            order = np.argsort(columns[:, 0])
             partner = np.roll(order, -1)
             products = centred[order] * centred[partner]
         else:
-            nearest = np.asarray(KDTree(own).query(own, k=2)[1])
-            other = np.where(nearest[:, 0] == np.arange(own.shape[0]), nearest[:, 1], nearest[:, 0])
+            nearest = np.asarray(KDTree(columns).query(columns, k=2)[1])
+            other = np.where(nearest[:, 0] == np.arange(columns.shape[0]), nearest[:, 1], nearest[:, 0])
             products = centred * centred[other]
         indices[k] = products.mean() / variance
     return indices
@@ -184,23 +186,23 @@ def neighbour_indices(inputs: Floats, result: Floats, groups: Sequence[Sequence[
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MapModel:
-    """Error maps as sums of marks, one for each input and one for its square, fitted to the cases of a study.
+    """Error maps as sums of error signatures, one for each input and one for its square, fitted to cases.
 
-    Small errors add up: each moves every height in proportion, and its square by a little. So some hundred cases tell
-    the map of any draw, and peak to valley of a million draws costs no case.
+    Small errors superpose: each changes every height in proportion, with a small quadratic term. Some hundred cases
+    therefore determine the map of any draw, so that the peak to valley of a million draws needs no further cases.
 
     Parameters
     ----------
     share
-        Of each mark in each height: a constant, then the inputs, then their squares. (1 + d or 1 + 2d, m) [nm]
+        Signatures: coefficient of each height for a constant, the inputs and their squares. (1 + d or 1 + 2d, m) [nm]
     weight
-        Of each height. (m,)
+        Weight of each height. (m,)
     leverage
-        How much each case draws the fit to itself. (n,)
+        Leverage of each case in the fit. (n,)
     left
-        What the fit leaves of each case. (n, m) [nm]
+        Residual of each case. (n, m) [nm]
     maps
-        That were fitted. (n, m) [nm]
+        Fitted maps. (n, m) [nm]
     """
 
     share: Floats
@@ -210,36 +212,36 @@ class MapModel:
     maps: Floats
 
     @classmethod
-    def fitted(cls, inputs: Floats, maps: Floats, weight: Floats, chosen: Ints | None = None) -> MapModel | None:
-        """Return the model of some cases, or ``None`` if they are too few.
+    def fit(cls, inputs: Floats, maps: Floats, weight: Floats, chosen: Ints | None = None) -> MapModel | None:
+        """Fit the model to cases; ``None`` if they are too few.
 
         Parameters
         ----------
         inputs
             Draws in units of their standard deviations, about their means. (n, d)
         maps
-            (n, m) [nm]
+            Error maps. (n, m) [nm]
         weight
-            Of each height. (m,)
+            Weight of each height. (m,)
         chosen
-            Which cases to fit, some of them more than once; all once if not given.
+            Cases to fit, possibly repeated; by default all.
         """
         columns = cls.columns(inputs, squares=inputs.shape[0] >= 4 * (2 * inputs.shape[1] + 1))
-        if inputs.shape[0] < cls.fewest(inputs.shape[1]):
+        if inputs.shape[0] < cls.min_cases(inputs.shape[1]):
             return None
-        own, seen = (columns, maps) if chosen is None else (columns[chosen], maps[chosen])
-        share = np.asarray(np.linalg.lstsq(own, seen, rcond=None)[0], dtype=np.float64)
+        terms, seen = (columns, maps) if chosen is None else (columns[chosen], maps[chosen])
+        share = np.asarray(np.linalg.lstsq(terms, seen, rcond=None)[0], dtype=np.float64)
         q = np.linalg.qr(columns)[0]
         return cls(share=share, weight=weight, leverage=(q**2).sum(axis=1), left=maps - columns @ share, maps=maps)
 
     @staticmethod
-    def fewest(inputs: int) -> int:
-        """Return how many cases tell the marks of so many inputs."""
+    def min_cases(inputs: int) -> int:
+        """Return the least number of cases for a number of inputs."""
         return 2 * (1 + inputs)
 
     @staticmethod
     def columns(inputs: Floats, *, squares: bool) -> Floats:
-        """Return what a map is a sum of. (n, 1 + d or 1 + 2d)."""
+        """Return the design matrix of the fit. (n, 1 + d or 1 + 2d)."""
         parts = [np.ones((inputs.shape[0], 1)), inputs]
         if squares:
             parts.append(inputs**2 - 1)
@@ -249,31 +251,31 @@ class MapModel:
         """Return peak to valley of draws. (n, d) to (n,) [nm]."""
         squares = self.share.shape[0] > 1 + inputs.shape[1]
         pv = np.empty(inputs.shape[0])
-        for start in range(0, inputs.shape[0], PIECE):
-            own = slice(start, start + PIECE)
-            pv[own] = np.ptp(self.columns(inputs[own], squares=squares) @ self.share, axis=1)
+        for start in range(0, inputs.shape[0], MAPS_PER_BLOCK):
+            block = slice(start, start + MAPS_PER_BLOCK)
+            pv[block] = np.ptp(self.columns(inputs[block], squares=squares) @ self.share, axis=1)
         return pv
 
     def _rms(self, maps: Floats) -> Floats:
         return np.asarray(np.sqrt(maps**2 @ self.weight / self.weight.sum()))
 
     def explained_variance(self) -> tuple[float, float]:
-        """Return which share of the variance of peak to valley and of root mean square of a case the others foretell.
+        """Return the part of the variance of peak to valley and of root mean square that the model predicts.
 
-        By leaving each out in turn, in closed form.
+        By leave-one-out cross-validation in closed form.
         """
         without = self.maps - self.left / (1 - self.leverage)[:, None]
         shares = []
-        for real, told in (
+        for observed, predicted in (
             (np.ptp(self.maps, axis=1), np.ptp(without, axis=1)),
             (self._rms(self.maps), self._rms(without)),
         ):
-            variance = float(np.var(real))
-            shares.append(1 - float(np.mean((real - told) ** 2)) / variance if variance > 0 else 1.0)
+            variance = float(np.var(observed))
+            shares.append(1 - float(np.mean((observed - predicted) ** 2)) / variance if variance > 0 else 1.0)
         return shares[0], shares[1]
 
 
-def grouped(names: Sequence[str], group_of: Callable[[str], str]) -> Mapping[str, list[int]]:
+def group_inputs(names: Sequence[str], group_of: Callable[[str], str]) -> Mapping[str, list[int]]:
     """Return the numbers of the inputs in each group."""
     groups: dict[str, list[int]] = {}
     for k, name in enumerate(names):

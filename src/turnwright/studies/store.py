@@ -1,8 +1,7 @@
-"""Where finished cases and large arrays lie: a folder, or any place that fsspec knows.
+"""Store of finished cases and large arrays: a folder, or any URL that fsspec supports.
 
-A store is a place, not a handle: it travels to a worker as a few letters. Everything in it appears whole or not at all,
-under its final name, so that a reader never meets a half of it and a writer that is killed leaves nothing behind that
-counts.
+A store is a path, not an open handle, and is sent to workers as text. Every file appears complete under its final name
+or not at all, so that a reader never meets a part of a file, and a writer that is killed leaves no valid file behind.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Store"]
 
-FULL = frozenset(getattr(errno, name) for name in ("ENOSPC", "EDQUOT", "EFBIG") if hasattr(errno, name))
-"""What the system says when there is no room."""
+DISK_FULL = frozenset(getattr(errno, name) for name in ("ENOSPC", "EDQUOT", "EFBIG") if hasattr(errno, name))
+"""Error numbers of a full disk."""
 
 Row = dict[str, Any]
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
@@ -54,19 +53,19 @@ class Store:
 
     @classmethod
     def open(cls, place: str | os.PathLike[str]) -> Self:
-        """Name a store, and make sure that it can be written.
+        """Open a store, and check that it can be written.
 
         Parameters
         ----------
         place
-            A folder, made if it is not there, or a URL with "://" that fsspec understands.
+            A folder, created if missing, or a URL with "://" that fsspec supports.
 
         Raises
         ------
         InputError
-            If fsspec, or what it needs for this kind of URL, is not installed.
+            If fsspec, or its back end for this kind of URL, is not installed.
         StudyError
-            If the place cannot be made.
+            If the folder cannot be created.
         """
         text = validate.path(place, "the store")
         store = cls(place=text.rstrip("/") if "://" in text else str(Path(text).expanduser().absolute()))
@@ -75,7 +74,7 @@ class Store:
                 for part in ("rows", "arrays"):
                     (Path(store.place) / part).mkdir(parents=True, exist_ok=True)
             except OSError as error:
-                raise store._trouble(error) from error
+                raise store._storage_error(error) from error
         else:
             store._files()
         return store
@@ -85,46 +84,43 @@ class Store:
         return "://" in self.place
 
     def row(self, key: str) -> Row | None:
-        """Return the row of a finished case, None if there is none.
-
-        A row that a failing disk has spoiled counts as none: it is computed again.
-        """
-        file = f"{_checked(key)}.json"
+        """Return the row of a finished case; ``None`` if there is none, or if its file is corrupt."""
+        file = f"{_check_name(key)}.json"
         try:
             row = json.loads(self._read("rows", file))
         except (FileNotFoundError, ValueError):
             return None
         except OSError as error:
-            raise self._trouble(error, "read") from error
+            raise self._storage_error(error, "read") from error
         return row if isinstance(row, dict) else None
 
     def put_row(self, key: str, row: Row) -> None:
-        """Keep the row of a finished case; it appears whole or not at all.
+        """Write the row of a finished case, completely or not at all.
 
         Parameters
         ----------
         key
-            Of the case.
+            Key of the case.
         row
-            Numbers, texts or None by name. An infinite number stays one: it is written as Python writes it in JSON.
+            Numbers, texts or None by name. Infinite numbers are written as Python's JSON writes them.
 
         Raises
         ------
         StudyError
-            If the place takes nothing more; what is in it stays.
+            If the store is full or cannot be written; its content is kept.
         """
         try:
             text = json.dumps(row).encode()
         except (TypeError, ValueError) as error:
             raise InputError(f"a row must be plain data ({error}): use numbers, texts and None") from None
-        self._write("rows", f"{_checked(key)}.json", lambda stream: stream.write(text))
+        self._write("rows", f"{_check_name(key)}.json", lambda stream: stream.write(text))
 
     def keys(self) -> set[str]:
         """Return the keys of all finished cases."""
         return {name.removesuffix(".json") for name in self._names("rows") if name.endswith(".json")}
 
     def put_array(self, name: str, array: np.ndarray) -> str:
-        """Keep an array, once: a second time nothing is written.
+        """Write an array, unless the store already has it.
 
         Parameters
         ----------
@@ -136,12 +132,12 @@ class Store:
         Returns
         -------
         str
-            What to ask `array` for: the word and a digest of the content, so that it never means anything else.
+            Name for `array`: ``name`` and a digest of the content.
 
         Raises
         ------
         StudyError
-            If the place takes nothing more.
+            If the store is full or cannot be written.
         """
         import numpy as np  # noqa: PLC0415 - a worker that has no arrays starts without
 
@@ -150,13 +146,13 @@ class Store:
             raise InputError(f"the array {name!r} holds objects, which no file takes: give plain numbers")
         digest = hashlib.sha256(f"{array.dtype.str} {array.shape}".encode())
         digest.update(array.view(np.uint8).data if array.size else b"")
-        full = f"{_checked(name)}-{digest.hexdigest()[:24]}"
+        full = f"{_check_name(name)}-{digest.hexdigest()[:24]}"
         if f"{full}.npy" not in self._names("arrays"):
             self._write("arrays", f"{full}.npy", lambda stream: np.save(stream, array, allow_pickle=False))
         return full
 
     def array(self, name: str) -> np.ndarray:
-        """Return an array that was put, read only: mapped into memory from a folder, loaded from elsewhere.
+        """Return an array, read only: mapped into memory from a folder, loaded from a URL.
 
         Parameters
         ----------
@@ -170,7 +166,7 @@ class Store:
         """
         import numpy as np  # noqa: PLC0415
 
-        file = f"{_checked(name)}.npy"
+        file = f"{_check_name(name)}.npy"
         try:
             if not self._remote:
                 mapped: np.ndarray = np.load(Path(self.place) / "arrays" / file, mmap_mode="r", allow_pickle=False)
@@ -179,7 +175,7 @@ class Store:
         except FileNotFoundError:
             raise InputError(f"the store {self.place!r} has no array {name!r}: put it first") from None
         except OSError as error:
-            raise self._trouble(error, "read") from error
+            raise self._storage_error(error, "read") from error
         array.flags.writeable = False
         return array
 
@@ -212,7 +208,7 @@ class Store:
         except FileNotFoundError:
             return set()
         except OSError as error:
-            raise self._trouble(error, "read") from error
+            raise self._storage_error(error, "read") from error
         return {name for one in listed if not (name := str(one).rsplit("/", 1)[-1]).startswith(".")}
 
     def _read(self, part: str, name: str) -> bytes:
@@ -223,13 +219,13 @@ class Store:
         return content
 
     def _write(self, part: str, name: str, fill: Callable[[IO[bytes]], object]) -> None:
-        """Fill a file under a name that nobody looks for, then give it its own."""
+        """Write a file under a temporary name, then rename it."""
         try:
             if self._remote:
                 self._put(part, name, fill)
                 return
             folder = Path(self.place) / part
-            folder.mkdir(parents=True, exist_ok=True)  # the worker may be the first one on its machine
+            folder.mkdir(parents=True, exist_ok=True)  # a worker on another machine may be the first
             number, made = tempfile.mkstemp(prefix=".", dir=folder)
             try:
                 with os.fdopen(number, "wb") as stream:
@@ -239,7 +235,7 @@ class Store:
                 Path(made).unlink(missing_ok=True)
                 raise
         except OSError as error:
-            raise self._trouble(error) from error
+            raise self._storage_error(error) from error
 
     def _put(self, part: str, name: str, fill: Callable[[IO[bytes]], object]) -> None:
         files, root = self._files()
@@ -250,12 +246,12 @@ class Store:
                 fill(stream)
             files.mv(made, f"{root}/{part}/{name}")
         except BaseException:
-            with suppress(Exception):  # the first trouble is the one to tell
+            with suppress(Exception):  # the first error is reported
                 files.rm(made)
             raise
 
-    def _trouble(self, error: OSError, what: str = "written") -> StudyError:
-        if error.errno in FULL:
+    def _storage_error(self, error: OSError, what: str = "written") -> StudyError:
+        if error.errno in DISK_FULL:
             return StudyError(
                 f"the store {self.place!r} is full ({error.strerror}), what is finished stays: free some space there "
                 "and start again"
@@ -266,7 +262,7 @@ class Store:
         )
 
 
-def _checked(name: str) -> str:
+def _check_name(name: str) -> str:
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise InputError(f"{name!r} is no name in a store: use letters, digits, dots, dashes and underscores")
     return name

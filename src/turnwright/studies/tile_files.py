@@ -1,9 +1,9 @@
-"""A tiled map as a zarr group: what lies where in it, and what of it is finished.
+"""A tiled map as a zarr group.
 
-``level_0`` holds the map, ``level_1`` and on its overviews, each with its ``z`` in files of one tile (uncompressed:
-the last digits of heights are noise), and ``x`` and ``y``. ``tiles`` holds one record for each tile, written when all
-else of the tile is; a tile without one does not count. In a folder and in an object store every file appears whole, or
-not at all.
+``level_0`` holds the map, ``level_1`` and higher its overviews, each with ``z`` in files of one tile (uncompressed:
+the last digits of heights are noise), and ``x`` and ``y``. ``tiles`` holds one record for each tile, which is written
+last; a tile without a record is unfinished. In a folder and in an object store every file appears complete or not at
+all.
 """
 
 from __future__ import annotations
@@ -22,38 +22,38 @@ import numpy as np
 from turnwright import _validate as validate
 from turnwright._arrays import Bools, Floats
 from turnwright.errors import InputError, StudyError
-from turnwright.studies.store import FULL
+from turnwright.studies.store import DISK_FULL
 from turnwright.studies.tile_layout import Layout
 
 if TYPE_CHECKING:
     import zarr
 
 __all__ = [
-    "ASKED",
-    "EDGES",
-    "MOTION",
-    "PLANE",
+    "EDGE_START",
+    "MOTION_FOLDER",
+    "PART_PIXELS",
+    "PLANE_SUMS",
     "Files",
     "bytes_needed",
-    "forget_motion",
-    "named_place",
-    "require_own",
+    "remove_motion",
     "require_room",
-    "told",
+    "require_same_map",
+    "resolve_place",
+    "translate_disk_errors",
 ]
 
 FORMAT = 1
-MOTION = ".motion"
-"""Where the arrays of the motion lie while workers need them."""
+MOTION_FOLDER = ".motion"
+"""Folder of the arrays of the motion while workers need them."""
 
-PLANE = 12
-"""Numbers that `plane_sums` makes of a tile."""
+PLANE_SUMS = 12
+"""Number of sums of a tile by `plane_sums`."""
 
-ASKED = PLANE
-"""Where a record says how many pixels of the part the tile has."""
+PART_PIXELS = PLANE_SUMS
+"""Index in a record of the number of pixels of the part in the tile."""
 
-EDGES = PLANE + 1
-"""Where the first row of its heights begins, and after it the first column."""
+EDGE_START = PLANE_SUMS + 1
+"""Index in a record of the first row of heights, followed by the first column."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +65,11 @@ class Files:
     place
         Folder or URL.
     about
-        What the group says of itself.
+        Attributes of the group.
     layout
-        Its grid.
+        Grid of the map.
     levels
-        The heights of the map and of its overviews.
+        Heights of the map and of its overviews.
     records
         One row of numbers for each tile. (tile rows, tile columns, numbers)
     """
@@ -82,7 +82,7 @@ class Files:
 
     @classmethod
     def open(cls, place: str, *, write: bool = False) -> Self:
-        """Open a map that was begun, to read or to go on.
+        """Open a map, complete or not.
 
         Raises
         ------
@@ -90,7 +90,7 @@ class Files:
             If there is none.
         """
         group = _group(place, mode="r+" if write else "r")
-        about = _about(group)
+        about = _read_attributes(group)
         if group is None or about is None or about.get("format") != FORMAT:
             raise InputError(f"{place!r} holds no tiled map of format {FORMAT}: name a store that generate_tiled made")
         layout = Layout.read(about["layout"])
@@ -104,28 +104,28 @@ class Files:
 
     @classmethod
     def begin(cls, place: str, layout: Layout, about: dict[str, Any]) -> Self:
-        """Make the arrays of a map, or take up one that was begun.
+        """Create the arrays of a map, or open an incomplete one.
 
         Raises
         ------
         InputError
-            If something else is there, or the disk has not the room.
+            If the place holds something else.
         """
         import zarr  # noqa: PLC0415 - costly, and only for whole parts
 
-        require_own(place, layout)
+        require_same_map(place, layout)
         group = _group(place, mode="r+")
-        known = _about(group)
-        if known is None:
-            said = {**about, "format": FORMAT, "layout": layout.plain(), "complete": False}
-            group = zarr.open_group(place, mode="w-", attributes={"turnwright": said})
-        elif known.get("key") != about["key"]:
-            raise _another(place)
+        about_stored = _read_attributes(group)
+        if about_stored is None:
+            attributes = {**about, "format": FORMAT, "layout": layout.plain(), "complete": False}
+            group = zarr.open_group(place, mode="w-", attributes={"turnwright": attributes})
+        elif about_stored.get("key") != about["key"]:
+            raise _other_map_error(place)
         assert group is not None  # noqa: S101 - opened or made
         for level in range(layout.levels):
-            _require_level(group, layout, level)
+            _create_level(group, layout, level)
         if "tiles" not in group:
-            numbers = EDGES + sum(layout.tile)
+            numbers = EDGE_START + sum(layout.tile)
             group.create_array(
                 "tiles", shape=(*layout.count, numbers), chunks=(1, 1, numbers), dtype="float64", compressors=None,
                 fill_value=np.nan,
@@ -133,48 +133,48 @@ class Files:
         return cls.open(place, write=True)
 
     def finished(self) -> Bools:
-        """Return which tiles are there. (tile rows, tile columns)."""
+        """Return which tiles are finished. (tile rows, tile columns)."""
         return np.asarray(~np.isnan(self.read_records()[:, :, 0]))
 
     def read_records(self) -> Floats:
-        """Return the records, nan where there is none yet. (tile rows, tile columns, numbers)."""
+        """Return the records, nan for unfinished tiles. (tile rows, tile columns, numbers)."""
         return np.asarray(self.records[:], dtype=np.float64)
 
     def complete(self) -> None:
-        """State that nothing is missing any more."""
+        """Mark the map as complete."""
         group = _group(self.place, mode="r+")
         assert group is not None  # noqa: S101 - it was opened before
         group.attrs["turnwright"] = {**self.about, "complete": True}
 
 
-def require_own(place: str, layout: Layout) -> None:
-    """Raise if something else is at a place than a map on the same grid, in whichever tiles.
+def require_same_map(place: str, layout: Layout) -> None:
+    """Raise if a place holds anything but a map on the same grid, with any tile size.
 
     Raises
     ------
     InputError
-        If something is.
+        If the place holds something else.
     """
     if "://" not in place and not os.path.lexists(place):
         return
     group = _group(place)
-    known = _about(group)
-    if known is None:
+    about = _read_attributes(group)
+    if about is None:
         if group is not None or ("://" not in place and any(Path(place).iterdir())):
             raise InputError(f"{place!r} already exists and holds other files: choose another folder")
-    elif known.get("format") != FORMAT or Layout.read(known["layout"]).in_tiles(layout.tile) != layout:
-        raise _another(place)
+    elif about.get("format") != FORMAT or Layout.read(about["layout"]).in_tiles(layout.tile) != layout:
+        raise _other_map_error(place)
 
 
-def _another(place: str) -> InputError:
+def _other_map_error(place: str) -> InputError:
     return InputError(
         f"{place!r} holds the map of another motion, tool, surface or grid, or one of another version: name another "
         "place, or delete it"
     )
 
 
-def named_place(store: str | os.PathLike[str]) -> str:
-    """Return the whole path of a folder, or a URL as it is."""
+def resolve_place(store: str | os.PathLike[str]) -> str:
+    """Return the absolute path of a folder, or a URL unchanged."""
     place = validate.path(store, "the store").removeprefix("file://")
     return place if "://" in place else str(Path(place).expanduser().absolute())
 
@@ -196,22 +196,22 @@ def _group(place: str, mode: str = "r") -> zarr.Group | None:
         raise InputError(f"{place!r} cannot be used as a store ({reason}): name a folder, or see fsspec") from None
 
 
-def _about(group: zarr.Group | None) -> dict[str, Any] | None:
-    found = None if group is None else group.attrs.asdict().get("turnwright")
-    return dict(found) if isinstance(found, dict) else None
+def _read_attributes(group: zarr.Group | None) -> dict[str, Any] | None:
+    about = None if group is None else group.attrs.asdict().get("turnwright")
+    return dict(about) if isinstance(about, dict) else None
 
 
 def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
     import zarr  # noqa: PLC0415
 
-    found = group.get(name)
-    if not isinstance(found, zarr.Array):
-        raise InputError(f"the map {str(group.store)!r} lacks {name}: make it anew")
-    return found
+    array = group.get(name)
+    if not isinstance(array, zarr.Array):
+        raise InputError(f"the map {str(group.store)!r} lacks {name}: generate it again")
+    return array
 
 
-def _require_level(group: zarr.Group, layout: Layout, level: int) -> None:
-    """Make the arrays of an overview that are not there."""
+def _create_level(group: zarr.Group, layout: Layout, level: int) -> None:
+    """Create the missing arrays of an overview."""
     within = group.require_group(f"level_{level}")
     for name, axis in zip("xy", layout.axes(level), strict=True):
         if name not in within:
@@ -228,32 +228,32 @@ def _require_level(group: zarr.Group, layout: Layout, level: int) -> None:
 
 
 def bytes_needed(layout: Layout) -> int:
-    """Return what the files of a map take, its overviews and records included."""
+    """Return the size of a map with its overviews and records. [byte]."""
     tiles = sum(1 for _ in layout.tiles())
     pixels = layout.tile[0] * layout.tile[1]
     overviews = sum(4.0**-level for level in range(layout.levels))
-    return int(8 * tiles * (pixels * overviews + EDGES + sum(layout.tile)))
+    return int(8 * tiles * (pixels * overviews + EDGE_START + sum(layout.tile)))
 
 
-def forget_motion(place: str) -> None:
-    """Remove the arrays that workers made the tiles from."""
+def remove_motion(place: str) -> None:
+    """Remove the arrays of the motion."""
     if "://" not in place:
-        shutil.rmtree(Path(place) / MOTION, ignore_errors=True)
+        shutil.rmtree(Path(place) / MOTION_FOLDER, ignore_errors=True)
         return
     from fsspec.core import url_to_fs  # noqa: PLC0415 - of an extra
 
     files, root = url_to_fs(place)
     with suppress(FileNotFoundError):
-        files.rm(f"{root}/{MOTION}", recursive=True)
+        files.rm(f"{root}/{MOTION_FOLDER}", recursive=True)
 
 
 def require_room(place: str, layout: Layout) -> None:
-    """Raise unless the disk has the room for a map that is to be begun.
+    """Raise if the disk has too little space for a new map.
 
     Raises
     ------
     InputError
-        If it has not.
+        If the space is too small.
     """
     if "://" in place or (Path(place) / "zarr.json").exists():
         return
@@ -261,7 +261,7 @@ def require_room(place: str, layout: Layout) -> None:
     while not folder.exists():
         folder = folder.parent
     free = shutil.disk_usage(folder).free
-    # A bare count first: of a grid that is far too fine not even the tiles can be told.
+    # An estimate first: a grid that is far too fine has too many tiles to list.
     needed = 32 / 3 * layout.shape[0] * layout.shape[1] * (1.0 if layout.radius is None else math.pi / 4)
     if needed < free:
         needed = bytes_needed(layout)
@@ -273,12 +273,12 @@ def require_room(place: str, layout: Layout) -> None:
 
 
 @contextmanager
-def told(place: str, done: int, total: int) -> Iterator[None]:
-    """Turn what the system says of a disk into a sentence."""
+def translate_disk_errors(place: str, done: int, total: int) -> Iterator[None]:
+    """Translate an error of the file system into a `StudyError`."""
     try:
         yield
     except OSError as error:
-        if error.errno not in FULL:
+        if error.errno not in DISK_FULL:
             raise StudyError(
                 f"{place!r} cannot be used ({error.strerror or error}), {done} of {total} tiles are finished, which "
                 "stay: check name and rights"

@@ -1,4 +1,4 @@
-"""How a large grid is cut into tiles and halved into overviews: numbers only, no heights."""
+"""Layout of a large grid: its tiles and overviews."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from turnwright._arrays import Bools, Floats
 from turnwright._validate import positive
 from turnwright.errors import InputError
 
-__all__ = ["DEFAULT", "INNER", "Layout", "Tile", "require_tile", "tile_sides"]
+__all__ = ["DEFAULT_TILE_PIXELS", "TILE_LEVELS", "Layout", "Tile", "require_tile", "tile_sides"]
 
-INNER = 3
-"""Overviews that a tile makes of itself; the coarser ones are made of these when all tiles are there."""
+TILE_LEVELS = 3
+"""Number of overviews computed with each tile; coarser ones are computed from these when all tiles are finished."""
 
-COARSEST = 512
-"""Pixels along the longer side of the coarsest overview, at most."""
+MAX_OVERVIEW_PIXELS = 512
+"""Largest number of pixels along the longer side of the coarsest overview."""
 
-DEFAULT = 1024
-"""Pixels along a tile, about: its arrays fit the memory of any machine, its file takes milliseconds to write."""
+DEFAULT_TILE_PIXELS = 1024
+"""Approximate number of pixels along a tile: its arrays need little memory, its file is written in milliseconds."""
 
-FEWEST, MOST = 64, 1 << 15
-"""Pixels along a tile."""
+MIN_TILE_PIXELS, MAX_TILE_PIXELS = 64, 1 << 15
+"""Limits of the number of pixels along a tile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,15 +51,15 @@ class Layout:
     Parameters
     ----------
     pixel
-        Along x and y. [mm]
+        Pixel size along x and y. [mm]
     origin
-        The first column and row. [mm]
+        Position of the first column and row. [mm]
     shape
         Rows and columns.
     tile
         Rows and columns of a tile.
     radius
-        Beyond it there are no heights; ``None`` if the grid is full. [mm]
+        Semi-diameter within which there are heights; ``None`` for the whole grid. [mm]
     """
 
     pixel: tuple[float, float]
@@ -77,7 +77,7 @@ class Layout:
         x: tuple[float, float] | None,
         y: tuple[float, float] | None,
     ) -> Self:
-        """Lay a grid over a disc, a pixel on its axis, or over a rectangle, a pixel on its corner; not yet in tiles."""
+        """Make a grid of one tile over a disc, with a pixel on its axis, or a rectangle, with one on its corner."""
         both = pixel if isinstance(pixel, tuple | list) else (pixel, pixel)
         if len(both) != 2:
             raise InputError(
@@ -114,15 +114,15 @@ class Layout:
 
     @classmethod
     def read(cls, data: dict[str, Any]) -> Self:
-        """Make one of what `plain` gave."""
+        """Return the layout of data from `plain`."""
         return cls(**{one.name: _tupled(data[one.name]) for one in fields(cls)})
 
     def in_tiles(self, tile: tuple[int, int]) -> Self:
-        """Return the grid in tiles of so many rows and columns."""
+        """Return the grid with another tile size in rows and columns."""
         return replace(self, tile=tile)
 
     def plain(self) -> dict[str, Any]:
-        """Return what JSON can hold."""
+        """Return the layout as JSON data."""
         return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
 
     @property
@@ -132,36 +132,36 @@ class Layout:
 
     @property
     def levels(self) -> int:
-        """The map itself and its overviews."""
+        """Number of levels: the map and its overviews."""
         longer = max(self.shape)
-        return max(INNER + 1, 1 + math.ceil(math.log2(max(longer / COARSEST, 1))))
+        return max(TILE_LEVELS + 1, 1 + math.ceil(math.log2(max(longer / MAX_OVERVIEW_PIXELS, 1))))
 
     def level_shape(self, level: int) -> tuple[int, int]:
         """Return rows and columns of an overview."""
         return -(-self.shape[0] // 2**level), -(-self.shape[1] // 2**level)
 
     def level_chunk(self, level: int) -> tuple[int, int]:
-        """Return rows and columns of its files."""
-        by = 2 ** min(level, INNER)
+        """Return rows and columns of a file of an overview."""
+        by = 2 ** min(level, TILE_LEVELS)
         return self.tile[0] // by, self.tile[1] // by
 
     def axes(self, level: int = 0) -> tuple[Floats, Floats]:
-        """Return x and y of the middles of an overview's pixels. (nx,), (ny,) [mm]."""
+        """Return x and y of the pixel centres of an overview. (nx,), (ny,) [mm]."""
         rows, columns = self.level_shape(level)
-        found = []
+        axes = []
         for step, first, count in zip(self.pixel, self.origin, (columns, rows), strict=True):
-            found.append(first + step * (2**level * np.arange(count) + (2**level - 1) / 2))
-        return found[0], found[1]
+            axes.append(first + step * (2**level * np.arange(count) + (2**level - 1) / 2))
+        return axes[0], axes[1]
 
     def at(self, j: int, i: int) -> Tile:
-        """Return a tile by its place."""
+        """Return a tile by its row and column."""
         (tall, wide), (rows, columns) = self.tile, self.shape
         return Tile(
             j, i, slice(j * tall, min((j + 1) * tall, rows)), slice(i * wide, min((i + 1) * wide, columns))
         )  # fmt: skip
 
     def inside(self, x: Floats, y: Floats) -> Bools | None:
-        """Return where a grid has heights, ``None`` if everywhere. (ny, nx)."""
+        """Return where a grid has heights; ``None`` if everywhere. (ny, nx)."""
         if self.radius is None:
             return None
         far = (x * x) + (y * y)[:, None] <= self.radius**2 * (1 + 1e-12)
@@ -190,21 +190,21 @@ class Layout:
 
 
 def require_tile(asked: object) -> None:
-    """Raise unless a tile can be about so many pixels wide."""
-    validate.whole(asked, "the width of a tile in pixels", FEWEST, MOST)
+    """Raise if a tile width is not allowed."""
+    validate.whole(asked, "the width of a tile in pixels", MIN_TILE_PIXELS, MAX_TILE_PIXELS)
 
 
-def tile_sides(asked: int, sides: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
-    """Return rows and columns of a tile: near what is asked, and a whole number of groups of the generation's tiles.
+def tile_sides(requested: int, sides: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
+    """Return rows and columns of a tile: near the requested size, in multiples of the tile groups of `generate`.
 
-    So each point meets the same neighbours as in one piece, and gets the same height to the last bit; and three
-    overviews of a tile end where it ends.
+    Each point then has the same neighbours as in a map of one piece, so that its height is the same to the last bit,
+    and the first three overviews of a tile end at its border.
     """
-    found = []
+    rounded = []
     for side, size in zip(sides, shape, strict=True):
-        whole = math.lcm(4 * side, 2**INNER)
-        found.append(whole * max(1, round(min(asked, size + whole) / whole)))
-    return found[0], found[1]
+        group = math.lcm(4 * side, 2**TILE_LEVELS)
+        rounded.append(group * max(1, round(min(requested, size + group) / group)))
+    return rounded[0], rounded[1]
 
 
 def _tupled(value: Any) -> Any:

@@ -17,8 +17,8 @@ from turnwright._arrays import Floats
 from turnwright._kernels import tiled as kernel
 from turnwright.errors import InputError
 from turnwright.metrology import Roughness
-from turnwright.studies.bands import in_order
-from turnwright.studies.tile_files import EDGES, PLANE
+from turnwright.studies.bands import map_in_order
+from turnwright.studies.tile_files import EDGE_START, PLANE_SUMS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,22 +43,22 @@ def tiled_roughness(files: Files, form: str, progress: Progress | None) -> Rough
     tiles = [tile for tile in layout.tiles() if records[tile.j, tile.i, 0] > 0]
     if sum(records[tile.j, tile.i, 0] for tile in tiles) < 3:
         raise InputError("the map has fewer than 3 valid heights, roughness needs 3: map more of the part")
-    level = _reference(records, tiles, form)
+    level = _fit_reference(records, tiles, form)
     dx, dy = layout.pixel
 
     def sums(tile: Tile) -> Floats:
-        z = _with_neighbours(files, records, tile)
-        found = np.empty(kernel.SUMS + 2)
+        z = _read_extended(files, records, tile)
+        sums_of_tile = np.empty(kernel.SUMS + 2)
         base, along_x, along_y = level(tile)
-        kernel.residual_sums(z, *tile.shape, base, along_x, along_y, dx, dy, found)
-        return found
+        kernel.residual_sums(z, *tile.shape, base, along_x, along_y, dx, dy, sums_of_tile)
+        return sums_of_tile
 
-    found = []
-    for number, one in enumerate(in_order(sums, tiles), 1):
-        found.append(one)
+    results = []
+    for number, one in enumerate(map_in_order(sums, tiles), 1):
+        results.append(one)
         if progress is not None:
             progress(number, len(tiles))
-    every = np.array(found)
+    every = np.array(results)
     size, square, cube, fourth, count, across, n_across, down, n_down, excess, n_cells = (
         math.fsum(every[:, k]) for k in range(kernel.SUMS)
     )
@@ -81,28 +81,28 @@ def tiled_roughness(files: Files, form: str, progress: Progress | None) -> Rough
     )  # fmt: skip
 
 
-def _with_neighbours(files: Files, records: Floats, tile: Tile) -> Floats:
-    """Return the heights of a tile, and the first row and column of what follows it."""
+def _read_extended(files: Files, records: Floats, tile: Tile) -> Floats:
+    """Return the heights of a tile, extended by the first row and column of its neighbours."""
     rows, columns = tile.shape
     wide = files.layout.tile[1]
     z = np.full((rows + 1, columns + 1), np.nan)
     z[:-1, :-1] = files.levels[0][tile.rows, tile.columns]
     below, right = tile.j + 1 < records.shape[0], tile.i + 1 < records.shape[1]
-    # A tile beyond the part has no record, so that nan comes of it.
+    # A tile beyond the part has no record, which gives nan.
     if right:
-        z[:-1, -1] = records[tile.j, tile.i + 1, EDGES + wide : EDGES + wide + rows]
+        z[:-1, -1] = records[tile.j, tile.i + 1, EDGE_START + wide : EDGE_START + wide + rows]
     if below:
-        z[-1, :-1] = records[tile.j + 1, tile.i, EDGES : EDGES + columns]
+        z[-1, :-1] = records[tile.j + 1, tile.i, EDGE_START : EDGE_START + columns]
     if below and right:
-        z[-1, -1] = records[tile.j + 1, tile.i + 1, EDGES]
+        z[-1, -1] = records[tile.j + 1, tile.i + 1, EDGE_START]
     return z
 
 
-def _reference(records: Floats, tiles: list[Tile], form: str) -> Callable[[Tile], tuple[float, float, float]]:
-    """Return what gives, for each tile, the height of the reference at its corner and its rise per column and row."""
+def _fit_reference(records: Floats, tiles: list[Tile], form: str) -> Callable[[Tile], tuple[float, float, float]]:
+    """Return a function of a tile: height of the reference at its corner, and slope per column and row."""
     if form == "none":
         return lambda _: (0.0, 0.0, 0.0)
-    some = np.array([records[tile.j, tile.i, :PLANE] for tile in tiles])
+    some = np.array([records[tile.j, tile.i, :PLANE_SUMS] for tile in tiles])
     n, _, _, first, si, sj, sii, sij, sjj, sz, siz, sjz = some.T
     corner_i = np.array([tile.columns.start for tile in tiles], dtype=np.float64)
     corner_j = np.array([tile.rows.start for tile in tiles], dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Spectra of a map in tiles: those of its segments, averaged."""
+"""Power spectral density of a map in tiles: the mean over its segments."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from turnwright._arrays import Floats, frozen
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import FEWEST, AreaSpectrum, Spectrum, Window, area_psd, line_psd
-from turnwright.studies.bands import in_order
+from turnwright.studies.bands import map_in_order
 
 if TYPE_CHECKING:
     from turnwright.metrology import Form
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["SEGMENT", "tiled_area_psd", "tiled_line_psd"]
 
 SEGMENT = 512
-"""Pixels along a segment: half a millimetre at a micrometre, fifty cusps or more."""
+"""Pixels along a segment: about 0.5 mm at a pixel of 1 um, fifty cusps or more."""
 
 AnySpectrum = TypeVar("AnySpectrum", AreaSpectrum, Spectrum)
 
@@ -33,7 +33,7 @@ AnySpectrum = TypeVar("AnySpectrum", AreaSpectrum, Spectrum)
 def tiled_area_psd(
     files: Files, segment: int | None, form: Form, window: Window, progress: Progress | None
 ) -> AreaSpectrum:
-    """Return the mean of the spectra of all whole segments."""
+    """Return the mean of the spectra of all complete segments."""
 
     def work(heights: HeightMap) -> AreaSpectrum:
         return area_psd(heights, form=form, window=window)
@@ -44,7 +44,7 @@ def tiled_area_psd(
 def tiled_line_psd(
     files: Files, along: Literal["x", "y"], segment: int | None, form: Form, window: Window, progress: Progress | None
 ) -> Spectrum:
-    """Return the mean of the spectra of the lines of all whole segments."""
+    """Return the mean of the line spectra of all complete segments."""
     if not isinstance(along, str) or along not in ("x", "y"):
         raise InputError(f'along is {along!r}, the lines of a map in tiles run along "x" or "y": choose')
 
@@ -82,21 +82,21 @@ def _mean(
                 count += 1
         return total, count, pattern
 
-    whole, number, like = None, 0, None
-    for done, (total, count, pattern) in enumerate(in_order(spectra, pieces), 1):
+    merged, number, like = None, 0, None
+    for done, (total, count, pattern) in enumerate(map_in_order(spectra, pieces), 1):
         if total is not None:
-            whole = total if whole is None else whole + total
+            merged = total if merged is None else merged + total
             number, like = number + count, pattern
         if progress is not None:
             progress(done, len(pieces))
-    if whole is None or like is None:
+    if merged is None or like is None:
         raise InputError(f"no segment of {segment} x {segment} pixels is whole: take a smaller one")
     note = (
         f"the mean of {number} segments of {segment} x {segment} pixels side by side, {rows * columns - number} with "
     )
-    density = frozen(whole / number, "density", ndim=whole.ndim)
-    found = replace(like, density=density, notes=(f"{note}missing heights left out",))
-    return replace(found, count=found.count * number) if isinstance(found, Spectrum) else found
+    density = frozen(merged / number, "density", ndim=merged.ndim)
+    spectrum = replace(like, density=density, notes=(f"{note}missing heights left out",))
+    return replace(spectrum, count=spectrum.count * number) if isinstance(spectrum, Spectrum) else spectrum
 
 
 def _segment(layout: Layout, segment: int | None) -> int:

@@ -14,7 +14,7 @@ from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import AreaSpectrum, Roughness, Spectrum, Window
 from turnwright.progress import Progress
-from turnwright.studies.tile_files import ASKED, Files, named_place
+from turnwright.studies.tile_files import PART_PIXELS, Files, resolve_place
 from turnwright.studies.tile_roughness import tiled_roughness
 from turnwright.studies.tile_spectrum import tiled_area_psd, tiled_line_psd
 
@@ -23,12 +23,12 @@ __all__ = ["TiledMap"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TiledMap:
-    """A map that is too large for memory, in a store; see `generate_tiled`. Only what is asked for is read.
+    """A map that is too large for memory, in a store; see `generate_tiled`. Only requested parts are read.
 
     Parameters
     ----------
     files
-        Where it lies.
+        Files of the map.
     """
 
     files: Files
@@ -40,14 +40,14 @@ class TiledMap:
         Parameters
         ----------
         store
-            A folder, or a URL that fsspec knows.
+            A folder, or a URL that fsspec supports.
 
         Raises
         ------
         InputError
-            If there is none, or some of its tiles are missing.
+            If the store holds no map, or some of its tiles are missing.
         """
-        place = named_place(store)
+        place = resolve_place(store)
         try:
             files = Files.open(place)
         except OSError as error:
@@ -66,7 +66,7 @@ class TiledMap:
 
     @property
     def pixel(self) -> tuple[float, float]:
-        """Along x and y. [mm]."""
+        """Pixel size along x and y. [mm]."""
         return self.files.layout.pixel
 
     @property
@@ -76,12 +76,12 @@ class TiledMap:
 
     @property
     def levels(self) -> int:
-        """How many resolutions there are: level 0 is the map, each further one has half the pixels along each axis."""
+        """Number of levels: level 0 is the map, each further level has half the pixels along each axis."""
         return self.files.layout.levels
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """Middles of the first and last column, and of the first and last row. [mm]."""
+        """Centres of the first and last column, and of the first and last row. [mm]."""
         x, y = self.files.layout.axes()
         return float(x[0]), float(x[-1]), float(y[0]), float(y[-1])
 
@@ -94,7 +94,7 @@ class TiledMap:
     def unreached(self) -> int:
         """Number of pixels of the part that no pass covers."""
         records = self.files.read_records()
-        return int(np.nansum(records[:, :, ASKED] - records[:, :, 0]))
+        return int(np.nansum(records[:, :, PART_PIXELS] - records[:, :, 0]))
 
     def height_map(self, level: int = 0) -> HeightMap:
         """Return the whole map, or a whole overview, in memory.
@@ -119,46 +119,46 @@ class TiledMap:
         Parameters
         ----------
         x, y
-            First and last place; what is outside of the map is left out. [mm]
+            Limits of the window; it is clipped to the map. [mm]
         pixels
-            At least so many along the longer side, if the map has them.
+            Least number of pixels along the longer side, if the map has them.
 
         Raises
         ------
         InputError
-            If the window does not ascend, or holds nothing of the map.
+            If the limits do not ascend, or the window has no pixel of the map.
         """
         x, y = validate.span(x, "the window along x"), validate.span(y, "the window along y")
         pixels = validate.whole(pixels, "the width of a window in pixels", 1)
-        found: tuple[slice, slice] | None = None
+        selection: tuple[slice, slice] | None = None
         for level in reversed(range(self.levels)):
             spans = [_within(axis, span) for axis, span in zip(self.files.layout.axes(level), (x, y), strict=True)]
             sizes = [span.stop - span.start for span in spans]
-            found = spans[1], spans[0]
+            selection = spans[1], spans[0]
             if min(sizes) > 0 and max(sizes) >= pixels:
                 break
-        assert found is not None  # noqa: S101 - there is at least one level
-        if min(span.stop - span.start for span in found) < 1:
+        assert selection is not None  # noqa: S101 - there is at least one level
+        if min(span.stop - span.start for span in selection) < 1:
             low_x, high_x, low_y, high_y = self.extent
             raise InputError(
                 f"the window x {x[0]:g} to {x[1]:g}, y {y[0]:g} to {y[1]:g} mm holds no pixel of the map, which is x "
                 f"{low_x:g} to {high_x:g}, y {low_y:g} to {high_y:g} mm: move or widen it"
             )
-        return self._read(level, *found)
+        return self._read(level, *selection)
 
     def roughness(
         self, *, form: Literal["none", "mean", "plane"] = "plane", progress: Progress | None = None
     ) -> Roughness:
         """Return the surface parameters of the whole map: those of `roughness`, to 1e-12 of each.
 
-        One pass over the map, a few tiles at a time: the plane comes from the sums that each tile keeps, and a tile
-        meets the first row and column of its neighbours, so that no difference is lost. ``sal`` and ``str`` are nan:
-        they need the transform of the map in one piece; take them from a `window`.
+        The map is read once, a few tiles at a time. The plane follows from sums stored with each tile, and each tile is
+        extended by the first row and column of its neighbours, so that no difference is missed. ``sal`` and ``str`` are
+        nan: they need the transform of the whole map; take them from a `window`.
 
         Parameters
         ----------
         form
-            What is removed first.
+            Form that is removed first.
         progress
             Called with (tiles done, all tiles).
 
@@ -184,14 +184,14 @@ class TiledMap:
     ) -> AreaSpectrum:
         """Return the power spectral density of the map: the mean of `area_psd` over its segments (Welch).
 
-        The segments lie side by side from the first row and column, without overlap; those with a missing height, or
-        beyond the last whole one, are left out, which ``notes`` counts. What is longer than a segment is not told
-        apart from frequency zero.
+        The segments start at the first row and column and do not overlap. Segments with a missing height, and
+        incomplete ones at the end, are left out; ``notes`` states their number. Wavelengths longer than a segment are
+        not resolved.
 
         Parameters
         ----------
         segment
-            Pixels along a segment, each way; if not given 512, or less so that four and more lie side by side.
+            Pixels along each side of a segment; by default 512, or less for at least four segments along each side.
         form, window
             Of each segment; see `area_psd`.
         progress

@@ -1,4 +1,4 @@
-"""Make a whole part, tile by tile, into a store."""
+"""Simulate the surface of a whole part, tile by tile, into a store."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from turnwright.heightmap import HeightMap
 from turnwright.machine import Machine
 from turnwright.path import Motion
 from turnwright.progress import Progress, cores
-from turnwright.studies.cases import finished, line, program_version
+from turnwright.studies.cases import iter_finished, join_lines, program_version
 from turnwright.studies.digests import digest_of
 from turnwright.studies.executors import require_reach
 from turnwright.studies.store import Store
 from turnwright.studies.tile_files import (
-    ASKED,
-    EDGES,
-    MOTION,
-    PLANE,
+    EDGE_START,
+    MOTION_FOLDER,
+    PART_PIXELS,
+    PLANE_SUMS,
     Files,
-    forget_motion,
-    named_place,
-    require_own,
+    remove_motion,
     require_room,
-    told,
+    require_same_map,
+    resolve_place,
+    translate_disk_errors,
 )
-from turnwright.studies.tile_layout import DEFAULT, INNER, Layout, Tile, require_tile, tile_sides
+from turnwright.studies.tile_layout import DEFAULT_TILE_PIXELS, TILE_LEVELS, Layout, Tile, require_tile, tile_sides
 from turnwright.studies.tiled_map import TiledMap
 from turnwright.tool import Tool
 
@@ -48,8 +48,8 @@ __all__ = ["generate_tiled", "planned_layout"]
 
 
 @dataclass(frozen=True, slots=True)
-class _Painter:
-    """All that a tile is made from, ready; one for all threads of a process."""
+class _TileWriter:
+    """Prepared input of all tiles, shared by the threads of a process."""
 
     ready: Prepared
     files: Files
@@ -59,7 +59,9 @@ class _Painter:
     orders: dict[tuple[int, int], tuple[Tiles, Ints, Ints]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, motion: Motion, tool: Tool, machine: Machine | None, minus: Surface | None, files: Files) -> _Painter:
+    def of(
+        cls, motion: Motion, tool: Tool, machine: Machine | None, minus: Surface | None, files: Files
+    ) -> _TileWriter:
         """Prepare what all tiles share."""
         layout = files.layout
         ready = _ready(motion, tool, machine, layout)
@@ -73,7 +75,7 @@ class _Painter:
         return self.orders[shape]
 
     def heights(self, tile: Tile) -> tuple[Floats, int]:
-        """Return the heights of a tile [mm], nan where there are none, and how many pixels of it are of the part."""
+        """Return the heights of a tile [mm], nan where missing, and its number of pixels of the part."""
         x, y = self.axes[0][tile.columns], self.axes[1][tile.rows]
         tiles, columns, rows = self.order(tile.shape)
         px, py = x[columns], y[rows]
@@ -94,20 +96,20 @@ class _Painter:
         z = z.reshape(tile.shape)
         if inside is not None:
             z[~inside] = np.nan
-        asked = z.size if inside is None else int(np.count_nonzero(inside))
-        return (z if self.minus is None else HeightMap(x=x, y=y, z=z).minus(self.minus).z), asked
+        pixels = z.size if inside is None else int(np.count_nonzero(inside))
+        return (z if self.minus is None else HeightMap(x=x, y=y, z=z).minus(self.minus).z), pixels
 
     def paint(self, tile: Tile) -> None:
-        """Make a tile and its overviews, put them into the store, and then the record that it is there."""
-        z, asked = self.heights(tile)
+        """Compute a tile and its overviews, and write them and then the record of the tile to the store."""
+        z, pixels = self.heights(tile)
         record = np.zeros(self.files.records.shape[2])
-        kernel.plane_sums(only_read(z), record[:PLANE])
+        kernel.plane_sums(only_read(z), record[:PLANE_SUMS])
         wide = self.files.layout.tile[1]
-        record[ASKED] = asked
-        record[EDGES : EDGES + z.shape[1]] = z[0]
-        record[EDGES + wide : EDGES + wide + z.shape[0]] = z[:, 0]
+        record[PART_PIXELS] = pixels
+        record[EDGE_START : EDGE_START + z.shape[1]] = z[0]
+        record[EDGE_START + wide : EDGE_START + wide + z.shape[0]] = z[:, 0]
         rows, columns = tile.rows.start, tile.columns.start
-        for level in range(INNER + 1):
+        for level in range(TILE_LEVELS + 1):
             if level > 0:
                 finer, z = z, np.empty((-(-z.shape[0] // 2), -(-z.shape[1] // 2)))
                 kernel.halved(only_read(finer), z)
@@ -132,53 +134,53 @@ def generate_tiled(
     x: tuple[float, float] | None = None,
     y: tuple[float, float] | None = None,
     minus: Surface | None = None,
-    tile: int = DEFAULT,
+    tile: int = DEFAULT_TILE_PIXELS,
     machine: Machine | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> TiledMap:
-    r"""Return the surface that a motion leaves, of any size: it is made tile by tile, into a store on disk.
+    r"""Return the surface that a motion generates, of any size, computed tile by tile into a store on disk.
 
-    The heights are those of `generate` on the same grid, to the last bit. Memory holds a few tiles at a time. Whatever
-    is finished stays: called again with the same motion, tool and grid, after a stop, a crash or a full disk, it makes
-    what is missing. The store is a zarr group (version 3, uncompressed) that any program reads; beside the map it holds
-    overviews, each of half the pixels of the one before: the mean of 2 x 2 heights, those missing left out.
+    The heights are those of `generate` on the same grid, to the last bit. Memory holds a few tiles at a time. Finished
+    tiles are kept: after a stop, a crash or a full disk, a call with the same motion, tool and grid computes only the
+    missing ones. The store is a zarr group (version 3, uncompressed) that any program can read. It also holds
+    overviews, each with half the pixels of the one before along each axis: means of 2 x 2 heights without missing ones.
 
     Parameters
     ----------
     motion, tool, machine
         See `generate`.
     pixel
-        Along x and y, or one for both. [mm]
+        Pixel size along x and y, or one for both. [mm]
     store
-        A folder, or a URL that fsspec knows.
+        A folder, or a URL that fsspec supports.
     radius
-        Heights lie within it; a pixel lies on the axis, unless ``x`` and ``y`` say where they begin. [mm]
+        Semi-diameter of the map; a pixel is on the axis, unless ``x`` and ``y`` state where they begin. [mm]
     x, y
         First and last column and row of a rectangle. [mm]
     minus
-        Surface to subtract: the map is then the error, cut minus design.
+        Surface to subtract: the map is then the form error, cut minus nominal surface.
     tile
-        Pixels along a tile, about: it becomes a multiple of what the generation takes together.
+        Approximate number of pixels along a tile; it is rounded to a multiple of the groups of the generation.
     executor
-        Where the tiles are made; the threads of this process if not given. The arrays of the motion then go through the
-        store, so that it must be a place that all workers see.
+        Executor of the tiles; by default threads of this process. An executor reads the motion from the store, which
+        all its workers must reach.
     progress
         Called with (tiles done, all tiles).
 
     Returns
     -------
     TiledMap
-        With its roughness, spectra, windows.
+        The map, with its roughness, spectra and windows.
 
     Raises
     ------
     InputError
-        If the grid is not one, the disk has not the room, or the store holds something else.
+        If the grid is invalid, the disk has too little space, or the store holds something else.
     DomainError
-        If ``minus`` is not defined somewhere.
+        If ``minus`` is undefined somewhere.
     StudyError
-        If the disk becomes full, or the executor breaks; what is finished stays.
+        If the disk becomes full, or the executor breaks; finished tiles are kept.
 
     Sources
     -------
@@ -193,7 +195,7 @@ def generate_tiled(
     validate.listener(progress)
     if minus is not None and not callable(getattr(minus, "sag", None)):
         raise InputError(f"what is subtracted is a {type(minus).__name__}, it must be a surface: give one")
-    place = named_place(store)
+    place = resolve_place(store)
     layout = planned_layout(place, pixel, radius=radius, x=x, y=y, tile=tile)
     if executor is not None:
         require_reach(place, executor, arrays=True)
@@ -202,25 +204,27 @@ def generate_tiled(
     layout = layout.in_tiles(tile_sides(tile, sides, layout.shape))
     key = _key(ready, layout, minus)
     tiles = list(layout.tiles())
-    with told(place, 0, len(tiles)):
+    with translate_disk_errors(place, 0, len(tiles)):
         files = Files.begin(place, layout, {"key": key, "error": minus is not None})
     if files.about["complete"]:
         return TiledMap(files)
     there = files.finished()
     missing = [one for one in tiles if not there[one.j, one.i]]
-    painter = _Painter(ready, files, minus, sides, layout.axes())
+    painter = _TileWriter(ready, files, minus, sides, layout.axes())
     if executor is None:
         # One thread more than cores: while one waits for the disk, the others compute.
         with ThreadPoolExecutor(cores() + 1) as pool:
-            _make(lambda one: pool.submit(painter.paint, one), missing, pool, place, len(tiles), progress)
+            _run_tiles(lambda one: pool.submit(painter.paint, one), missing, pool, place, len(tiles), progress)
     else:
-        task, own = _Task.of(place, key, motion, tool, machine, minus), executor
-        _make(lambda one: own.submit(_paint, task, one.j, one.i), missing, own, place, len(tiles), progress)
-    with told(place, len(tiles), len(tiles)):
-        _coarser(files)
+        task, workers = _Task.of(place, key, motion, tool, machine, minus), executor
+        _run_tiles(
+            lambda one: workers.submit(_paint, task, one.j, one.i), missing, workers, place, len(tiles), progress
+        )
+    with translate_disk_errors(place, len(tiles), len(tiles)):
+        _write_overviews(files)
         files.complete()
         if executor is not None:
-            forget_motion(place)
+            remove_motion(place)
     return TiledMap(Files.open(place))
 
 
@@ -231,19 +235,19 @@ def planned_layout(
     radius: float | None = None,
     x: tuple[float, float] | None = None,
     y: tuple[float, float] | None = None,
-    tile: int = DEFAULT,
+    tile: int = DEFAULT_TILE_PIXELS,
 ) -> Layout:
-    """Return the grid of a map, not yet in tiles, if it can be begun or gone on with there; see `generate_tiled`."""
+    """Return the grid of a map, after a check that it can be started or continued there; see `generate_tiled`."""
     layout = Layout.of(pixel, radius=radius, x=x, y=y)
     require_tile(tile)
-    place = named_place(store)
-    with told(place, 0, 0):
-        require_own(place, layout)
-        require_room(place, layout.in_tiles((DEFAULT, DEFAULT)))
+    place = resolve_place(store)
+    with translate_disk_errors(place, 0, 0):
+        require_same_map(place, layout)
+        require_room(place, layout.in_tiles((DEFAULT_TILE_PIXELS, DEFAULT_TILE_PIXELS)))
     return layout
 
 
-def _make(
+def _run_tiles(
     submit: Callable[[Tile], Future[None]],
     missing: Sequence[Tile],
     executor: Executor,
@@ -251,18 +255,18 @@ def _make(
     total: int,
     progress: Progress | None,
 ) -> None:
-    """Have the tiles made that are missing of so many in all."""
+    """Compute the missing tiles, of ``total`` tiles."""
     tell = progress or (lambda _done, _total: None)
     done = total - len(missing)
 
     def lost(error: BaseException) -> StudyError:
         return StudyError(
-            f"the executor broke with {done} of {total} tiles finished ({line(error)}), which stay: start again with a "
-            "new one"
+            f"the executor broke with {done} of {total} tiles finished ({join_lines(error)}), which are kept: start "
+            "again with a new one"
         )
 
     tell(done, total)
-    with closing(finished(submit, missing, executor, lost=lost)) as made:
+    with closing(iter_finished(submit, missing, executor, lost=lost)) as made:
         for tile, future, deaths in made:
             if deaths:
                 raise StudyError(
@@ -270,7 +274,7 @@ def _make(
                     f"({future.exception()}), the finished tiles stay: use fewer workers or smaller tiles, and start "
                     "again"
                 )
-            with told(place, done, total):
+            with translate_disk_errors(place, done, total):
                 future.result()
             done += 1
             tell(done, total)
@@ -278,7 +282,7 @@ def _make(
 
 @dataclass(frozen=True, slots=True)
 class _Task:
-    """What travels to a worker: places and names, the tool and the machines, no array as long as the motion."""
+    """Input of a worker: paths, names, tool and machines, but no array of the motion."""
 
     place: str
     key: str
@@ -293,25 +297,25 @@ class _Task:
     def of(
         cls, place: str, key: str, motion: Motion, tool: Tool, machine: Machine | None, minus: Surface | None
     ) -> _Task:
-        arrays = Store.open(f"{place}/{MOTION}")
+        arrays = Store.open(f"{place}/{MOTION_FOLDER}")
         columns = {"time": motion.time, **motion.axes}
         names = {letter: arrays.put_array(letter, values) for letter, values in columns.items()}
         return cls(
             place, key, arrays, names, tool, machine or motion.machine, motion.machine, minus
         )  # fmt: skip
 
-    def painter(self) -> _Painter:
+    def painter(self) -> _TileWriter:
         axes = {letter: self.arrays.array(name) for letter, name in self.names.items()}
         motion = Motion(time=axes.pop("time"), axes=axes, machine=self.planned_for)
-        return _Painter.of(motion, self.tool, self.machine, self.minus, Files.open(self.place, write=True))
+        return _TileWriter.of(motion, self.tool, self.machine, self.minus, Files.open(self.place, write=True))
 
 
-_latest: dict[str, _Painter] = {}
-"""What this worker made ready last."""
+_latest: dict[str, _TileWriter] = {}
+"""Input that this worker prepared last."""
 
 
 def _paint(task: _Task, j: int, i: int) -> None:
-    """Make one tile, in a worker."""
+    """Compute a tile in a worker."""
     at = f"{task.place} {task.key}"
     if at not in _latest:
         painter = task.painter()
@@ -321,10 +325,10 @@ def _paint(task: _Task, j: int, i: int) -> None:
     painter.paint(painter.files.layout.at(j, i))
 
 
-def _coarser(files: Files) -> None:
-    """Make the overviews that are smaller than a tile's own, each of the one before, a band of rows at a time."""
+def _write_overviews(files: Files) -> None:
+    """Compute the overviews beyond those of the tiles, each from the one before, a band of rows at a time."""
     layout = files.layout
-    for level in range(INNER + 1, layout.levels):
+    for level in range(TILE_LEVELS + 1, layout.levels):
         finer, coarse = files.levels[level - 1], files.levels[level]
         tall = layout.level_chunk(level)[0]
         rows, columns = layout.level_shape(level)
@@ -336,9 +340,9 @@ def _coarser(files: Files) -> None:
 
 
 def _key(ready: Prepared, layout: Layout, minus: Surface | None) -> str:
-    """Return a digest of all that decides the heights."""
+    """Return a digest of all inputs of the heights."""
     heights = None
-    if minus is not None:  # whatever a surface of somebody else holds, its heights tell
+    if minus is not None:  # samples of the heights identify also a user's own surface
         x, y = (axis[:: max(1, axis.size // 64)] for axis in layout.axes())
         x, y = (one.ravel() for one in np.meshgrid(x, y))
         inside = np.ones(x.shape, dtype=bool) if layout.radius is None else np.hypot(x, y) <= layout.radius

@@ -1,4 +1,4 @@
-"""How likely a part keeps its tolerances, given how well machine and tool can be set up, and what to set up better."""
+"""Tolerance studies: the probability that a part meets its tolerances, and which set-up error to reduce first."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from turnwright import _validate as validate
 from turnwright._io import write_whole
 from turnwright.errors import InputError, JobError, StudyError
 from turnwright.job import Job
-from turnwright.studies.budget import MOST_DRAWS, ErrorBudget, Spread, group_of
-from turnwright.studies.cases import Case, case_key, conduct
-from turnwright.studies.draws import carry_out, laid_out
+from turnwright.studies.budget import MAX_DRAWS, ErrorBudget, Spread, group_of
+from turnwright.studies.cases import Case, case_key, run_cases
+from turnwright.studies.draws import carry_out, plan_cuts
 from turnwright.studies.executors import local, require_reach
-from turnwright.studies.files import files_of
-from turnwright.studies.scenes import answers, lines_of
+from turnwright.studies.files import list_files
+from turnwright.studies.scenes import make_lines, servos_respond
 from turnwright.studies.sensitivity import (
     Interval,
     MapModel,
-    chance,
-    grouped,
+    binomial_interval,
+    group_inputs,
     neighbour_indices,
     percentile,
     sobol_indices,
@@ -48,70 +48,71 @@ __all__ = ["Outcome", "Sensitivity", "Tightening", "ToleranceStudy", "tolerance"
 
 NM = 1e6
 
-FEWEST = 10
-"""Cases of which anything can be said."""
+MIN_CASES = 10
+"""Least number of cases of a study."""
 
 PERCENTILES = (0.05, 0.5, 0.9, 0.95, 0.99)
 
 SAMPLES_LOG2 = 10
-"""Exponent of the points at which the indices are estimated."""
+"""Binary logarithm of the number of points from which the indices are estimated."""
 
-HEIGHTS, BOOTSTRAP_HEIGHTS = 1500, 300
-"""Places of a map that tell what it depends on, about."""
+MODEL_HEIGHTS, BOOTSTRAP_HEIGHTS = 1500, 300
+"""Approximate number of heights of a map in the model and in its bootstrap."""
 
-BOOTSTRAPS = 40
-"""Times that the cases are drawn again for the intervals of the indices."""
+BOOTSTRAP_COUNT = 40
+"""Bootstrap resamples for the intervals of the indices."""
 
-POOR = 0.5
-"""Share of the variance below which sums of marks are a poor model."""
+POOR_VARIANCE = 0.5
+"""Explained variance below which the sum of signatures is a poor model."""
 
-EFFECTIVE = 20
-"""Cases that must count after they are weighted, else their finish is taken as it is."""
+MIN_EFFECTIVE_CASES = 20
+"""Least effective number of weighted cases; below it the roughness is taken unweighted."""
 
-USUAL = ("C", "X", "Z")
-"""Axes that a lathe may have."""
+USUAL_AXES = ("C", "X", "Z")
+"""Axes that a budget may name for every lathe."""
 
 AS_PLANNED, CORRECTED = "as planned", "corrected"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensitivity:
-    """What a group of errors does to a part.
+    """Effect of a group of errors on a part.
 
     Parameters
     ----------
     group
-        Such as ``"tool offset"``; ``"concave sphere: drift"`` is that of an artefact's own cut.
+        Such as ``"tool offset"``; ``"concave sphere: drift"`` is the drift during the cut of that test part.
     first, total
-        Sobol' indices of the form error PV, of maps as sums of marks; ``None`` where the cases are too few.
-    given
-        First-order index of the same by nearest neighbours among the cases themselves.
+        Sobol' indices of the form error PV, from a model of maps as sums of signatures; ``None`` if the cases are too
+        few.
+    neighbour_index
+        First-order index of the form error PV by nearest neighbours among the cases.
     probability
-        Of keeping all tolerances if the spread of the group were halved; ``None`` where the cases are too few.
+        Probability of meeting all tolerances with half the spread of the group; ``None`` if the cases are too few.
     percentile_nm
-        95th percentile of the form error PV then. [nm]
+        95th percentile of the form error PV with half the spread. [nm]
     """
 
     group: str
     first: Interval | None
     total: Interval | None
-    given: float
+    neighbour_index: float
     probability: float | None
     percentile_nm: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tightening:
-    """The one tolerance to tighten first, and what a study of its own says of it.
+    """The group of errors to reduce first, and the result of a second study with half its spread.
 
     Parameters
     ----------
     group
-        Whose spread is halved.
+        Group with the halved spread.
     probability
-        Of keeping all tolerances with the halved spread, in cases that are the same otherwise.
+        Probability of meeting all tolerances with the halved spread, in otherwise identical cases.
     before
-        With the whole spread.
+        Probability with the full spread.
     """
 
     group: str
@@ -121,21 +122,21 @@ class Tightening:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outcome:
-    """What the cases come to, as planned or corrected.
+    """Results of the cases, as planned or corrected.
 
     Parameters
     ----------
     probability
-        Of keeping all tolerances that the job states.
+        Probability of meeting all tolerances of the job.
     each
-        Of keeping one of them, by measure.
+        Probability of meeting each of them, by measure.
     sensitivities
-        The group that matters most first.
+        Effect of each group, the most important first.
     explained_variance
-        Share of the variance of form error PV and RMS of a case that the sums of marks explain from the other cases;
-        ``None`` where they are too few.
+        Part of the variance of form error PV and RMS that the sum of signatures predicts, by cross-validation;
+        ``None`` if the cases are too few.
     advice
-        What to tighten first, in a sentence.
+        Which group to reduce first, in a sentence.
     """
 
     probability: Interval
@@ -147,26 +148,26 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ToleranceStudy:
-    """Cases of an error budget, and what they say.
+    """Cases of an error budget, and their evaluation.
 
     Parameters
     ----------
     job, budget
-        What was asked.
+        Job and error budget of the study.
     seed
-        Of the draws.
+        Seed of the draws.
     draws
-        Of each input, in the order of the cases. Each (n,) [mm, rad]
+        Values of each input, in the order of the cases. Each (n,) [mm, rad]
     columns
-        Of each measure, those after the correction beginning with ``corrected``. Each (n,) [nm]
+        Values of each measure; names after the correction begin with ``corrected``. Each (n,) [nm]
     reasons
-        Why cases could not be carried out; they are not among the columns, and count as parts that keep no tolerance.
+        Reasons of failed cases, which are not among the columns and count as parts out of tolerance.
     limits
-        Of the measures that the job states tolerances for. [nm]
+        Tolerance of each measure that has one. [nm]
     outcomes
-        ``"as planned"``, and ``"corrected"`` if there is a correction.
+        ``"as planned"``, and ``"corrected"`` with a correction.
     tightening
-        What was confirmed, if asked.
+        Result of the confirmation, if requested.
     """
 
     job: Job
@@ -181,17 +182,17 @@ class ToleranceStudy:
 
     @property
     def count(self) -> int:
-        """Cases that were carried out."""
+        """Number of successful cases."""
         return int(next(iter(self.columns.values())).size)
 
     def percentiles(self, measure: str) -> dict[float, Interval]:
-        """Return percentiles of a measure, each with its interval. [nm]."""
+        """Return percentiles of a measure, each with its confidence interval. [nm]."""
         if measure not in list(self.columns):
             raise InputError(f"there is no measure {measure!r} among {', '.join(self.columns)}: name one of them")
         return {share: percentile(self.columns[measure], share) for share in PERCENTILES}
 
     def to_csv(self, path: str | PathLike[str]) -> None:
-        """Write one row for each case: what was drawn, with its unit, and what it came to."""
+        """Write one row for each case: drawn errors with their units, and measures."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         heads = [f"{name} [{self.budget.unit(name)}]" for name in self.draws]
@@ -214,36 +215,36 @@ def tolerance(
     store: Store | str | PathLike[str] | None = None,
     progress: StageProgress | None = None,
 ) -> ToleranceStudy:
-    """Say how likely a part keeps its tolerances, and what to set up better.
+    """Estimate the probability that a part meets its tolerances, and which set-up error to reduce first.
 
-    The finishing pass is planned once. Every case cuts it with another draw of tool, slides, servos, drift and mount,
-    and looks at it along lines across the part and in the job's patches. Form counts beyond the rigid motions that the
-    job's ``measurement`` leaves free; finish as the job's ``roughness`` says. With a correction every case also cuts
-    and measures the artefacts of the budget beforehand, diagnoses them, and cuts the part as planned with what was
-    found.
+    The finishing pass is planned once. Every case simulates its cut with another draw of the errors of tool, slides,
+    servos, drift and mount, along lines across the part and in the job's patches. The form error is taken after a fit
+    of the rigid motions that the job's ``measurement`` leaves free, the roughness as the job's ``roughness`` states.
+    With a correction, every case also cuts and measures the test parts of the budget first, diagnoses them, and cuts
+    the part as planned with the diagnosed tool and machine.
 
     Parameters
     ----------
     job
-        With tolerances.
+        Job with tolerances.
     budget
-        What cannot be set exactly; `ErrorBudget.typical` if not given.
+        Error budget; by default `ErrorBudget.typical`.
     count
-        Number of cases, drawn independently.
+        Number of independent cases.
     seed
-        Of all that is drawn.
+        Seed of all draws.
     correction
-        Whether to tell what the artefacts are worth too.
+        Whether to include the correction by test parts.
     confirm
-        Whether to carry out as many cases again with half the spread of what is to be tightened first, if the cases
-        are enough to tell.
+        Whether to repeat the cases with half the spread of the group to reduce first, if the cases are enough to
+        determine it.
     executor
-        Who carries the cases out; processes of this machine if not given.
+        Executor of the cases; by default processes of this machine.
     workers
-        How many of these.
+        Number of these processes.
     store
-        Where motions and finished cases lie: a study that is started again goes on from there. A folder, a URL or a
-        `Store`; one that vanishes afterwards if not given.
+        Store of motions and finished cases, from which a repeated study continues: a folder, a URL or a `Store`. By
+        default a temporary folder.
     progress
         Called with (stage, done, total).
 
@@ -254,17 +255,17 @@ def tolerance(
     InputError
         If there are fewer than 10 cases, the job cannot be planned, or the workers do not reach the store.
     StudyError
-        If the cases cannot go on, or hardly any can be carried out.
+        If the executor breaks, the store is full, or fewer than 10 cases succeed.
     """
     validate.thing(job, Job, "the job")
     validate.listener(progress)
-    told = progress or (lambda _stage, _done, _total: None)
+    report = progress or (lambda _stage, _done, _total: None)
     validate.thing(correction, bool, "whether there is a correction")
     validate.thing(confirm, bool, "whether the advice is confirmed")
     limits = _limits(job)
-    count, seed = validate.whole(count, "the number of cases", 0, MOST_DRAWS), validate.whole(seed, "the seed", 0)
-    if count < FEWEST:
-        raise InputError(f"the study has {count} cases, it needs at least {FEWEST}: give a larger count")
+    count, seed = validate.whole(count, "the number of cases", 0, MAX_DRAWS), validate.whole(seed, "the seed", 0)
+    if count < MIN_CASES:
+        raise InputError(f"the study has {count} cases, it needs at least {MIN_CASES}: give a larger count")
     budget = ErrorBudget.typical() if budget is None else validate.thing(budget, ErrorBudget, "the budget")
     _check_axes(job, budget)
     with ExitStack() as stack:
@@ -274,24 +275,26 @@ def tolerance(
         if executor is None:
             executor = stack.enter_context(local(workers))
         require_reach(place.place, executor, arrays=True)
-        shared = _shared(job, budget, place, correction=correction, told=told)
-        study = _Cases(
-            shared=shared, executor=executor, store=place, seed=seed, correction=correction, told=told,
+        shared = _plan_shared(job, budget, place, correction=correction, report=report)
+        study = _CaseRunner(
+            shared=shared, executor=executor, store=place, seed=seed, correction=correction, report=report,
             study=case_key({"shared": shared}),
         )  # fmt: skip
         inputs = {
             name: spread
             for name, spread in budget.inputs(correction=correction).items()
-            if answers(job) or not name.startswith("servo ")
+            if servos_respond(job) or not name.startswith("servo ")
         }
         drawn = budget.draw(count, seed=seed, correction=correction)
         draws = {name: drawn[name] for name in inputs}
-        rows = study.carried_out("cases", draws)
+        rows = study.run("cases", draws)
         good = [k for k, row in enumerate(rows) if "reason" not in row]
         reasons = tuple(str(row["reason"]) for row in rows if "reason" in row)
-        if len(good) < FEWEST:
-            raise StudyError(f"{len(good)} of {count} cases could be carried out, the limit is {FEWEST}: {reasons[0]}")
-        kept = {name: values[good] for name, values in draws.items()}
+        if len(good) < MIN_CASES:
+            raise StudyError(
+                f"{len(good)} of {count} cases could be carried out, the limit is {MIN_CASES}: {reasons[0]}"
+            )
+        used = {name: values[good] for name, values in draws.items()}
         columns = {
             name: np.array([rows[k][name] for k in good], dtype=np.float64)
             for name in rows[good[0]]
@@ -299,29 +302,29 @@ def tolerance(
         }
         outcomes: dict[str, Outcome] = {}
         for number, kind in enumerate((AS_PLANNED, CORRECTED)[: 1 + correction]):
-            told("sensitivity", number, 1 + correction)
-            own = set(budget.inputs(correction=kind == CORRECTED))
-            maps = np.stack([place.array(rows[k][_named("map", kind)]).ravel() for k in good])
-            outcomes[kind] = _outcome(
-                job, {name: inputs[name] for name in inputs if name in own}, kept, columns, maps, limits, kind, seed,
+            report("sensitivity", number, 1 + correction)
+            names = set(budget.inputs(correction=kind == CORRECTED))
+            maps = np.stack([place.array(rows[k][_column_name("map", kind)]).ravel() for k in good])
+            outcomes[kind] = _evaluate(
+                job, {name: inputs[name] for name in inputs if name in names}, used, columns, maps, limits, kind, seed,
                 failed=len(reasons), feed=shared["cuts"][""]["feed"],
             )  # fmt: skip
-        told("sensitivity", 1, 1)
+        report("sensitivity", 1, 1)
         tightening = None
         kind = CORRECTED if correction else AS_PLANNED
         if confirm and outcomes[kind].explained_variance is not None:
-            tightening = _confirmed(study, inputs, draws, outcomes[kind], limits, kind)
+            tightening = _confirm(study, inputs, draws, outcomes[kind], limits, kind)
     return ToleranceStudy(
-        job=job, budget=budget, seed=seed, draws=MappingProxyType(kept), columns=MappingProxyType(columns),
+        job=job, budget=budget, seed=seed, draws=MappingProxyType(used), columns=MappingProxyType(columns),
         reasons=reasons, limits=MappingProxyType(limits), outcomes=MappingProxyType(outcomes), tightening=tightening,
     )  # fmt: skip
 
 
 def _check_axes(job: Job, budget: ErrorBudget) -> None:
-    """Raise unless the machine has the axes whose servos a budget is about; the usual ones may always be named."""
+    """Raise if a budget names the servo of an axis that the machine lacks; `USUAL_AXES` are always allowed."""
     axes = job.machine.axes
     for name in budget.errors:
-        if name.startswith("servo ") and name[-1] not in {*axes, *USUAL}:
+        if name.startswith("servo ") and name[-1] not in {*axes, *USUAL_AXES}:
             raise InputError(
                 f"{name}: {job.machine.name} has no axis {name[-1]}, it has {', '.join(sorted(axes))}: name "
                 "one of them, or leave it out"
@@ -329,7 +332,7 @@ def _check_axes(job: Job, budget: ErrorBudget) -> None:
 
 
 def _limits(job: Job) -> dict[str, float]:
-    """Return the limit of each measure that has one. [nm]."""
+    """Return the tolerance of each measure that has one. [nm]."""
     limits = {}
     if job.tolerances.form_pv is not None:
         limits["form_pv_nm"] = job.tolerances.form_pv * NM
@@ -343,23 +346,25 @@ def _limits(job: Job) -> dict[str, float]:
     return limits
 
 
-def _shared(job: Job, budget: ErrorBudget, store: Store, *, correction: bool, told: StageProgress) -> dict[str, Any]:
-    """Return what all cases share, planned now or by an earlier study in the same store."""
-    planned = {"job": job.to_toml(), "files": files_of(job)}
+def _plan_shared(
+    job: Job, budget: ErrorBudget, store: Store, *, correction: bool, report: StageProgress
+) -> dict[str, Any]:
+    """Return the input shared by all cases, planned now or read from the store."""
+    planned = {"job": job.to_toml(), "files": list_files(job)}
     key = case_key({"planned": planned, "budget": budget.table(), "correction": correction})
     row = store.row(key)
     if row is None:
-        row = laid_out(
-            job, budget, store, correction=correction, progress=lambda done, total: told("plan", done, total)
+        row = plan_cuts(
+            job, budget, store, correction=correction, progress=lambda done, total: report("plan", done, total)
         )
         store.put_row(key, row)
-    told("plan", 1, 1)
+    report("plan", 1, 1)
     return row
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Cases:
-    """Who carries out the cases of a study."""
+class _CaseRunner:
+    """Set-up for running the cases of a study."""
 
     shared: Mapping[str, Any]
     executor: Executor
@@ -367,10 +372,10 @@ class _Cases:
     seed: int
     study: str
     correction: bool
-    told: StageProgress
+    report: StageProgress
 
-    def carried_out(self, stage: str, draws: Mapping[str, Floats]) -> list[Row]:
-        """Return a row for each draw."""
+    def run(self, stage: str, draws: Mapping[str, Floats]) -> list[Row]:
+        """Run a case for each draw, and return their rows."""
         cases = []
         for k in range(next(iter(draws.values())).size):
             data = {
@@ -380,22 +385,22 @@ class _Cases:
                 "study": self.study,
             }
             cases.append(Case(key=case_key(data), data=data))
-        return conduct(
+        return run_cases(
             carry_out, cases, shared=self.shared, executor=self.executor, store=self.store,
-            progress=lambda done, total: self.told(stage, done, total),
+            progress=lambda done, total: self.report(stage, done, total),
         )  # fmt: skip
 
 
-def _named(measure: str, kind: str) -> str:
+def _column_name(measure: str, kind: str) -> str:
     return measure if kind == AS_PLANNED else f"{CORRECTED} {measure}"
 
 
-def _keeps(columns: Mapping[str, Floats], limits: Mapping[str, float], kind: str) -> dict[str, Bools]:
-    """Return which cases keep each limit. Each (n,)."""
-    return {measure: columns[_named(measure, kind)] <= limit for measure, limit in limits.items()}
+def _meet_tolerances(columns: Mapping[str, Floats], limits: Mapping[str, float], kind: str) -> dict[str, Bools]:
+    """Return which cases meet each tolerance. Each (n,)."""
+    return {measure: columns[_column_name(measure, kind)] <= limit for measure, limit in limits.items()}
 
 
-def _outcome(
+def _evaluate(
     job: Job,
     inputs: Mapping[str, Spread],
     draws: Mapping[str, Floats],
@@ -408,27 +413,29 @@ def _outcome(
     failed: int,
     feed: float,
 ) -> Outcome:
-    """Return what the cases say, as planned or corrected; those that failed keep nothing."""
-    keeps = _keeps(columns, limits, kind)
+    """Evaluate the cases, as planned or corrected; failed cases are out of tolerance."""
+    keeps = _meet_tolerances(columns, limits, kind)
     every = np.logical_and.reduce(list(keeps.values()))
-    probability = chance(int(every.sum()), every.size + failed)
-    groups = grouped(list(inputs), group_of)
+    probability = binomial_interval(int(every.sum()), every.size + failed)
+    groups = group_inputs(list(inputs), group_of)
     scaled = np.stack([(draws[name] - one.mean) / one.deviation for name, one in inputs.items()], axis=1)
-    given = neighbour_indices(scaled, columns[_named("form_pv_nm", kind)], list(groups.values()))
-    lines = lines_of(job, feed)
+    neighbour = neighbour_indices(scaled, columns[_column_name("form_pv_nm", kind)], list(groups.values()))
+    lines = make_lines(job, feed)
     weight = np.broadcast_to(lines.weight, (lines.rows.size, lines.columns.size)).ravel()
     seen = np.flatnonzero(np.isfinite(maps).all(axis=0))
-    if seen.size > HEIGHTS:  # at random, so that no pattern of the part is met at one phase only
-        seen = np.sort(np.random.default_rng(seed).choice(seen, HEIGHTS, replace=False))
+    if seen.size > MODEL_HEIGHTS:  # at random, so that no pattern of the part is sampled at a single phase
+        seen = np.sort(np.random.default_rng(seed).choice(seen, MODEL_HEIGHTS, replace=False))
     maps, weight = maps[:, seen], weight[seen]
-    pv = columns[_named("form_pv_nm", kind)]
-    # Few places see a little less of every map, so that their peak to valley is scaled to that of the whole.
+    pv = columns[_column_name("form_pv_nm", kind)]
+    # A subset of heights has a slightly smaller peak to valley, which is scaled to that of the whole maps.
     maps = maps * float(np.mean(pv) / np.mean(np.ptp(maps, axis=1)))
-    model = MapModel.fitted(scaled, maps, weight)
-    study = _Sums(inputs=inputs, groups=groups, scaled=scaled, maps=maps, weight=weight, pv=pv, seed=seed)
+    model = MapModel.fit(scaled, maps, weight)
+    study = _SignatureAnalysis(inputs=inputs, groups=groups, scaled=scaled, maps=maps, weight=weight, pv=pv, seed=seed)
     sensitivities = [
-        Sensitivity(group=group, first=None, total=None, given=float(share), probability=None, percentile_nm=None)
-        for group, share in zip(groups, given, strict=True)
+        Sensitivity(
+            group=group, first=None, total=None, neighbour_index=float(share), probability=None, percentile_nm=None
+        )
+        for group, share in zip(groups, neighbour, strict=True)
     ]
     if model is not None:
         first, total = study.indices(model)
@@ -439,46 +446,48 @@ def _outcome(
             replace(one, first=first[k], total=total[k], probability=halves[k][0], percentile_nm=halves[k][1])
             for k, one in enumerate(sensitivities)
         ]
-    sensitivities.sort(key=lambda one: -_matters(one))
+    sensitivities.sort(key=lambda one: -_importance(one))
     return Outcome(
         probability=probability,
-        each=MappingProxyType({name: chance(int(one.sum()), one.size + failed) for name, one in keeps.items()}),
+        each=MappingProxyType(
+            {name: binomial_interval(int(one.sum()), one.size + failed) for name, one in keeps.items()}
+        ),
         sensitivities=tuple(sensitivities),
         explained_variance=None if model is None else model.explained_variance(),
-        advice=_with_doubt(
-            _advice(
+        advice=_qualify_advice(
+            _write_advice(
                 sensitivities,
                 probability.value,
                 float(np.quantile(pv, 0.95)),
                 cases=every.size,
-                fewest=MapModel.fewest(len(inputs)),
+                fewest=MapModel.min_cases(len(inputs)),
             ),
             model,
         ),
     )
 
 
-def _matters(one: Sensitivity) -> float:
-    return one.given if one.total is None else one.total.value
+def _importance(one: Sensitivity) -> float:
+    return one.neighbour_index if one.total is None else one.total.value
 
 
-def _first(sensitivities: Sequence[Sensitivity], before: float) -> Sensitivity:
-    """Return what to tighten first: what raises the probability most, or where nothing does the percentile."""
+def _select_group(sensitivities: Sequence[Sensitivity], before: float) -> Sensitivity:
+    """Return the group to reduce first: by the gain in probability, then by the percentile."""
 
     def worth(one: Sensitivity) -> tuple[float, float]:
         if one.probability is None or one.percentile_nm is None:
-            return 0.0, _matters(one)
+            return 0.0, _importance(one)
         return max(round(one.probability - before, 2), 0.0), -one.percentile_nm
 
     return max(sensitivities, key=worth)
 
 
-def _advice(
+def _write_advice(
     sensitivities: Sequence[Sensitivity], before: float, percentile_nm: float, *, cases: int, fewest: int
 ) -> str:
-    best = _first(sensitivities, before)
+    best = _select_group(sensitivities, before)
     if best.probability is None or best.percentile_nm is None:
-        return f"{cases} cases are too few to tell what to tighten first: draw at least {fewest}"
+        return f"{cases} cases are too few to determine what to tighten first: draw at least {fewest}"
     return (
         f"tighten {best.group} first: with half its spread the probability goes from {before:.1%} to about "
         f"{best.probability:.1%}, and 95 of 100 parts keep {best.percentile_nm:.3g} nm PV in place of "
@@ -486,29 +495,29 @@ def _advice(
     )
 
 
-def _with_doubt(advice: str, model: MapModel | None) -> str:
-    """Return what is advised, and that it is a rough guess where it rests on a poor model."""
-    if model is None or (share := model.explained_variance()[0]) >= POOR:
+def _qualify_advice(advice: str, model: MapModel | None) -> str:
+    """Return the advice, marked as a rough estimate if the model is poor."""
+    if model is None or (share := model.explained_variance()[0]) >= POOR_VARIANCE:
         return advice
-    return f"{advice}; a rough guess, for sums of marks explain only {max(share, 0.0):.0%} of the spread of a case"
+    return f"{advice}; a rough estimate: the linear model explains only {max(share, 0.0):.0%} of the variance"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Sums:
-    """Maps as sums of marks, asked many questions.
+class _SignatureAnalysis:
+    """Sensitivity analysis with a model of maps as sums of signatures.
 
     Parameters
     ----------
     inputs, groups
-        Distributions, and the numbers of those that belong together.
+        Distributions, and the numbers of those in each group.
     scaled
-        Draws in units of their deviations. (n, d)
+        Draws in units of their standard deviations. (n, d)
     maps, weight
-        Form errors of the cases (n, m) [nm], and the area that each height stands for. (m,)
+        Form errors of the cases (n, m) [nm], and the area of each height. (m,)
     pv
-        Of the whole maps. (n,) [nm]
+        Peak to valley of the whole maps. (n,) [nm]
     seed
-        Of all that is drawn.
+        Seed of all draws.
     """
 
     inputs: Mapping[str, Spread]
@@ -527,7 +536,7 @@ class _Sums:
     def indices(self, model: MapModel) -> tuple[list[Interval], list[Interval]]:
         """Return first-order and total indices of form error PV, with their intervals.
 
-        These hold what other draws of the cases would make of the marks, and what the design leaves open.
+        The intervals combine the bootstrap of the cases with the sampling error of the indices.
         """
         groups, many = list(self.groups.values()), len(self.inputs)
         unit = unit_points(2 * many, SAMPLES_LOG2, self.seed)
@@ -536,12 +545,12 @@ class _Sums:
         rng = np.random.default_rng([self.seed, 1])
         again = []
         thin = slice(None, None, max(1, self.maps.shape[1] // BOOTSTRAP_HEIGHTS))
-        for _ in range(BOOTSTRAPS):
+        for _ in range(BOOTSTRAP_COUNT):
             chosen = np.asarray(rng.integers(0, self.scaled.shape[0], size=self.scaled.shape[0]))
-            other = MapModel.fitted(self.scaled, self.maps[:, thin], self.weight[thin], chosen)
+            other = MapModel.fit(self.scaled, self.maps[:, thin], self.weight[thin], chosen)
             assert other is not None  # noqa: S101 - as many cases as before
-            found = sobol_indices(other.pv, groups, a, b)
-            again.append((found.first, found.total))
+            indices = sobol_indices(other.pv, groups, a, b)
+            again.append((indices.first, indices.total))
         both = []
         for values, error, spread in zip(best[:2], best[2:], np.std(np.array(again), axis=0), strict=True):
             half = 1.96 * np.hypot(error, spread)
@@ -558,51 +567,51 @@ class _Sums:
     ) -> list[tuple[float, float]]:
         """Return probability and 95th percentile of form error PV [nm], each group at half its spread.
 
-        The form is that of sums of marks; the finish that of the cases, weighted by how much more often the halved
-        spread would draw them.
+        The form error comes from the model; the roughness from the cases, weighted by the ratio of the densities with
+        half and with full spread.
         """
-        whole = self.points(unit_points(len(self.inputs), SAMPLES_LOG2 + 2, self.seed))
+        samples = self.points(unit_points(len(self.inputs), SAMPLES_LOG2 + 2, self.seed))
         names = list(self.inputs)
 
         def form(group: Sequence[int]) -> tuple[float, float]:
-            tight = whole.copy()
+            tight = samples.copy()
             tight[:, group] /= 2
             pv = model.pv(tight)
             return 1.0 if limit is None else float(np.mean(pv <= limit)), float(np.quantile(pv, 0.95))
 
         now, percentile_nm = form([])
-        # What the marks do not explain of the spread is there with any of the groups halved.
+        # The part of the spread that the model does not explain is assumed unchanged by halving a group.
         real = float(np.quantile(self.pv, 0.95)) / percentile_nm
-        found = []
+        outcomes = []
         for group in self.groups.values():
             keeps, percentile_nm = form(group)
             weight = np.ones(fine.size)
             for k in group:
                 weight *= self.inputs[names[k]].density_halved(draws[names[k]])
             effective = weight.sum() ** 2 / max(float((weight**2).sum()), 1e-300)
-            better = float(weight @ fine / weight.sum()) if effective >= EFFECTIVE else float(fine.mean())
+            better = float(weight @ fine / weight.sum()) if effective >= MIN_EFFECTIVE_CASES else float(fine.mean())
             rise = keeps * better - now * float(fine.mean())
-            found.append((float(np.clip(before + rise, 0.0, 1.0)), real * percentile_nm))
-        return found
+            outcomes.append((float(np.clip(before + rise, 0.0, 1.0)), real * percentile_nm))
+        return outcomes
 
 
-def _confirmed(
-    study: _Cases,
+def _confirm(
+    study: _CaseRunner,
     inputs: Mapping[str, Spread],
     draws: Mapping[str, Floats],
     outcome: Outcome,
     limits: Mapping[str, float],
     kind: str,
 ) -> Tightening:
-    """Return what as many cases again say of half the spread that matters most."""
-    best = _first(outcome.sensitivities, outcome.probability.value)
+    """Repeat the cases with half the spread of the group to reduce first."""
+    best = _select_group(outcome.sensitivities, outcome.probability.value)
     tight = {
         name: (values + inputs[name].mean) / 2 if group_of(name) == best.group else values
         for name, values in draws.items()
     }
-    rows = study.carried_out("confirm", tight)
+    rows = study.run("confirm", tight)
     good = [
-        "reason" not in row and all(row[_named(measure, kind)] <= limit for measure, limit in limits.items())
+        "reason" not in row and all(row[_column_name(measure, kind)] <= limit for measure, limit in limits.items())
         for row in rows
     ]
-    return Tightening(group=best.group, probability=chance(sum(good), len(good)), before=outcome.probability)
+    return Tightening(group=best.group, probability=binomial_interval(sum(good), len(good)), before=outcome.probability)

@@ -1,4 +1,4 @@
-"""A study: one job with some of its fields varied, and what is measured of every case."""
+"""Parameter studies: a job with some fields varied, and measures of every case."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from turnwright._arrays import Bools, Floats, frozen
 from turnwright._io import write_whole
 from turnwright.errors import InputError, JobError, StudyError
 from turnwright.job import Job
-from turnwright.studies.cases import Case, case_key, conduct
-from turnwright.studies.designs import MOST_CASES, Vary, design_cases, read_varied, stated
+from turnwright.studies.cases import Case, case_key, run_cases
+from turnwright.studies.designs import MAX_CASES, Vary, design_cases, get_job_value, read_varied
 from turnwright.studies.evaluate import REFUSED, SECONDS, carry_out
 from turnwright.studies.executors import local
-from turnwright.studies.fields import changed, data_of
-from turnwright.studies.files import files_of, kept_files
-from turnwright.studies.measures import Measure, Own, measure_of
+from turnwright.studies.fields import apply_changes, get_job_data
+from turnwright.studies.files import list_files, store_files
+from turnwright.studies.measures import Measure, MeasureFunction, measure_of
 from turnwright.studies.store import Store
 
 if TYPE_CHECKING:
@@ -50,19 +50,19 @@ class Column:
     Parameters
     ----------
     name
-        Of the field or measure, as it was asked for.
+        Name of the field or measure, as requested.
     unit
-        Of its values; empty for what has none, or what carries its unit in its name.
+        Unit of the values; empty if there is none, or if the name contains it.
     values
-        One for each case; nan, or an empty text, where there is none. (n,)
-    own
-        Of a field, what the job itself states, in the same unit; ``None`` where it states nothing.
+        One value for each case; nan, or an empty text, where there is none. (n,)
+    job_value
+        Value of a field in the job, in the same unit; ``None`` if the job states none.
     """
 
     name: str
     unit: str
     values: NDArray[Any]
-    own: float | int | str | bool | None = None
+    job_value: float | int | str | bool | None = None
 
     @property
     def heading(self) -> str:
@@ -71,13 +71,13 @@ class Column:
 
     @property
     def kind(self) -> Kind:
-        """What it holds: "number", "whole" (numbers), "text" or "flag"."""
+        """Type of the values: "number", "whole" (numbers), "text" or "flag"."""
         kinds: dict[str, Kind] = {"f": "number", "i": "whole", "b": "flag"}
         return kinds.get(self.values.dtype.kind, "text")
 
     @property
     def different(self) -> NDArray[Any]:
-        """Its different values, ascending."""
+        """Distinct values, ascending."""
         return np.unique(self.values)
 
 
@@ -89,9 +89,9 @@ class Grid(NamedTuple):
     rows, columns
         Values of the first and the second field. (n,), (m,)
     values
-        Of the measure; nan where there is none. (n, m)
+        Values of the measure; nan where there is none. (n, m)
     ok
-        Whether the case is one that `run` would carry out. (n, m)
+        Whether `run` would accept the case. (n, m)
     """
 
     rows: NDArray[Any]
@@ -102,26 +102,25 @@ class Grid(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Study:
-    """What became of every case of a study: a table.
+    """Table of the cases of a parameter study.
 
-    A study is asked by name for a column, ``study["sq_nm"]``, and by number for a case, ``study[3]``.
+    ``study["sq_nm"]`` is a column, ``study[3]`` a case.
 
     Parameters
     ----------
     job
         The job whose fields were varied.
     design
-        How the cases were chosen, see `study`.
+        Design of the study, see `study`.
     fields
-        What was varied.
+        Varied fields.
     measures
-        What was measured.
+        Measures.
     reasons
-        Of every case, why there is nothing to measure or why `run` would refuse it, in a sentence; empty if all is
-        well. Of one that `run` would refuse (its tool does not reach, or a limit is passed) the measures are there all
-        the same. (n,)
+        For every case the reason why it failed or why `run` would refuse it; empty if neither. A case that `run` would
+        refuse (the tool does not reach, or a limit is exceeded) still has measures. (n,)
     seconds
-        What every case took; nan where it was not carried out. (n,) [s]
+        Computing time of every case; nan for failed ones. (n,) [s]
     """
 
     job: Job
@@ -147,12 +146,12 @@ class Study:
 
     @property
     def ok(self) -> Bools:
-        """Whether each case is one that `run` would carry out. (n,)."""
+        """Whether `run` would accept each case. (n,)."""
         return np.array([not reason for reason in self.reasons], dtype=np.bool_)
 
     @property
     def table(self) -> list[dict[str, Any]]:
-        """All cases, each by the names of fields and measures, with its ``reason``."""
+        """All cases, each as a mapping of fields, measures and ``reason``."""
         return [self[number] for number in range(len(self))]
 
     def column(self, name: str) -> Column:
@@ -176,7 +175,7 @@ class Study:
         """Return the values of a column by its name, or a case by its number."""
         if isinstance(which, str):
             return self.column(which).values
-        if isinstance(which, bool) or not isinstance(which, int | np.integer) or abs(which) > MOST_CASES:
+        if isinstance(which, bool) or not isinstance(which, int | np.integer) or abs(which) > MAX_CASES:
             raise InputError(f"{which!r} is neither a column nor the number of a case: give one of them")
         reason = self.reasons[which]  # raises IndexError where there is no such case, which ends a loop over all
         return {**{one.name: one.values[which].item() for one in self.columns}, REASON: reason}
@@ -185,16 +184,16 @@ class Study:
         return iter(self.table)
 
     def best(self, measure: str, count: int = 10, *, largest: bool = False) -> list[int]:
-        """Return the numbers of the best cases that `run` would carry out, the best first.
+        """Return the numbers of the best cases that `run` would accept, the best first.
 
         Parameters
         ----------
         measure
-            By which.
+            Name of the measure to rank by.
         count
-            How many at most.
+            Largest number of cases to return.
         largest
-            Whether more is better.
+            Whether larger values are better.
         """
         count = validate.whole(count, "the number of cases", 0)
         validate.thing(largest, bool, "whether more is better")
@@ -205,7 +204,7 @@ class Study:
         return [int(one) for one in order if self.ok[one] and np.isfinite(values[one])][:count]
 
     def grid(self, measure: str, *, over: tuple[str, str] | None = None, at: Mapping[str, Any] | None = None) -> Grid:
-        """Return a measure over two fields, as a map is drawn.
+        """Return a measure over two fields, for a contour plot.
 
         Parameters
         ----------
@@ -219,7 +218,7 @@ class Study:
         Raises
         ------
         InputError
-            If a field is missing, or several cases stand at the same place.
+            If a field is missing, or several cases have the same values of both fields.
         """
         if over is None:
             if len(self.fields) < 2:
@@ -229,15 +228,15 @@ class Study:
             raise InputError(f"a map is over {over!r}, it must be over 2 fields: name them")
         if at is not None:
             validate.thing(at, Mapping, "where the other fields stand")
-        kept = np.ones(len(self), dtype=np.bool_)
+        selected = np.ones(len(self), dtype=np.bool_)
         for name, value in (at or {}).items():
             column = self.column(name).values
             if column.dtype.kind == "f":
-                kept &= np.isclose(column, validate.number(value, name), rtol=1e-12, atol=0)
+                selected &= np.isclose(column, validate.number(value, name), rtol=1e-12, atol=0)
             else:
-                kept &= np.array([one == value for one in column.tolist()], dtype=np.bool_)
-        rows, row = np.unique(self.column(over[0]).values[kept], return_inverse=True)
-        columns, place = np.unique(self.column(over[1]).values[kept], return_inverse=True)
+                selected &= np.array([one == value for one in column.tolist()], dtype=np.bool_)
+        rows, row = np.unique(self.column(over[0]).values[selected], return_inverse=True)
+        columns, place = np.unique(self.column(over[1]).values[selected], return_inverse=True)
         if rows.size * columns.size == 0:
             raise InputError(f"no case stands at {dict(at or {})}: name values that the study has")
         if np.unique(row * columns.size + place).size < row.size:
@@ -246,8 +245,8 @@ class Study:
                 f"several cases stand at the same {over[0]} and {over[1]}: fix {', '.join(others) or 'the cases'} by at"
             )
         values, ok = np.full((rows.size, columns.size), np.nan), np.zeros((rows.size, columns.size), dtype=np.bool_)
-        values[row, place] = self.column(measure).values[kept]
-        ok[row, place] = self.ok[kept]
+        values[row, place] = self.column(measure).values[selected]
+        ok[row, place] = self.ok[selected]
         return Grid(rows, columns, values, ok)
 
     @property
@@ -270,11 +269,11 @@ class Study:
 
     @property
     def headings(self) -> list[str]:
-        """How the columns of the written table are headed, units in brackets."""
+        """Headings of the written table, with units in brackets."""
         return ["case", *(one.heading for one in self.columns), "seconds", REASON]
 
     def to_csv(self, path: str | PathLike[str]) -> None:
-        """Write the table as CSV: one row for each case, units in the headings, every number to its last digit."""
+        """Write the table as CSV: one row for each case, units in the headings, numbers with all digits."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self.headings)
@@ -312,15 +311,17 @@ class Study:
         """Write the study into a folder: ``study.csv``, ``study.json`` and ``job.toml``, which `load` reads again."""
         folder = Path(validate.path(folder, "the folder of a study"))
         folder.mkdir(parents=True, exist_ok=True)
-        said = {
+        header = {
             "form": FORM,
             "design": self.design,
             "cases": len(self),
-            "fields": [{"name": one.name, "unit": one.unit, "kind": one.kind, "own": one.own} for one in self.fields],
+            "fields": [
+                {"name": one.name, "unit": one.unit, "kind": one.kind, "own": one.job_value} for one in self.fields
+            ],
             "measures": [{"name": one.name, "unit": one.unit, "kind": one.kind} for one in self.measures],
         }
         self.job.dump(folder / "job.toml")
-        write_whole(folder / "study.json", json.dumps(said, indent=1) + "\n")
+        write_whole(folder / "study.json", json.dumps(header, indent=1) + "\n")
         self.to_csv(folder / "study.csv")
 
     @classmethod
@@ -334,17 +335,17 @@ class Study:
         """
         folder = Path(validate.path(folder, "the folder of a study"))
         try:
-            said = json.loads((folder / "study.json").read_text(encoding="utf-8"))
-            if said["form"] != FORM:
+            header = json.loads((folder / "study.json").read_text(encoding="utf-8"))
+            if header["form"] != FORM:
                 raise StudyError(
-                    f"the study in {str(folder)!r} has the form {said['form']}, this program reads {FORM}: update it"
+                    f"the study in {str(folder)!r} has the form {header['form']}, this program reads {FORM}: update it"
                 )
-            cells = _cells(folder / "study.csv", said["cases"])
+            cells = _cells(folder / "study.csv", header["cases"])
             return cls(
                 job=Job.load(folder / "job.toml"),
-                design=said["design"],
-                fields=tuple(_column(one, cells) for one in said["fields"]),
-                measures=tuple(_column(one, cells) for one in said["measures"]),
+                design=header["design"],
+                fields=tuple(_column(one, cells) for one in header["fields"]),
+                measures=tuple(_column(one, cells) for one in header["measures"]),
                 reasons=tuple(cells[REASON]),
                 seconds=_array("number", cells["seconds"]),
             )
@@ -366,11 +367,11 @@ def _cells(file: Path, count: int) -> dict[str, tuple[str, ...]]:
     return dict(zip(head, zip(*rows, strict=True), strict=True))
 
 
-def _column(said: Mapping[str, Any], cells: Mapping[str, Sequence[str]]) -> Column:
+def _column(header: Mapping[str, Any], cells: Mapping[str, Sequence[str]]) -> Column:
     """Return a column as it was saved."""
-    name, unit = said["name"], said["unit"]
-    values = _array(said["kind"], cells[f"{name} [{unit}]" if unit else name])
-    return Column(name=name, unit=unit, values=values, own=said.get("own"))
+    name, unit = header["name"], header["unit"]
+    values = _array(header["kind"], cells[f"{name} [{unit}]" if unit else name])
+    return Column(name=name, unit=unit, values=values, job_value=header.get("own"))
 
 
 def _cell(value: Any) -> str:
@@ -392,19 +393,19 @@ def _array(kind: str, values: Sequence[Any]) -> NDArray[Any]:
 
 def _kind(values: Sequence[Any]) -> Kind:
     """Return what kind of column values make."""
-    known = [value for value in values if value is not None]
-    if any(isinstance(value, str) for value in known):
+    numbers = [value for value in values if value is not None]
+    if any(isinstance(value, str) for value in numbers):
         return "text"
-    if known and all(isinstance(value, bool) for value in known):
+    if numbers and all(isinstance(value, bool) for value in numbers):
         return "flag"
-    return "whole" if len(known) == len(values) and all(isinstance(value, int) for value in known) else "number"
+    return "whole" if len(numbers) == len(values) and all(isinstance(value, int) for value in numbers) else "number"
 
 
 def study(
     job: Job,
     *,
     vary: Mapping[str, Vary] | None = None,
-    measure: str | Own | Sequence[str | Own],
+    measure: str | MeasureFunction | Sequence[str | MeasureFunction],
     design: str | Sequence[Mapping[str, Any]] = "grid",
     count: int | None = None,
     seed: int = 0,
@@ -413,11 +414,11 @@ def study(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Study:
-    """Vary fields of a job and measure what becomes of every case.
+    """Vary fields of a job and evaluate measures of every case.
 
-    Each case costs only what its measures need: the roughness of a patch asks for the passes over it, minutes for the
-    whole path. What ``run`` would refuse is measured too and has its reason, as far as it was looked at: whether the
-    tool reaches always, the limits of the machine where a measure of the whole motion is asked for.
+    Each case computes only what its measures need: the roughness of a patch needs the revolutions over it, minutes the
+    whole path. A case that ``run`` would refuse is evaluated too and has a reason. Tool access is always checked, the
+    limits of the machine only if a measure needs the whole motion.
 
     Parameters
     ----------
@@ -434,14 +435,14 @@ def study(
     design
         "grid", "random", "sobol", "halton", "latin hypercube", or a list of cases, each a mapping from field to value.
     count, seed
-        Of a design that is drawn. The same seed draws the same cases, so that a study can go on.
+        Number of cases and seed of a random design. The same seed gives the same cases, so that a study can continue.
     executor
-        Who carries the cases out: any `concurrent.futures.Executor`. Processes of this machine if not given.
+        Any `concurrent.futures.Executor`; by default processes of this machine.
     store
-        A folder or URL, or a `Store`: finished cases are kept there and never computed again, whatever ends the study
-        before its time.
+        A folder, URL or `Store` of finished cases, which are not computed again if the study is interrupted and
+        repeated.
     workers
-        How many processes, if no executor is given; as many as there are cores if not given.
+        Number of processes without an executor; by default one per core, limited by free memory.
     progress
         Called with (done, total).
 
@@ -450,7 +451,7 @@ def study(
     InputError
         If a field, a value, a measure or the design is wrong; before anything is computed.
     StudyError
-        If the executor breaks or the store is full; what is finished stays in the store.
+        If the executor breaks or the store is full; finished cases are kept in the store.
 
     >>> from concurrent.futures import ThreadPoolExecutor
     >>> job = Job.read({
@@ -480,41 +481,46 @@ def study(
     validate.listener(progress)
     fields, rows = design_cases(
         job,
-        [read_varied(job, name, given) for name, given in (vary or {}).items()],
+        [read_varied(job, name, value) for name, value in (vary or {}).items()],
         design=design,
         count=count,
         seed=seed,
     )
-    asked: Any = measure if isinstance(measure, list | tuple) else [measure]
-    measures = [measure_of(job, one) for one in asked]
+    requested: Any = measure if isinstance(measure, list | tuple) else [measure]
+    measures = [measure_of(job, one) for one in requested]
     _check_measures(measures)
     place = Store.open(store) if store is not None and not isinstance(store, Store) else store
-    files = files_of(job)
+    files = list_files(job)
     shared = {
         "measures": [one.name for one in measures],
-        "own": {one.name: one.own for one in measures if one.own is not None},
-        "files": kept_files(files, place),
+        "own": {one.name: one.function for one in measures if one.function is not None},
+        "files": store_files(files, place),
     }
     columns = tuple(
-        Column(name=one.name, unit=one.unit, values=_array(_field_kind(one.field.kind), values), own=stated(job, one))
+        Column(
+            name=one.name,
+            unit=one.unit,
+            values=_array(_field_kind(one.field.kind), values),
+            job_value=get_job_value(job, one),
+        )
         for one, values in zip(fields, zip(*rows, strict=True), strict=True)
     )
-    base, signs = data_of(job), [one.sign for one in measures]
+    base, signs = get_job_data(job), [one.sign for one in measures]
     cases = []
     for row in rows:
         changes = [(one.field, one.unit, token) for one, token in zip(fields, row, strict=True)]
-        data = {"job": changed(base, changes), "files": files}
+        data = {"job": apply_changes(base, changes), "files": files}
         cases.append(Case(key=case_key({**data, "measures": signs}), data=data))
     several = local(None if workers is None else min(workers, len(cases))) if executor is None else None
     with several or nullcontext(executor) as pool:
-        found = conduct(carry_out, cases, shared=shared, executor=pool, store=place, progress=progress)
+        rows_of_cases = run_cases(carry_out, cases, shared=shared, executor=pool, store=place, progress=progress)
     return Study(
         job=job,
         design=design if isinstance(design, str) else "list",
         fields=columns,
-        measures=tuple(_measured(one, found) for one in measures),
-        reasons=tuple("; ".join(str(row.get(REASON) or row.get(REFUSED) or "").splitlines()) for row in found),
-        seconds=_array("number", [row.get(SECONDS) for row in found]),
+        measures=tuple(_measured(one, rows_of_cases) for one in measures),
+        reasons=tuple("; ".join(str(row.get(REASON) or row.get(REFUSED) or "").splitlines()) for row in rows_of_cases),
+        seconds=_array("number", [row.get(SECONDS) for row in rows_of_cases]),
     )
 
 
