@@ -13,7 +13,7 @@ import numpy as np
 
 from turnwright._tables import written
 from turnwright.errors import Stopped, TurnwrightError
-from turnwright.job.contributions import Shares, shares
+from turnwright.job.contributions import ErrorBreakdown, break_down_error
 from turnwright.job.pipeline import Pipeline
 from turnwright.motion import Limits, check_limits, drive
 from turnwright.placing import place
@@ -80,7 +80,7 @@ class Candidate:
     turns: float = math.nan
     size_bytes: int = 0
     limits: Limits | None = None
-    shares: Shares | None = None
+    shares: ErrorBreakdown | None = None
     wall_s: float = math.nan
 
 
@@ -163,7 +163,7 @@ def _asked(own: Strategy, part: Part, tool: Tool, machine: Machine) -> tuple[flo
     cusp = nose - math.sqrt(nose**2 - feed**2 / 4) if part.surface.in_pieces else None
     chord: float | None = getattr(plain, "chord", None)
     if cusp is None or chord is None:
-        found = shares(part, tool, spiral, drive(place(spiral, part, tool), plain, machine))
+        found = break_down_error(part, tool, spiral, drive(place(spiral, part, tool), plain, machine))
         cusp = cusp or found.cusp_away_nm * 1e-6
         chord = chord or max(found.chord_nm, 0.1) * 1e-6
     return feed, cusp, chord

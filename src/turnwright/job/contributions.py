@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from turnwright.tool import Tool
 
 __all__ = [
-    "Shares",
+    "ErrorBreakdown",
     "apart_nm",
+    "break_down_error",
     "exact_cusps",
     "exact_motion",
     "finish_nm",
@@ -36,7 +37,6 @@ __all__ = [
     "pv_nm_of",
     "require_servos",
     "rms_nm_of",
-    "shares",
     "without_servos",
 ]
 
@@ -70,7 +70,7 @@ DENSER = 16
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Shares:
+class ErrorBreakdown:
     """How much each cause adds to the form error, on lines across all passes.
 
     Parameters
@@ -114,7 +114,7 @@ class Shares:
         )
 
 
-def shares(
+def break_down_error(
     part: Part,
     tool: Tool,
     spiral: Spiral,
@@ -124,7 +124,7 @@ def shares(
     meant: Motion | None = None,
     pv_nm: float | None = None,
     progress: Progress | None = None,
-) -> Shares:
+) -> ErrorBreakdown:
     """Return where the error of a plan comes from.
 
     Parameters
@@ -173,7 +173,7 @@ def shares(
         pv_nm = math.nan if form is None else form.pv_nm
     report(6, 6)
     cusps = exact.minus(part.surface)
-    return Shares(
+    return ErrorBreakdown(
         cusp_nm=pv_nm_of(np.append(cusps.z.ravel(), _about_axis(ideal_path, part, tool, zone))),
         cusp_away_nm=pv_nm_of(cusps.z[:, radius > 2 * feed]),
         chord_nm=apart_nm(wanted, exact),

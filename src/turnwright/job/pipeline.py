@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from turnwright.access import check_access, check_depths
 from turnwright.errors import InputError
 from turnwright.job.approach import Entry, entries_of
-from turnwright.job.contributions import Shares, shares
+from turnwright.job.contributions import ErrorBreakdown, break_down_error
 from turnwright.job.cutting import chips_of
 from turnwright.job.pass_plan import PassPlan, Watch
 from turnwright.job.predicting import WHOLE, predict
@@ -283,11 +283,11 @@ class Pipeline:
         return predict(self.job, self.read_back, meant=self.finishing.meant, watch=self.watch)
 
     @cached_property
-    def shares(self) -> Shares:
+    def shares(self) -> ErrorBreakdown:
         """Where the form error of the program read back comes from."""
         part, tool, plan = self.job.part.aimed, self.job.tool, self.finishing
         with self.watch.stage("shares") as tell:
-            return shares(
+            return break_down_error(
                 part, tool, plan.spiral, plan.commanded, again=self.read_back, meant=plan.meant, progress=tell
             )
 

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from turnwright.errors import JobError, LimitError, Stopped, TurnwrightError
 from turnwright.generation import generate_polar
 from turnwright.job.contributions import (
-    Shares,
+    ErrorBreakdown,
     apart_nm,
+    break_down_error,
     exact_cusps,
     exact_motion,
     finish_nm,
     has_servos,
-    shares,
     without_servos,
 )
 from turnwright.job.interpolated import interpolated
@@ -136,7 +136,7 @@ class Plan:
     """
 
     job: Job
-    shares: Shares
+    shares: ErrorBreakdown
     verdicts: tuple[Verdict, ...]
     limits: Limits
     tried: tuple[Trial, ...]
@@ -350,7 +350,7 @@ class _Search:
         tell(0.9)
         return Plan(
             job=final,
-            shares=shares(
+            shares=break_down_error(
                 self.part, self.tool, points.spiral, motion, again=again, meant=aimed, pv_nm=predictions[0].pv_nm
             ),
             verdicts=judge(final, predictions),
