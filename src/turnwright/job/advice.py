@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 __all__ = ["open_questions"]
 
-LEAST_REACH = 0.01
+MIN_REACH_MM = 0.01
 """Smallest distance between two poses that a stated ``reach`` can tell apart in practice. [mm]."""
 
-LEAST_CLOCKING = np.deg2rad(0.01)
+MIN_CLOCKING_RAD = np.deg2rad(0.01)
 """Smallest turn between two poses that a stated ``clocking`` can tell apart in practice. [rad]."""
 
-RIM = 0.01
+EDGE_FRACTION = 0.01
 """Width of an edge to leave out first, over the clear radius."""
 
 
@@ -65,7 +65,7 @@ def _shift(registration: Registration) -> list[str]:
 
 
 def _trim(asked: MeasurementTable, radius: float) -> str:
-    keys: dict[str, object] = {"trim": _length(max(2 * asked.trim, RIM * radius))}
+    keys: dict[str, object] = {"trim": _length(max(2 * asked.trim, EDGE_FRACTION * radius))}
     if asked.spikes != "robust":
         keys = {"spikes": "robust", **keys}
     return f"Write {_keys(keys)} in [measurement], or mirrored or inverted if the map shows the part so."
@@ -95,12 +95,12 @@ def _turn(registration: Registration, other: PoseCandidate) -> float:
 
 
 def _single_out(registration: Registration, rival: PoseCandidate) -> str:
-    here, there = (np.array(pose.apply(*registration.pivot))[:2] for pose in (registration.pose, rival.pose))
-    apart, turned = float(np.hypot(*(here - there))), _turn(registration, rival)
+    pivot, rival_pivot = (np.array(pose.apply(*registration.pivot))[:2] for pose in (registration.pose, rival.pose))
+    distance, turned = float(np.hypot(*(pivot - rival_pivot))), _turn(registration, rival)
     keys: dict[str, object] = {"shift": _shift(registration), "rotation": _degrees(registration.pose.rotation)}
-    if apart > LEAST_REACH:
-        keys["reach"] = _length(apart / 2)
-    if turned > LEAST_CLOCKING:
+    if distance > MIN_REACH_MM:
+        keys["reach"] = _length(distance / 2)
+    if turned > MIN_CLOCKING_RAD:
         keys["clocking"] = _degrees(turned / 2)
     return (
         f"Measure the edge of the part or a mark; if this pose is right write {_keys(keys)} in [measurement], else the "

@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ErrorBreakdown",
-    "apart_nm",
     "break_down_error",
     "exact_cusps",
     "exact_motion",
     "finish_nm",
     "has_servos",
     "lines",
+    "max_difference_nm",
     "pv_nm_of",
     "require_servos",
     "rms_nm_of",
@@ -43,29 +43,29 @@ __all__ = [
 TURN = 2 * math.pi
 NM = 1e6
 
-PER_FEED = 12
+SAMPLES_PER_FEED = 12
 """Samples from pass to pass: the top of a cusp is then missed by less than 1 % of its height."""
 
 MOST_RADII = 24_000
 FEWEST_ANGLES, MOST_ANGLES = 72, 720
 """Azimuths looked at; every one crosses all passes."""
 
-RING = 12
+RING_FEEDS = 12
 """Width of the rings whose finish is looked at, in feeds."""
 
-PER_FEATURE = 4
+AZIMUTHS_PER_FEATURE = 4
 """Azimuths to a feature of the surface at the rim, if they are not too many."""
 
-CLEAR = 1e-4
+END_CLEARANCE_RAD = 1e-4
 """Shift of azimuths that come near to an end of a spiral; they keep at least half of it away from both ends. [rad]"""
 
-FAINT_NM = 1e-4
+MIN_SHOWN_NM = 1e-4
 """Heights below it are roundings of the simulation."""
 
 AXIS_FEEDS = 2
 """Distance of the tip from the axis, in feeds, within which an Archimedean spiral leaves its highest cusp."""
 
-DENSER = 16
+AXIS_SUBDIVISION = 16
 """Parts into which an exact path close about the axis divides the way from one azimuth to the next."""
 
 
@@ -176,9 +176,9 @@ def break_down_error(
     return ErrorBreakdown(
         cusp_nm=pv_nm_of(np.append(cusps.z.ravel(), _about_axis(ideal_path, part, tool, zone))),
         cusp_away_nm=pv_nm_of(cusps.z[:, radius > 2 * feed]),
-        chord_nm=apart_nm(wanted, exact),
-        rounding_nm=apart_nm(rounded, sent),
-        tracking_nm=apart_nm(real, rounded if meant is None else wanted),
+        chord_nm=max_difference_nm(wanted, exact),
+        rounding_nm=max_difference_nm(rounded, sent),
+        tracking_nm=max_difference_nm(real, rounded if meant is None else wanted),
         pv_nm=pv_nm,
         rms_nm=rms_nm_of(error),
         sq_nm=finish_nm(error, feed),
@@ -209,13 +209,13 @@ def _axis_zone(part: Part, tool: Tool, feed: float) -> tuple[float, float]:
 
 def _about_axis(motion: Motion, part: Part, tool: Tool, zone: float) -> Floats:
     """Return the highest and the lowest error within a distance of the axis. (2,) [mm]."""
-    found = find_extremes(motion, tool, replace(part, radius=zone))
-    return np.array([math.nan] * 2 if found is None else [found.highest.error, found.lowest.error])
+    extremes = find_extremes(motion, tool, replace(part, radius=zone))
+    return np.array([math.nan] * 2 if extremes is None else [extremes.highest.error, extremes.lowest.error])
 
 
 def _digits(height_nm: float) -> str:
     """Return three digits of a height, or 0 where it is mere rounding."""
-    return f"{height_nm:.3g}" if height_nm >= FAINT_NM else "0"
+    return f"{height_nm:.3g}" if height_nm >= MIN_SHOWN_NM else "0"
 
 
 def pv_nm_of(z: Floats) -> float:
@@ -233,9 +233,9 @@ def lines(part: Part, feed: float, passed: Floats) -> tuple[Floats, Floats]:
 
     (n,) [mm], (m,) [rad]
     """
-    fine = TURN * part.radius / part.surface.feature_size * PER_FEATURE
+    fine = TURN * part.radius / part.surface.feature_size * AZIMUTHS_PER_FEATURE
     return (
-        np.linspace(0, part.radius, min(math.ceil(part.radius / feed * PER_FEED), MOST_RADII) + 1),
+        np.linspace(0, part.radius, min(math.ceil(part.radius / feed * SAMPLES_PER_FEED), MOST_RADII) + 1),
         clear_azimuths(int(np.clip(math.ceil(fine), FEWEST_ANGLES, MOST_ANGLES)), passed),
     )
 
@@ -246,9 +246,9 @@ def clear_azimuths(count: int, passed: Floats) -> Floats:
     (count,) [rad]
     """
     step = TURN / count
-    for shift in (0.0, CLEAR, 2 * CLEAR):
+    for shift in (0.0, END_CLEARANCE_RAD, 2 * END_CLEARANCE_RAD):
         away = np.mod(passed[[0, -1]] - shift + step / 2, step) - step / 2
-        if np.abs(away).min() >= CLEAR / 2:
+        if np.abs(away).min() >= END_CLEARANCE_RAD / 2:
             break
     return np.asarray(shift + step * np.arange(count))
 
@@ -257,7 +257,7 @@ def finish_nm(error: HeightMap, feed: float) -> float:
     """Return the largest Sq of a ring a few feeds wide, straight lines across it removed."""
     assert error.radius is not None  # noqa: S101 - lines are polar
     step = float(error.radius[1])
-    size = min(max(math.ceil(RING * feed / step), 3), error.radius.size)
+    size = min(max(math.ceil(RING_FEEDS * feed / step), 3), error.radius.size)
     rings = error.radius.size // size
     z = error.z[:, : rings * size].reshape(-1, rings, size)
     weight = error.radius[: rings * size].reshape(rings, size)
@@ -293,7 +293,7 @@ def without_servos(machine: Machine, *, corrected: bool = False) -> Machine:
     return replace(machine, axes=axes, controller=controller)
 
 
-def apart_nm(one: HeightMap, other: HeightMap) -> float:
+def max_difference_nm(one: HeightMap, other: HeightMap) -> float:
     """Return the largest distance between two maps."""
     return float(np.nanmax(np.abs(one.z - other.z))) * NM
 
@@ -313,7 +313,7 @@ def exact_motion(
     inner = inner[(inner > first + apart) & (inner < last - apart)]
     nodes = np.concatenate(([first], inner, [last]))[:: spiral.sense]
     far = np.abs(_between(spiral, spiral.radius, spiral.radius_rate, nodes))
-    parts = np.where(np.minimum(far[:-1], far[1:]) <= dense_to, DENSER, 1)
+    parts = np.where(np.minimum(far[:-1], far[1:]) <= dense_to, AXIS_SUBDIVISION, 1)
     start = np.repeat(np.cumsum(parts) - parts, parts)
     within = (np.arange(start.size) - start) / np.repeat(parts, parts)
     nodes = np.append(np.repeat(nodes[:-1], parts) + within * np.repeat(np.diff(nodes), parts), nodes[-1])
@@ -328,9 +328,9 @@ def exact_motion(
 
 def _between(spiral: Spiral, values: Floats, rates: Floats | None, nodes: Floats) -> Floats:
     """Return what the plan has between its points: straight lines, or cubics where it states rates."""
-    order, asked = spiral.sense * spiral.angle, spiral.sense * nodes
+    order, nodes_in_order = spiral.sense * spiral.angle, spiral.sense * nodes
     if rates is None:
-        return np.interp(asked, order, values)
+        return np.interp(nodes_in_order, order, values)
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415 - costly to import
 
-    return np.asarray(CubicHermiteSpline(order, values, spiral.sense * rates)(asked))
+    return np.asarray(CubicHermiteSpline(order, values, spiral.sense * rates)(nodes_in_order))

@@ -34,8 +34,14 @@ if TYPE_CHECKING:
     from pydantic import ValidationInfo
 
 __all__ = [
-    "AnyInstrument", "AnyMachine", "ExistingFile", "HeightFile", "MachineDeviations", "asking",
-    "context_of", "with_keys",
+    "AnyInstrument",
+    "AnyMachine",
+    "ExistingFile",
+    "HeightFile",
+    "MachineDeviations",
+    "context_of",
+    "with_interpolation",
+    "with_keys",
 ]  # fmt: skip
 
 
@@ -133,10 +139,10 @@ class HeightFile(Family):
         return _tabulated(self, (stamp.st_mtime_ns, stamp.st_size))
 
 
-def with_keys(told: str, where: str) -> str:
+def with_keys(message: str, where: str) -> str:
     """Return a message on a missing unit with the keys of a job that state it, and where they stand."""
-    told = re.sub("unit='mm', or as a column '([xy]) ", rf"units = 'mm' in {where}, or as a column '\1 ", told)
-    return told.replace("unit='mm', or", f"sag_units = 'mm' in {where}, or")
+    message = re.sub("unit='mm', or as a column '([xy]) ", rf"units = 'mm' in {where}, or as a column '\1 ", message)
+    return message.replace("unit='mm', or", f"sag_units = 'mm' in {where}, or")
 
 
 @lru_cache(maxsize=4)
@@ -144,18 +150,18 @@ def _tabulated(stated: HeightFile, _stamp: tuple[int, int]) -> Gridded | Scatter
     """Return the surface through the heights of a file."""
     file = stated.file
     try:
-        found = read_map(file, unit=stated.sag_units, lateral_unit=stated.units or "", pixel_size=stated.pixel_size)
+        heights = read_map(file, unit=stated.sag_units, lateral_unit=stated.units or "", pixel_size=stated.pixel_size)
     except MapError as error:
         raise JobError(with_keys(str(error).replace(str(file), file.name), "the job")) from error
-    if not found.calibrated:
+    if not heights.calibrated:
         raise JobError(f"{file.name} counts pixels and does not say how large they are: state pixel_size")
-    z = -found.z if stated.inverted else found.z
-    if found.x is None or found.y is None:
+    z = -heights.z if stated.inverted else heights.z
+    if heights.x is None or heights.y is None:
         raise JobError(f"{file.name} holds a polar grid: write its heights over x and y, or as a list of points")
-    if found.scattered:
-        known = np.isfinite(z)
-        return Scattered(x=found.x[known], y=found.y[known], z=z[known], source=stated)
-    return Gridded(x=found.x, y=found.y, z=z, source=stated)
+    if heights.scattered:
+        valid = np.isfinite(z)
+        return Scattered(x=heights.x[valid], y=heights.y[valid], z=z[valid], source=stated)
+    return Gridded(x=heights.x, y=heights.y, z=z, source=stated)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -222,18 +228,18 @@ class MachineTable(MachineDeviations):
         if (self.name is None) == (self.file is None):
             raise JobError("name and file of the machine are both given or both missing: give one of them")
         loaded = Machine.load(self.file or self.name or "")
-        own = loaded.controller.interpolation
-        machine = loaded if self.interpolation is None else asking(loaded, self.interpolation)
+        default_interpolation = loaded.controller.interpolation
+        machine = loaded if self.interpolation is None else with_interpolation(loaded, self.interpolation)
         machine = replace(
             machine, plausible={**machine.plausible, **self.plausible}, dialect=self.dialect or machine.dialect
         )
         machine = self.deviating(machine)
-        dialect, asked = dialect_of(machine), machine.controller.interpolation
+        dialect, interpolation = dialect_of(machine), machine.controller.interpolation
         # What a controller makes of plain points unasked is its own; any other must be asked for in the program.
-        if asked not in (own, dialect.interpolation):
+        if interpolation not in (default_interpolation, dialect.interpolation):
             raise JobError(
-                f"interpolation is {asked!r}, a program in the dialect {dialect.name} asks for "
-                f"{dialect.interpolation}: choose that, or {own}, which {machine.name} takes unasked"
+                f"interpolation is {interpolation!r}, a program in the dialect {dialect.name} asks for "
+                f"{dialect.interpolation}: choose that, or {default_interpolation}, which {machine.name} takes unasked"
             )
         return machine
 
@@ -248,25 +254,25 @@ class MachineTable(MachineDeviations):
         """
         if machine.loaded is None:
             raise InputError(f"a job names the file of a machine, and {machine.name!r} has none: write a machine file")
-        name, own = machine.loaded
+        name, loaded = machine.loaded
         table: dict[str, Any] = {"file" if File(name).suffix or File(name).is_absolute() else "name": name}
-        if machine.controller != own.controller:
+        if machine.controller != loaded.controller:
             table["interpolation"] = machine.controller.interpolation
-            own = asking(own, machine.controller.interpolation)
-        if machine.dialect != own.dialect:
+            loaded = with_interpolation(loaded, machine.controller.interpolation)
+        if machine.dialect != loaded.dialect:
             table["dialect"] = machine.dialect
-        if machine.squareness != own.squareness:
+        if machine.squareness != loaded.squareness:
             table["squareness"] = write(machine.squareness, "rad")
-        if not same(machine.straightness, own.straightness):
+        if not same(machine.straightness, loaded.straightness):
             file = machine.sources.get("straightness", "")
             if not File(file).is_absolute():
                 raise InputError(f"the straightness of {machine.name!r} is in no file, a job names one: write one")
             table["straightness_file"] = file
-        sizes = {name: size for name, size in machine.plausible.items() if own.plausible.get(name) != size}
+        sizes = {name: size for name, size in machine.plausible.items() if loaded.plausible.get(name) != size}
         if sizes:
             table["plausible"] = {key_of(name): write(size, PLAUSIBLE[name]) for name, size in sizes.items()}
         stated = replace(
-            own,
+            loaded,
             dialect=machine.dialect,
             squareness=machine.squareness,
             straightness=machine.straightness,
@@ -311,26 +317,26 @@ class InstrumentTable(Table):
                 "one, name a .toml file, or state its pixel and resolution"
             )
         source = self.file or self.name
-        own = Instrument() if source is None else Instrument.load(source)
+        base = Instrument() if source is None else Instrument.load(source)
         values = {key: getattr(self, key) for key in types_of(type(self)) if key not in ("name", "file")}
         stated = {key: value for key, value in values.items() if value is not None}
         if not stated and source is None:
             raise JobError("the instrument states nothing: give its name, a file, or what it resolves, such as pixel")
-        return replace(own, **stated)
+        return replace(base, **stated)
 
     @classmethod
     def table_of(cls, instrument: Instrument) -> dict[str, Any]:
         """Return how a job states an instrument: what it was loaded from, and what differs from that."""
-        source, own = instrument.loaded or ("", Instrument())
+        source, base = instrument.loaded or ("", Instrument())
         table: dict[str, Any] = {"file" if source.endswith(".toml") else "name": source} if source else {}
-        stated = written(instrument, base=own)
+        stated = written(instrument, base=base)
         return table | {key: stated[key] for key in types_of(cls) if key in stated and key != "name"}
 
 
-def asking(machine: Machine, interpolation: str) -> Machine:
+def with_interpolation(machine: Machine, interpolation: str) -> Machine:
     """Return a machine whose controller is asked for an interpolation, and offers no other then."""
-    found = machine.interpolating(interpolation)
-    return replace(found, controller=replace(found.controller, other_interpolations={}))
+    chosen = machine.interpolating(interpolation)
+    return replace(chosen, controller=replace(chosen.controller, other_interpolations={}))
 
 
 def _instrument(value: object) -> object:

@@ -19,7 +19,7 @@ from turnwright.job.pass_plan import PassPlan, Watch
 from turnwright.job.predicting import WHOLE, predict
 from turnwright.job.programs import read_back, written
 from turnwright.job.result import Pass
-from turnwright.job.window import can_be_parted, predict_parted
+from turnwright.job.window import can_predict_window, predict_window
 from turnwright.motion import check_limits
 
 if TYPE_CHECKING:
@@ -316,8 +316,8 @@ class Pipeline:
         known = [WHOLE, *(patch.name for patch in self.job.simulation.patches)]
         if name not in known:
             raise InputError(f"the job has no patch {name!r}, it predicts {', '.join(known)}: name one of them")
-        if "commanded" not in vars(self.finishing) and can_be_parted(self.job):
-            found = predict_parted(self.job, name)
+        if "commanded" not in vars(self.finishing) and can_predict_window(self.job):
+            found = predict_window(self.job, name)
             if found is not None:
                 return found
         return predict(self.job, self.motion, meant=self.finishing.meant, only=(name,))[0]

@@ -13,16 +13,16 @@ from turnwright.errors import JobError, LimitError, Stopped, TurnwrightError
 from turnwright.generation import generate_polar
 from turnwright.job.contributions import (
     ErrorBreakdown,
-    apart_nm,
     break_down_error,
     exact_cusps,
     exact_motion,
     finish_nm,
     has_servos,
+    max_difference_nm,
     without_servos,
 )
 from turnwright.job.interpolated import interpolated
-from turnwright.job.named import asking
+from turnwright.job.named import with_interpolation
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.predicting import predict
 from turnwright.job.programs import read_back, written
@@ -212,7 +212,7 @@ def stage_of(interpolation: str) -> str:
 
 def _asking(job: Job, interpolation: str) -> Job:
     """Return the job with its controller asked for another interpolation."""
-    return replace(job, machine=asking(job.machine, interpolation))
+    return replace(job, machine=with_interpolation(job.machine, interpolation))
 
 
 def _planned(job: Job, form: float, sq: float, report: StageProgress) -> Plan:
@@ -395,7 +395,7 @@ class _Search:
         exact = exact_motion(points.spiral, self.part, self.tool, self.machine, angle)
         made = interpolated(points.top, without_servos(self.machine, corrected=self.corrected))
         maps = [generate_polar(one, self.tool, radius=radius, angle=angle) for one in (exact, made)]
-        return apart_nm(*maps) / NM
+        return max_difference_nm(*maps) / NM
 
     def _placed(self, spacing: float) -> _Points:
         """Return points at a chord, or at an arc length [mm], at the highest speed within the limits."""

@@ -37,7 +37,7 @@ FINEST_STEPS = 2
 BALL_STEPS = 10
 """Steps in the radius of a stylus, at least."""
 
-MARGIN = 4
+MARGIN_LENGTHS = 4
 """Finest lengths of an instrument by which a surface reaches beyond the map."""
 
 CUTOFF_FEEDS = 5
@@ -46,7 +46,7 @@ CUTOFF_FEEDS = 5
 CUTOFF_STEPS = 5
 """Steps of a map in the cutoff of the texture, at least."""
 
-LEAST_SHARE = 0.5
+MIN_MEASURED_FRACTION = 0.5
 """Of the window that must be measured."""
 
 NM = 1e6
@@ -149,7 +149,7 @@ def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> SeenTexture | Non
     cutoff = max(CUTOFF_FEEDS * feed, CUTOFF_STEPS * max(steps) * (1 + 1e-9))
     if min(size * step for size, step in zip(sizes, steps, strict=True)) < 2 * cutoff:
         return None
-    if np.isfinite(window.z).mean() < LEAST_SHARE:
+    if np.isfinite(window.z).mean() < MIN_MEASURED_FRACTION:
         return None
     grid = _grid(error.x[columns], error.y[rows], limit, _reach(instrument))
     if grid is None:
@@ -162,12 +162,12 @@ def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> SeenTexture | Non
     surface = np.where(np.isfinite(made), design, np.nan)
     through = (instrument.see(HeightMap(x=grid.x, y=grid.y, z=one)).z for one in (made, surface))
     seen = next(through) - next(through)
-    known = np.isfinite(window.z) & np.isfinite(seen[grid.rows, grid.columns])
-    if known.mean() < LEAST_SHARE:
+    valid = np.isfinite(window.z) & np.isfinite(seen[grid.rows, grid.columns])
+    if valid.mean() < MIN_MEASURED_FRACTION:
         return None
 
     def sq_nm(z: Floats) -> float:
-        texture = replace(window, z=np.where(known, z, np.nan))
+        texture = replace(window, z=np.where(valid, z, np.nan))
         return float(np.nanstd(texture.z - filter_map(texture, cutoff).z)) * NM
 
     return SeenTexture(
@@ -191,7 +191,7 @@ class _Grid:
 def _reach(instrument: Instrument) -> float:
     """Return how far beyond the map a surface must be known. [mm]."""
     finest = max(instrument.pixel or 0.0, 1 / instrument.cutoff)
-    return max(MARGIN * finest, instrument.stylus_radius or 0.0)
+    return max(MARGIN_LENGTHS * finest, instrument.stylus_radius or 0.0)
 
 
 def _step_limit(instrument: Instrument) -> float:
@@ -220,10 +220,10 @@ def _grid(x: Floats, y: Floats, limit: float, reach: float) -> _Grid | None:
 
 def _inspected(job: Job, u: Floats, v: Floats) -> Floats:
     """Return what an instrument without errors would show of the design: its height, or its departure. [mm]."""
-    asked = job.measurement
+    settings = job.measurement
     surfaces = [job.part.surface]
-    if asked.quantity != "height":
-        reference = asked.departure_from
+    if settings.quantity != "height":
+        reference = settings.departure_from
         surfaces.append(reference if isinstance(reference, Surface) else surfaces[0])
     on = np.ones(u.shape, dtype=np.bool_)
     for surface in surfaces:
