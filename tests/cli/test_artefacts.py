@@ -56,8 +56,8 @@ def test_what_nobody_states_is_found():
     ("asked", "words"),
     [
         ({"kind": "cube"}, "tilted flat"),
-        ({"kind": "tilted flat", "slope": 1.0}, "57.3 deg, the limits are 0 to 45"),
-        ({"kind": "concave sphere", "radius": 0.1, "slope": 0.5}, "the nose has 0.5 mm"),
+        ({"kind": "tilted flat", "slope": 1.0}, r"57.3 deg, .* 45 deg"),
+        ({"kind": "concave sphere", "radius": 0.1, "slope": 0.5}, "nose radius of 0.5 mm"),
     ],
 )
 def test_what_is_no_artefact_is_refused(asked, words):

@@ -50,7 +50,7 @@ WRONG = {
         [("machine", {"file": "none.toml"})],
         r"machine\.file: the file 'none\.toml' does not exist",
     ),
-    "a machine named twice": ([("machine.file", "job.toml")], r"machine: name and file of the machine are both given"),
+    "a machine named twice": ([("machine.file", "job.toml")], r"machine: the machine needs either name or file"),
     "an unknown dialect": ([("machine.dialect", "klingon")], r"dialect 'klingon'"),
     "a missing sag table": ([("part.surface", GRID | {"file": "none.csv"})], r"part\.surface\.file: .*does not exist"),
     "nan in a sag table": ([("part.surface", GRID | {"file": "nan.csv"})], r"has no height at 1 points on or next to it"),
@@ -156,7 +156,7 @@ WRONG = {
         [("part.surface", {"family": "sphere", "radius": "20 mm"}), ("part.blank", {"radius": "1e9 mm"})],
         r"blank of radius 1e\+09 mm .*, the limit is 1000 mm: correct part\.blank\.radius",
     ),
-    "a device for a machine": ([("machine", {"file": "/dev/zero"})], r"machine\.file: '/dev/zero' is no plain file"),
+    "a device for a machine": ([("machine", {"file": "/dev/zero"})], r"machine\.file: '/dev/zero' must be a file"),
     "a map of one radius": ([("simulation.whole_part.radii", 1)], r"whole_part\.radii is 1, it must be at least 2"),
     "half a radius": ([("simulation.whole_part.radii", 40.5)], r"radii is 40\.5, it must be a whole number"),
     "three coordinates": (
@@ -415,7 +415,7 @@ def test_a_name_too_long_for_any_system_is_no_file(place, tmp_path, capsys):
     changes = [("part.surface", GRID)] if "surface" in place else [("machine", {})] if "machine" in place else []
     job = written(tmp_path, *changes, (place, "x" * 5000 + ".toml"))
     assert main(["check", str(job)]) == 2
-    assert "does not exist beside the job file" in capsys.readouterr().err
+    assert "does not exist in the folder of the job file" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("door", ["check", "run"])

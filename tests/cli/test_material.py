@@ -216,7 +216,7 @@ def test_a_material_of_ones_own_is_read_beside_the_job(tmp_path):
     assert read.part.substance.critical.value == pytest.approx(5e-5)
     again = Job.read({**read.table()})
     assert again.part.substance.name == "mine"
-    with pytest.raises(JobError, match="does not exist beside the job file"):
+    with pytest.raises(JobError, match="does not exist in the folder of the job file"):
         Job.load(job(tmp_path, material="yours.toml"))
 
 

@@ -17,7 +17,7 @@ from turnwright._signals import Stop
 from turnwright.cli import main
 from turnwright.job import Job, correction as _correct, measurement as _measure
 
-DIAGNOSE = _measure._diagnosed
+DIAGNOSE = _measure._diagnose_all
 
 
 def once(stage, key):
@@ -40,9 +40,11 @@ def computed_once():
     """The same maps of the same jobs have one diagnosis and one proof: most of these tests only go on from them."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            _measure, "_diagnosed", once(DIAGNOSE, lambda every, _: [(one.job, one.fingerprint) for one in every])
+            _measure, "_diagnose_all", once(DIAGNOSE, lambda every, _: [(one.job, one.fingerprint) for one in every])
         )
-        patch.setattr(_correct, "_proved", once(_correct._proved, lambda job, found, own: (job, id(found), own)))
+        patch.setattr(
+            _correct, "_choose_plan", once(_correct._choose_plan, lambda job, found, own: (job, id(found), own))
+        )
         patch.setattr(_correct, "_check_linear", once(_correct._check_linear, lambda job, draws, _: (job, id(draws))))
         yield
 
@@ -422,7 +424,7 @@ def test_a_mask_leaves_heights_out(shop, tmp_path):
         tw.measure(Job.load(job), small)
     (tmp_path / "mask.npz").unlink()
     tw.write_map(tw.HeightMap(x=axis, y=axis, z=x), tmp_path / "mask.npz")
-    with pytest.raises(tw.InputError, match=r"mask.npz has all of its heights and is not of 0 and 1"):
+    with pytest.raises(tw.InputError, match=r"mask.npz has no missing heights"):
         tw.measure(Job.load(job), heights)
 
 
@@ -490,7 +492,7 @@ def test_every_command_registers_by_the_keys_of_the_measurement(shop, tmp_path, 
 def test_every_command_diagnoses_by_the_keys_of_the_measurement(shop, tmp_path, monkeypatch, command):
     table = {"measurement": {key: value for key, (value, _) in DIAGNOSED.items()}}
     job = written(tmp_path, *DISH, *table.items())
-    monkeypatch.setattr(_measure, "_diagnosed", DIAGNOSE)
+    monkeypatch.setattr(_measure, "_diagnose_all", DIAGNOSE)
     arguments = [command, str(shop / "dish.x3p"), "--job", str(job), "--out", str(tmp_path / "out")]
     _, named = _asks(monkeypatch, _measure, "attribute", arguments)
     for key, (_, options) in DIAGNOSED.items():

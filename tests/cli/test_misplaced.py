@@ -53,7 +53,7 @@ def test_a_map_that_is_not_of_its_part_is_said_to_be_so(freeform, how):
     axis, z = spoil(good.x, good.z)
     measured = tw.measure(freeform, tw.HeightMap(x=axis, y=axis, z=z, name="seen"))
     assert measured.misplaced is not None
-    assert "'seen' do not look like this part" in measured.misplaced
+    assert "'seen' do not match this part" in measured.misplaced
     assert words in measured.misplaced
     assert measured.open_questions[0] == measured.misplaced
 
@@ -82,7 +82,7 @@ def test_nothing_is_corrected_by_a_map_of_something_else(freeform, tmp_path, cap
     again = shown(freeform, noise=6e-6)
     turned = tw.measure(freeform, tw.HeightMap(x=good.x, y=good.y, z=again.z[:, ::-1], name="turned"))
     for every in (turned, [placed, turned]):
-        with pytest.raises(CorrectionError, match="'turned' do not look like this part"):
+        with pytest.raises(CorrectionError, match="'turned' do not match this part"):
             tw.correct(freeform, found, every, out=tmp_path / "out")
     tw.write_map(turned.heights, tmp_path / "turned.npz")
     arguments = [str(tmp_path / "turned.npz"), "--job", str(tmp_path / "job.toml"), "--out", str(tmp_path / "out")]
@@ -91,4 +91,4 @@ def test_nothing_is_corrected_by_a_map_of_something_else(freeform, tmp_path, cap
     assert "mirrored = true" in capsys.readouterr().err
     assert sorted(tmp_path.iterdir()) == there
     assert main(["measure", *arguments]) == 0
-    assert "do not look like this part" in capsys.readouterr().err
+    assert "do not match this part" in capsys.readouterr().err

@@ -273,7 +273,7 @@ def test_a_job_that_asks_for_an_interpolation_gets_it(tmp_path):
     [
         ("", {"interpolation": "hermite"}, "the controller of lathe with servos offers linear"),
         ('other_interpolations = { hermite = "generic" }', {"interpolation": "hermite"},
-         "a program in the dialect generic asks for linear"),
+         "linear, which the dialect generic selects"),
         ('other_interpolations = { hermite = "pmac" }', {"dialect": "pmac"}, "has linear"),
         ('other_interpolations = { linear = "pmac" }', {}, "which is the interpolation already"),
         ('other_interpolations = { nurbs = "pmac" }', {}, "it must be one of linear"),

@@ -97,10 +97,10 @@ def test_known_servos_are_not_left_out_silently(tmp_path):
 def test_servos_that_nobody_states_cannot_be_asked_for(done, tmp_path, capsys):
     job = written(tmp_path, ("simulation.tracking", True))
     assert main(["check", str(job)]) == 2
-    assert "simulation.tracking: tracking is asked for, but generic" in capsys.readouterr().err
+    assert "simulation.tracking: tracking needs a servo response" in capsys.readouterr().err
     job = written(tmp_path)
     assert main(["backplot", str(done / "out" / "part.nc"), "--job", str(job), "--track"]) == 2
-    assert "states for 0 of its 3 axes how they answer" in capsys.readouterr().err
+    assert "states it for 0 of 3 axes" in capsys.readouterr().err
 
 
 def test_a_controller_that_lays_cubics_is_always_predicted_with_them(tmp_path):

@@ -249,9 +249,9 @@ MAY = {
 ANSWERS = """
     Access AccessFinding Alignment Approach AreaSpectrum Bands Bearing BestFit Candidate CentreDefect ChipMap Column
     Comparison Contribution Correction Cusps CuttingForces Despiked Diagnosis DrawnCut Draws DuctileGate EdgeFit Entry
-    Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage HeightFile IntactShare LearnedMaterial
-    Lenslet Lenslets Limits Measured Move Outcome PartShape Pass Plan PoseCandidate Prediction Preview
-    ProfileRoughness ProgramFiles ProgramInfo ProgramPass Proof Registration Result Roughness Sensitivity Series Shares
+    ErrorBreakdown Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage HeightFile IntactShare
+    LearnedMaterial Lenslet Lenslets Limits Measured Move Outcome PartShape Pass Plan PoseCandidate Prediction Preview
+    ProfileRoughness ProgramFiles ProgramInfo ProgramPass Proof Registration Result Roughness Sensitivity Series
     Slopes Spectrum Stretch Tightening TiledMap ToleranceStudy Trial TurnedEdge TurningCentre Undetermined
     Verdict ZernikeFit
 """

@@ -147,7 +147,7 @@ def test_a_drift_that_comes_anew_is_not_corrected(drifted, tmp_path):
     with pytest.raises(tw.CorrectionError, match="maps differ"):
         tw.correct(part.job, tw.diagnose(maps), maps, out=tmp_path / "better")
     assert not (tmp_path / "better").exists()
-    assert any("second part decides" in sentence for sentence in better.sentences)
+    assert any("second measured part decides" in sentence for sentence in better.sentences)
     assert part.judged(commander(better.job)) < part.judged() + better.proof.at_stake_nm + 1
 
 

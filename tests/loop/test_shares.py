@@ -8,7 +8,7 @@ import pytest
 
 import turnwright as tw
 from turnwright.heightmap import HeightMap
-from turnwright.job import Job, plan, run, shares
+from turnwright.job import Job, break_down_error, plan, run
 from turnwright.job.contributions import exact_motion
 from turnwright.job.result import Prediction
 from turnwright.machine import Axis, Machine, SecondOrder
@@ -62,7 +62,9 @@ def test_an_exact_path_is_exact_at_uneven_azimuths_too():
 
 def test_a_flat_has_cusps_alone():
     """Oracle: R - sqrt(R² - f²/4), with a quarter of a feed past the axis."""
-    found = shares(*planned(Plane(), SlowToolServo(feed=FEED, points_per_rev=36, spindle_rpm=60, overrun=FEED / 4)))
+    found = break_down_error(
+        *planned(Plane(), SlowToolServo(feed=FEED, points_per_rev=36, spindle_rpm=60, overrun=FEED / 4))
+    )
     height = (NOSE - math.sqrt(NOSE**2 - FEED**2 / 4)) * 1e6
     assert found.cusp_nm == pytest.approx(height, rel=0.01)  # 12 samples a feed may miss the top by that
     assert found.pv_nm == pytest.approx(found.cusp_nm, rel=1e-9)
@@ -73,7 +75,7 @@ def test_a_flat_has_cusps_alone():
 
 def test_the_cusp_at_the_axis_counts_in_full():
     """Oracle: R - sqrt(R² - (3f/4)²), where the last half turn of a spiral to the axis meets the turn before it."""
-    found = shares(*planned(Plane(), SlowToolServo(feed=FEED, points_per_rev=36, spindle_rpm=60)))
+    found = break_down_error(*planned(Plane(), SlowToolServo(feed=FEED, points_per_rev=36, spindle_rpm=60)))
     height = (NOSE - math.sqrt(NOSE**2 - (3 * FEED / 4) ** 2)) * 1e6
     assert found.cusp_nm == pytest.approx(height, rel=1e-6)
     assert found.pv_nm == pytest.approx(height, rel=1e-6)
@@ -82,7 +84,9 @@ def test_the_cusp_at_the_axis_counts_in_full():
 def test_contributions_add_up_to_the_form_error():
     """Oracle: a sum of extremes is no less than the extreme of a sum; a steep part whose tip stands beside its cut."""
     servo = SlowToolServo(feed=FEED, chord=2e-6, spindle_rpm=60)
-    found = shares(*planned(Plane(slope=(0.3, 0.2)) + SineGrid(amplitude=(0.002, 0.002), period=(0.5, 0.5)), servo))
+    found = break_down_error(
+        *planned(Plane(slope=(0.3, 0.2)) + SineGrid(amplitude=(0.002, 0.002), period=(0.5, 0.5)), servo)
+    )
     parts = found.cusp_nm + 2 * (found.chord_nm + found.rounding_nm + found.tracking_nm)
     assert max(found.cusp_nm, found.cusp_away_nm) <= found.pv_nm * 1.05
     assert found.pv_nm <= parts * 1.001
@@ -91,7 +95,7 @@ def test_contributions_add_up_to_the_form_error():
 def test_points_err_by_their_chord():
     """Oracle: the tolerance that the strategy keeps is reached, and not passed, somewhere on the part."""
     grid = SineGrid(amplitude=(0.002, 0.002), period=(0.5, 0.5))
-    found = shares(*planned(grid, SlowToolServo(feed=FEED, chord=5e-6, spindle_rpm=60)))
+    found = break_down_error(*planned(grid, SlowToolServo(feed=FEED, chord=5e-6, spindle_rpm=60)))
     assert 4.5 < found.chord_nm <= 5.0 * 1.02  # 2 % for slopes: the tip is off by 5 nm, the surface is hit elsewhere
 
 
@@ -99,11 +103,11 @@ def test_servos_err_by_their_response():
     """Oracle: on a tilted flat Z is a sine once a turn, and errs by |H - 1| of its amplitude at the rim."""
     slope, rpm = 0.001, 600.0
     servo = SlowToolServo(feed=FEED, points_per_rev=360, spindle_rpm=rpm)
-    found = shares(*planned(Plane(slope=(slope, 0.0)), servo, SERVO))
+    found = break_down_error(*planned(Plane(slope=(slope, 0.0)), servo, SERVO))
     expected = abs(SERVO.at(rpm / 60) - 1) * slope * 1.0 * 1e6
     assert found.tracking_nm == pytest.approx(expected, rel=0.02)  # the outermost pass stands within a feed of the rim
     # Over the area, the mean of (r cos)² on a disc of radius 1 is 1/4; the cusps stand beside it.
-    cusps = shares(*planned(Plane(slope=(slope, 0.0)), servo)).rms_nm
+    cusps = break_down_error(*planned(Plane(slope=(slope, 0.0)), servo)).rms_nm
     assert math.sqrt(found.rms_nm**2 - cusps**2) == pytest.approx(expected / 2, rel=0.02)
 
 
@@ -119,7 +123,7 @@ def test_decimals_err_by_what_was_moved():
     """Oracle: Z moved by a known constant."""
     part, tool, spiral, motion = planned(Plane(), SlowToolServo(feed=FEED, points_per_rev=36, spindle_rpm=60))
     moved = replace(motion, axes={**motion.axes, "Z": motion.axes["Z"] + 3e-6})
-    assert shares(part, tool, spiral, motion, again=moved).rounding_nm == pytest.approx(3.0, rel=1e-6)
+    assert break_down_error(part, tool, spiral, motion, again=moved).rounding_nm == pytest.approx(3.0, rel=1e-6)
 
 
 @pytest.mark.parametrize("response", [None, {"frequency": "100 Hz", "damping": 0.7, "velocity_feedforward": 1.0}])
@@ -178,5 +182,5 @@ def test_decimals_take_no_pass_away_at_an_azimuth(tmp_path, sense, inside_out, c
     spiral = servo.spiral(part, tool)
     motion = tw.drive(tw.place(spiral, part, tool), servo, machine)
     tw.write_nc(motion, machine, tmp_path / "part.nc", depth=None)
-    found = shares(part, tool, spiral, motion, again=tw.read_nc(tmp_path / "part.nc", machine))
+    found = break_down_error(part, tool, spiral, motion, again=tw.read_nc(tmp_path / "part.nc", machine))
     assert found.rounding_nm < 0.6

@@ -86,7 +86,7 @@ def test_optics_do_not_bend_the_form():
     ("stated", "words"),
     [
         ("zygo-nexview-10", "zygo-nexview-10x"),
-        ({}, "states nothing"),
+        ({}, "has no values"),
         ("none.toml", "none.toml"),
         ({"name": "fizeau-50mm", "file": "x.toml"}, "x.toml"),
         ({"pixel": "0 mm"}, "pixel"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from turnwright.job import Job, PassPlan, Pipeline, predict, run
-from turnwright.job.window import can_be_parted, predict_parted
+from turnwright.job.window import can_predict_window, predict_window
 
 GRID = {"family": "sine grid", "amplitude": ["3 um", "2 um"], "period": ["0.9 mm", "1.3 mm"]}
 LENSES = {
@@ -76,11 +76,11 @@ def job_with(changes):
 @pytest.mark.parametrize("name", CASES)
 def test_its_share_of_the_path_leaves_the_surface_of_the_whole_path(name):
     job = job_with(CASES[name])
-    assert can_be_parted(job)
+    assert can_predict_window(job)
     motion = PassPlan(job).commanded
     parted = 0
     for one in predict(job, motion):
-        share = predict_parted(job, one.name)
+        share = predict_window(job, one.name)
         if share is not None:
             parted += 1
             # 0.01 nm is asked for; what is left is rounding.
@@ -99,7 +99,7 @@ def test_its_share_of_the_path_leaves_the_surface_of_the_whole_path(name):
     ],
 )
 def test_where_a_place_depends_on_the_whole_path_it_is_not_parted(changes):
-    assert not can_be_parted(job_with(changes))
+    assert not can_predict_window(job_with(changes))
 
 
 def test_access_is_that_of_the_file_as_it_is_now(tmp_path):

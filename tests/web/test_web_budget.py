@@ -11,7 +11,7 @@ import pytest
 
 import turnwright as tw
 from turnwright.cutting.chip import RoundChip
-from turnwright.job import shares
+from turnwright.job import break_down_error
 from turnwright.report import archive_run
 
 pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 'turnwright[web]'")
@@ -72,7 +72,7 @@ def test_the_chips_of_a_run_are_those_found_along_its_path(made: tuple[Path, tw.
 
 
 def test_the_budget_of_a_run_is_that_of_the_comparison(made: tuple[Path, tw.job.Result]) -> None:
-    """Oracles: the cusps of a flat in closed form, and `shares` of the motion that was planned, not read back."""
+    """Oracles: the cusps of a flat in closed form, and `break_down_error` of the planned motion, not read back."""
     out, result = made
     found = _budget.budget(str(out))
     assert found["cusp_away_nm"] == pytest.approx((NOSE - np.sqrt(NOSE**2 - FEED**2 / 4)) * 1e6, rel=0.02)
@@ -80,13 +80,13 @@ def test_the_budget_of_a_run_is_that_of_the_comparison(made: tuple[Path, tw.job.
     servo = job.servo(job.passes[-1])
     spiral = servo.spiral(job.part.aimed, job.tool)
     motion = tw.drive(tw.place(spiral, job.part.aimed, job.tool), servo, job.machine)
-    told = shares(job.part.aimed, job.tool, spiral, motion)
+    told = break_down_error(job.part.aimed, job.tool, spiral, motion)
     assert found["cusp_nm"] == pytest.approx(told.cusp_nm, rel=1e-9)
     assert found["pv_nm"] == pytest.approx(told.pv_nm, abs=2 * result.rounding_limit_nm)
     assert abs(found["chord_nm"] - told.chord_nm) <= 2 * result.rounding_limit_nm
     assert found["rounding_nm"] == result.rounding_nm
     assert found["servos"] is False
-    assert {*found} == {one.name for one in fields(tw.job.Shares)} - {"error"} | {"servos"}
+    assert {*found} == {one.name for one in fields(tw.job.ErrorBreakdown)} - {"error"} | {"servos"}
     kept = out.parent / _budget.CACHE_FILE
     assert json.loads(kept.read_text(encoding="utf-8")) == found
     assert _budget.budget(str(out)) == found

@@ -13,7 +13,7 @@ from turnwright.job.agenda import (
 from turnwright.job.approach import Entry
 from turnwright.job.artefacts import Artefact, artefact
 from turnwright.job.comparison import Candidate, Comparison, compare
-from turnwright.job.contributions import Shares, has_servos, shares, without_servos
+from turnwright.job.contributions import ErrorBreakdown, break_down_error, has_servos, without_servos
 from turnwright.job.correction import Correction, correct
 from turnwright.job.finish_terms import Finish, finish
 from turnwright.job.measurement import Measured, diagnose, measure, read_measurement
@@ -39,6 +39,7 @@ __all__ = [
     "Comparison",
     "Correction",
     "Entry",
+    "ErrorBreakdown",
     "Finish",
     "HeightFile",
     "Job",
@@ -52,12 +53,12 @@ __all__ = [
     "Prediction",
     "Preview",
     "Result",
-    "Shares",
     "Table",
     "Trial",
     "Verdict",
     "artefact",
     "as_tables",
+    "break_down_error",
     "compare",
     "context_of",
     "correct",
@@ -82,7 +83,6 @@ __all__ = [
     "read_measurement",
     "reference_tables",
     "run",
-    "shares",
     "steps_of_comparison",
     "steps_of_correction",
     "steps_of_diagnosis",

@@ -1,4 +1,4 @@
-"""What to write into the table ``measurement`` of a job where a registration leaves something open."""
+"""Keys of the table ``measurement`` that determine what a registration could not."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ if TYPE_CHECKING:
 
 __all__ = ["open_questions"]
 
-LEAST_REACH = 0.01
-"""Smallest distance between two poses that a stated ``reach`` can tell apart in practice. [mm]."""
+MIN_REACH_MM = 0.01
+"""Least distance of two poses that a stated ``reach`` separates in practice. [mm]."""
 
-LEAST_CLOCKING = np.deg2rad(0.01)
-"""Smallest turn between two poses that a stated ``clocking`` can tell apart in practice. [rad]."""
+MIN_CLOCKING_RAD = np.deg2rad(0.01)
+"""Least rotation between two poses that a stated ``clocking`` separates in practice. [rad]."""
 
-RIM = 0.01
-"""Width of an edge to leave out first, over the clear radius."""
+EDGE_FRACTION = 0.01
+"""First width of an edge to leave out, over the clear semi-diameter."""
 
 
 def open_questions(registration: Registration, asked: MeasurementTable, radius: float) -> tuple[str, ...]:
-    """Return what a registration could not settle, each sentence with the keys of ``[measurement]`` that settle it.
+    """Return what a registration could not determine, a sentence each with the keys of ``[measurement]`` for it.
 
     Parameters
     ----------
     registration
-        Where the map lies on the part.
+        Registration of the map.
     asked
-        What the job states so far.
+        Table ``measurement`` of the job.
     radius
-        Clear radius of the part. [mm]
+        Clear semi-diameter of the part. [mm]
     """
     remedies: dict[DoubtKind, Callable[[], str]] = {
         "tails": lambda: _trim(asked, radius),
@@ -56,7 +56,7 @@ def _degrees(value: float) -> str:
 
 
 def _keys(keys: Mapping[str, object]) -> str:
-    """Return keys as a job file states them."""
+    """Return keys in the syntax of a job file."""
     return ", ".join(f"{key} = {json.dumps(value)}" for key, value in keys.items())
 
 
@@ -65,15 +65,15 @@ def _shift(registration: Registration) -> list[str]:
 
 
 def _trim(asked: MeasurementTable, radius: float) -> str:
-    keys: dict[str, object] = {"trim": _length(max(2 * asked.trim, RIM * radius))}
+    keys: dict[str, object] = {"trim": _length(max(2 * asked.trim, EDGE_FRACTION * radius))}
     if asked.spikes != "robust":
         keys = {"spikes": "robust", **keys}
-    return f"Write {_keys(keys)} in [measurement], or mirrored or inverted if the map shows the part so."
+    return f"Write {_keys(keys)} in [measurement], or mirrored or inverted if the map is."
 
 
 def _larger(asked: MeasurementTable) -> str:
     return (
-        "Unless they show what lies beyond its rim, state shift and rotation of the map, and a reach of more than "
+        "Unless they are points beyond the rim, state shift and rotation of the map, and a reach of more than "
         f"{_length(asked.reach)}, in [measurement]."
     )
 
@@ -85,30 +85,32 @@ def _hold(registration: Registration, asked: MeasurementTable) -> str:
     if "rotation" in registration.held:
         keys["rotation"] = _degrees(registration.pose.rotation)
     if not keys["free"]:
-        return "State shift and rotation in [measurement] as the edge of the part or a mark shows them."
-    return f"If it lies so, as its edge or a mark shows, write {_keys(keys)} in [measurement]; else other values."
+        return "Measure the edge of the part or a fiducial, and state shift and rotation in [measurement]."
+    return (
+        f"Check it by the edge of the part or a fiducial, and write {_keys(keys)} in [measurement], or the true values."
+    )
 
 
 def _turn(registration: Registration, other: PoseCandidate) -> float:
-    """Return by how much another pose is turned from that of the registration. [rad]."""
+    """Return the rotation between another pose and that of the registration. [rad]."""
     return float(abs((other.pose.rotation - registration.pose.rotation + np.pi) % (2 * np.pi) - np.pi))
 
 
 def _single_out(registration: Registration, rival: PoseCandidate) -> str:
-    here, there = (np.array(pose.apply(*registration.pivot))[:2] for pose in (registration.pose, rival.pose))
-    apart, turned = float(np.hypot(*(here - there))), _turn(registration, rival)
+    pivot, rival_pivot = (np.array(pose.apply(*registration.pivot))[:2] for pose in (registration.pose, rival.pose))
+    distance, turned = float(np.hypot(*(pivot - rival_pivot))), _turn(registration, rival)
     keys: dict[str, object] = {"shift": _shift(registration), "rotation": _degrees(registration.pose.rotation)}
-    if apart > LEAST_REACH:
-        keys["reach"] = _length(apart / 2)
-    if turned > LEAST_CLOCKING:
+    if distance > MIN_REACH_MM:
+        keys["reach"] = _length(distance / 2)
+    if turned > MIN_CLOCKING_RAD:
         keys["clocking"] = _degrees(turned / 2)
     return (
-        f"Measure the edge of the part or a mark; if this pose is right write {_keys(keys)} in [measurement], else the "
-        "shift and rotation of the other."
+        f"Measure the edge of the part or a fiducial; if this pose is right, write {_keys(keys)} in [measurement], "
+        "otherwise the shift and rotation of the other pose."
     )
 
 
 def _clock(registration: Registration) -> str:
     step = min(_turn(registration, other) for other in registration.candidates if other.symmetric)
     keys = {"rotation": _degrees(registration.pose.rotation), "clocking": _degrees(step / 2)}
-    return f"Write {_keys(keys)} in [measurement], with the turn that the mark shows."
+    return f"Write {_keys(keys)} in [measurement], with the rotation of a fiducial."

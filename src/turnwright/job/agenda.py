@@ -1,4 +1,4 @@
-"""The steps of a whole run and how long each takes, estimated from the job before anything is carried out."""
+"""Estimate the steps of a run and the time of each, before it starts."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ MILLION = 1e6
 
 ACCESS_S, DEPTH_S, APPROACH_S, REPORT_S = 0.6, 0.2, 0.3, 2.0
 PLAN_S, DRIVE_S, LIMITS_S, CHIPS_S, WRITE_S, READ_S = 0.12, 0.3, 0.06, 0.15, 0.18, 0.18
-"""For a million points of a pass. [s]"""
+"""First row: per step. Second row: per million points of a pass. [s]"""
 
 PLACE_S, PLACE_PIECES_S = 0.25, 2.0
-"""For a million points on a smooth surface, and on one in pieces. [s]"""
+"""Per million points on a smooth surface, and on one in pieces. [s]"""
 
 SERVOS_S, EXTREMES_S = 0.5, 0.4
-"""For a million points of the finishing pass. [s]"""
+"""Per million points of the finishing pass. [s]"""
 
 HEIGHTS_S, MEASURED_S, DIAGNOSED_S = 1.0, 1.5, 10.0
-"""For a million heights, predicted, registered and explained. [s]"""
+"""Per million heights: prediction, registration and diagnosis. [s]"""
 
 PROOFS = 2.5
-"""Proofs of a plan, usually."""
+"""Typical number of simulations until a plan is proved."""
 
 RADII, ANGLES = 24, 72
-"""Places at which the bend of a surface along the turn is looked at."""
+"""Samples of the curvature of a surface along the spiral."""
 
 USUAL_POINTS = 360
-"""Points of a revolution where nothing else is known."""
+"""Points per revolution where the strategy does not state them."""
 
 FEWEST_POINTS = 36
 
@@ -55,14 +55,14 @@ def steps_of_run(job: Job) -> tuple[Step, ...]:
     """Return the steps of `run`, and of its report."""
     steps = [Step(stage="access", work=ACCESS_S), Step(stage="depth of cut", work=DEPTH_S)]
     stock = job.part.stock
-    known = job.part.substance
+    material = job.part.substance
     written = 0.0
     for cut in job.passes:
         points, times = _points(job, cut), len(cut.names(stock))
         steps += _placed(job, points)
         for _ in range(times):
             steps.append(Step(stage="limits", work=LIMITS_S * points))
-            if known is not None:
+            if material is not None:
                 steps.append(Step(stage="chips", work=CHIPS_S * points))
         written += times * points
         stock = cut.allowance
@@ -82,9 +82,9 @@ def steps_of_prediction(job: Job, *, tracking: bool | None = None) -> tuple[Step
     Parameters
     ----------
     job
-        What is asked for.
+        The job.
     tracking
-        Whether the axes move as the servos let them; as the job says if not given.
+        Whether servo tracking is simulated; as the job states if not given.
     """
     points = _points(job, job.passes[-1])
     follows = job.simulation.tracking if tracking is None else tracking
@@ -140,7 +140,7 @@ def steps_of_measurement(heights: Sequence[float]) -> tuple[Step, ...]:
     Parameters
     ----------
     heights
-        Of each map, about.
+        Approximate number of heights of each map.
     """
     steps = []
     for count in heights:
@@ -150,12 +150,12 @@ def steps_of_measurement(heights: Sequence[float]) -> tuple[Step, ...]:
 
 
 def steps_of_diagnosis(heights: Sequence[float]) -> tuple[Step, ...]:
-    """Return the steps of measuring parts and explaining their errors, and of the report.
+    """Return the steps of `diagnose`, with the measurement of the parts and the report.
 
     Parameters
     ----------
     heights
-        Of each map, about.
+        Approximate number of heights of each map.
     """
     *steps, report = steps_of_measurement(heights)
     explained = 2.0 + DIAGNOSED_S * min(sum(heights) / MILLION, 1.0)
@@ -163,12 +163,12 @@ def steps_of_diagnosis(heights: Sequence[float]) -> tuple[Step, ...]:
 
 
 def steps_of_correction(heights: Sequence[float]) -> tuple[Step, ...]:
-    """Return the steps of measuring parts, explaining their errors and correcting a job, and of the report.
+    """Return the steps of `correct`, with measurement, diagnosis and the report.
 
     Parameters
     ----------
     heights
-        Of each map, about.
+        Approximate number of heights of each map.
     """
     *steps, report = steps_of_diagnosis(heights)
     return (*steps, Step(stage="prove the correction", work=8.0), Step(stage="simulate", work=3.0), report)
@@ -182,11 +182,11 @@ def _placed(job: Job, points: float) -> Iterator[Step]:
 
 
 def _points(job: Job, cut: PassTable) -> float:
-    """Return about how many points a pass has: they are not placed yet. [million]."""
+    """Return the approximate number of points of a pass, before placing. [million]."""
     part, tool = job.part.aimed, job.tool
     try:
         servo = job.servo(cut)
-    except TurnwrightError:  # the run will say it
+    except TurnwrightError:  # the run reports it
         return USUAL_POINTS * part.radius / 0.01 / MILLION
     spiral: Any = servo.lays_out
     feed = getattr(spiral, "feed", None) or math.sqrt(8 * tool.actual_radius * spiral.scallop)
@@ -194,7 +194,7 @@ def _points(job: Job, cut: PassTable) -> float:
 
 
 def _per_rev(spiral: object, part: Part) -> float:
-    """Return about how many points a mean revolution has."""
+    """Return the approximate number of points per revolution, averaged over the radius."""
     count, arc, chord = (getattr(spiral, name, None) for name in ("points_per_rev", "arc_length", "chord"))
     if count is not None:
         return float(count)
@@ -212,6 +212,6 @@ def _per_rev(spiral: object, part: Part) -> float:
             bend = radius**2 * (zxx * sine**2 - 2 * zxy * sine * cosine + zyy * cosine**2)
             bend -= radius * (zx * cosine + zy * sine)
             mean = 2 * math.pi * float(np.mean(np.sqrt(np.abs(bend) / (8 * chord))))
-    except TurnwrightError:  # the surface has an end within the part, which the run will say
+    except TurnwrightError:  # the surface ends within the part, which the run reports
         return USUAL_POINTS
     return max(mean, FEWEST_POINTS) if math.isfinite(mean) else USUAL_POINTS

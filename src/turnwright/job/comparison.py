@@ -13,7 +13,7 @@ import numpy as np
 
 from turnwright._tables import written
 from turnwright.errors import Stopped, TurnwrightError
-from turnwright.job.contributions import Shares, shares
+from turnwright.job.contributions import ErrorBreakdown, break_down_error
 from turnwright.job.pipeline import Pipeline
 from turnwright.motion import Limits, check_limits, drive
 from turnwright.placing import place
@@ -80,7 +80,7 @@ class Candidate:
     turns: float = math.nan
     size_bytes: int = 0
     limits: Limits | None = None
-    shares: Shares | None = None
+    shares: ErrorBreakdown | None = None
     wall_s: float = math.nan
 
 
@@ -164,7 +164,7 @@ def _targets(stated: Strategy, part: Part, tool: Tool, machine: Machine) -> tupl
     cusp = nose - math.sqrt(nose**2 - feed**2 / 4) if part.surface.in_pieces else None
     chord: float | None = getattr(plain, "chord", None)
     if cusp is None or chord is None:
-        contributions = shares(part, tool, spiral, drive(place(spiral, part, tool), plain, machine))
+        contributions = break_down_error(part, tool, spiral, drive(place(spiral, part, tool), plain, machine))
         cusp = cusp or contributions.cusp_away_nm * 1e-6
         chord = chord or max(contributions.chord_nm, 0.1) * 1e-6
     return feed, cusp, chord

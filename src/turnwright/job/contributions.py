@@ -1,4 +1,4 @@
-"""Where the error of a planned part comes from: cusps, interpolation, rounding, servos; each by simulation."""
+"""The error breakdown of a planned part: cusps, interpolation, rounding and servos, each by simulation."""
 
 from __future__ import annotations
 
@@ -26,73 +26,73 @@ if TYPE_CHECKING:
     from turnwright.tool import Tool
 
 __all__ = [
-    "Shares",
-    "apart_nm",
+    "ErrorBreakdown",
+    "break_down_error",
     "exact_cusps",
     "exact_motion",
     "finish_nm",
     "has_servos",
     "lines",
+    "max_difference_nm",
     "pv_nm_of",
     "require_servos",
     "rms_nm_of",
-    "shares",
     "without_servos",
 ]
 
 TURN = 2 * math.pi
 NM = 1e6
 
-PER_FEED = 12
-"""Samples from pass to pass: the top of a cusp is then missed by less than 1 % of its height."""
+SAMPLES_PER_FEED = 12
+"""Samples per feed: the top of a cusp is then within 1 % of its height."""
 
 MOST_RADII = 24_000
 FEWEST_ANGLES, MOST_ANGLES = 72, 720
-"""Azimuths looked at; every one crosses all passes."""
+"""Least and most azimuths of the lines; each line crosses all revolutions."""
 
-RING = 12
-"""Width of the rings whose finish is looked at, in feeds."""
+RING_FEEDS = 12
+"""Width of the rings whose finish is computed, in feeds."""
 
-PER_FEATURE = 4
-"""Azimuths to a feature of the surface at the rim, if they are not too many."""
+AZIMUTHS_PER_FEATURE = 4
+"""Azimuths per feature size of the surface at the rim, within these limits."""
 
-CLEAR = 1e-4
-"""Shift of azimuths that come near to an end of a spiral; they keep at least half of it away from both ends. [rad]"""
+END_CLEARANCE_RAD = 1e-4
+"""Shift of azimuths close to an end of a spiral; their least distance from both ends is half of it. [rad]"""
 
-FAINT_NM = 1e-4
-"""Heights below it are roundings of the simulation."""
+MIN_SHOWN_NM = 1e-4
+"""Least height that is shown; smaller ones are rounding of the simulation."""
 
 AXIS_FEEDS = 2
 """Distance of the tip from the axis, in feeds, within which an Archimedean spiral leaves its highest cusp."""
 
-DENSER = 16
-"""Parts into which an exact path close about the axis divides the way from one azimuth to the next."""
+AXIS_SUBDIVISION = 16
+"""Number of intervals between two azimuths on an exact path close to the axis."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Shares:
-    """How much each cause adds to the form error, on lines across all passes.
+class ErrorBreakdown:
+    """What each error source adds to the form error, on radial lines across all revolutions.
 
     Parameters
     ----------
     cusp_nm
-        Peak to valley of what an exact path leaves: cusps, and valleys that no nose reaches.
+        Peak to valley after an exact path: cusps, and valleys that the nose cannot reach.
     cusp_away_nm
-        The same on the lines, two feeds or more away from the axis, where an Archimedean spiral leaves its highest.
+        The same on the lines at least two feeds from the axis, where the cusps of an Archimedean spiral are highest.
     chord_nm
-        Largest change of the surface by what the controller makes of the path between the program's points.
+        Largest change of the surface by the interpolation between the points of the program.
     rounding_nm
-        ... by the decimals of the program.
+        Largest change of the surface by the decimals of the program.
     tracking_nm
-        ... by how the servos answer.
+        Largest change of the surface by the servo response.
     pv_nm
-        Of all together: cut minus design, from the highest to the lowest place of the whole part.
+        Total: cut minus design, from the highest to the lowest point of the whole part.
     rms_nm
-        Root mean square of all together over the area, on the lines.
+        Total: rms over the area, on the lines.
     sq_nm
-        Finish of all together: largest Sq of a ring a few feeds wide, straight lines across it removed.
+        Total: finish, the largest Sq of a ring a few feeds wide, with straight lines across it removed.
     error
-        Cut minus design, all together. [mm]
+        Total: cut minus design. [mm]
     """
 
     cusp_nm: float
@@ -107,14 +107,14 @@ class Shares:
 
     @property
     def sentence(self) -> str:
-        """Name every contribution: that of the cusps peak to valley, the others as what they change at most."""
+        """All contributions: cusps peak to valley, the others as the largest change."""
         return (
             f"cusps {_digits(self.cusp_nm)} nm, points ±{_digits(self.chord_nm)} nm, decimals "
             f"±{_digits(self.rounding_nm)} nm, servos ±{_digits(self.tracking_nm)} nm at most"
         )
 
 
-def shares(
+def break_down_error(
     part: Part,
     tool: Tool,
     spiral: Spiral,
@@ -124,24 +124,24 @@ def shares(
     meant: Motion | None = None,
     pv_nm: float | None = None,
     progress: Progress | None = None,
-) -> Shares:
-    """Return where the error of a plan comes from.
+) -> ErrorBreakdown:
+    """Return the error breakdown of a plan.
 
     Parameters
     ----------
     part, tool
-        What is wanted, and with what it is cut.
+        Part and tool.
     spiral
-        What was planned; its path is placed once more, exactly at the azimuths that are looked at.
+        Planned spiral; its path is placed again, exactly at the azimuths of the lines.
     motion
-        What was made of it, for the machine that it carries.
+        Commanded motion, with its machine.
     again
-        The motion as it was read back from the program on disk; ``motion`` itself if not given.
+        The motion read back from the program on disk; ``motion`` itself if not given.
     meant
-        Where the axes shall really pass, if ``motion`` is corrected for the servos: then points count by what is meant,
-        and servos by how far the real surface is from that, the decimals' part in it included.
+        Nominal motion, if ``motion`` is corrected for the servos: interpolation is then judged by the nominal motion,
+        and servos by the difference of the actual surface from it, rounding included.
     pv_nm
-        Peak to valley of all together, where it is known.
+        Peak to valley of the total, where it is known.
     progress
         Called with (surfaces done, surfaces in all).
     """
@@ -173,12 +173,12 @@ def shares(
         pv_nm = math.nan if form is None else form.pv_nm
     report(6, 6)
     cusps = exact.minus(part.surface)
-    return Shares(
+    return ErrorBreakdown(
         cusp_nm=pv_nm_of(np.append(cusps.z.ravel(), _about_axis(ideal_path, part, tool, zone))),
         cusp_away_nm=pv_nm_of(cusps.z[:, radius > 2 * feed]),
-        chord_nm=apart_nm(wanted, exact),
-        rounding_nm=apart_nm(rounded, sent),
-        tracking_nm=apart_nm(real, rounded if meant is None else wanted),
+        chord_nm=max_difference_nm(wanted, exact),
+        rounding_nm=max_difference_nm(rounded, sent),
+        tracking_nm=max_difference_nm(real, rounded if meant is None else wanted),
         pv_nm=pv_nm,
         rms_nm=rms_nm_of(error),
         sq_nm=finish_nm(error, feed),
@@ -187,7 +187,7 @@ def shares(
 
 
 def exact_cusps(spiral: Spiral, part: Part, tool: Tool, machine: Machine) -> tuple[HeightMap, float]:
-    """Return what an exact path leaves on lines across all passes [mm], and its peak to valley, about the axis too."""
+    """Return the error of an exact path on lines across all revolutions [mm], and its PV, the axis included. [nm]."""
     radius, angle = lines(part, spiral.feed, spiral.angle)
     zone, reach = _axis_zone(part, tool, spiral.feed)
     motion = exact_motion(spiral, part, tool, machine, angle, dense_to=reach)
@@ -196,9 +196,9 @@ def exact_cusps(spiral: Spiral, part: Part, tool: Tool, machine: Machine) -> tup
 
 
 def _axis_zone(part: Part, tool: Tool, feed: float) -> tuple[float, float]:
-    """Return how far from the axis cusps are cut by the tip next to it, and how far out their neighbours are. [mm].
+    """Return the radius of the zone whose cusps are cut next to the axis, and that of the passes around it. [mm].
 
-    On a slope the edge touches beside the tip, so that the cusp of the axis stands beside the axis.
+    On a slope the contact is not at the tip, so that the cusp of the axis is next to the axis.
     """
     radius = np.linspace(0, min(AXIS_FEEDS * feed, part.radius), 5)[:, None]
     angle = np.linspace(0, TURN, FEWEST_ANGLES, endpoint=False)
@@ -208,56 +208,56 @@ def _axis_zone(part: Part, tool: Tool, feed: float) -> tuple[float, float]:
 
 
 def _about_axis(motion: Motion, part: Part, tool: Tool, zone: float) -> Floats:
-    """Return the highest and the lowest error within a distance of the axis. (2,) [mm]."""
-    found = find_extremes(motion, tool, replace(part, radius=zone))
-    return np.array([math.nan] * 2 if found is None else [found.highest.error, found.lowest.error])
+    """Return the highest and the lowest error within a radius around the axis. (2,) [mm]."""
+    extremes = find_extremes(motion, tool, replace(part, radius=zone))
+    return np.array([math.nan] * 2 if extremes is None else [extremes.highest.error, extremes.lowest.error])
 
 
 def _digits(height_nm: float) -> str:
-    """Return three digits of a height, or 0 where it is mere rounding."""
-    return f"{height_nm:.3g}" if height_nm >= FAINT_NM else "0"
+    """Return a height with three digits, or 0 where it is rounding."""
+    return f"{height_nm:.3g}" if height_nm >= MIN_SHOWN_NM else "0"
 
 
 def pv_nm_of(z: Floats) -> float:
-    """Return the peak to valley of heights."""
+    """Return the peak to valley of heights. [nm]."""
     return float(np.nanmax(z) - np.nanmin(z)) * NM
 
 
 def rms_nm_of(heights: HeightMap) -> float:
-    """Return the root mean square of a map, over its area."""
+    """Return the rms of a map over its area. [nm]."""
     return area_rms(heights) * NM
 
 
 def lines(part: Part, feed: float, passed: Floats) -> tuple[Floats, Floats]:
-    """Return the radii and azimuths of lines across all passes of a spiral that goes by some angles.
+    """Return the radii and azimuths of lines across all revolutions of a spiral with these angles.
 
     (n,) [mm], (m,) [rad]
     """
-    fine = TURN * part.radius / part.surface.feature_size * PER_FEATURE
+    fine = TURN * part.radius / part.surface.feature_size * AZIMUTHS_PER_FEATURE
     return (
-        np.linspace(0, part.radius, min(math.ceil(part.radius / feed * PER_FEED), MOST_RADII) + 1),
+        np.linspace(0, part.radius, min(math.ceil(part.radius / feed * SAMPLES_PER_FEED), MOST_RADII) + 1),
         clear_azimuths(int(np.clip(math.ceil(fine), FEWEST_ANGLES, MOST_ANGLES)), passed),
     )
 
 
 def clear_azimuths(count: int, passed: Floats) -> Floats:
-    """Return even azimuths clear of both ends of a spiral, where a decimal of C adds or takes a revolution.
+    """Return evenly spaced azimuths away from both ends of a spiral, where rounding of C adds or removes a revolution.
 
     (count,) [rad]
     """
     step = TURN / count
-    for shift in (0.0, CLEAR, 2 * CLEAR):
+    for shift in (0.0, END_CLEARANCE_RAD, 2 * END_CLEARANCE_RAD):
         away = np.mod(passed[[0, -1]] - shift + step / 2, step) - step / 2
-        if np.abs(away).min() >= CLEAR / 2:
+        if np.abs(away).min() >= END_CLEARANCE_RAD / 2:
             break
     return np.asarray(shift + step * np.arange(count))
 
 
 def finish_nm(error: HeightMap, feed: float) -> float:
-    """Return the largest Sq of a ring a few feeds wide, straight lines across it removed."""
+    """Return the largest Sq of a ring a few feeds wide, with straight lines across it removed. [nm]."""
     assert error.radius is not None  # noqa: S101 - lines are polar
     step = float(error.radius[1])
-    size = min(max(math.ceil(RING * feed / step), 3), error.radius.size)
+    size = min(max(math.ceil(RING_FEEDS * feed / step), 3), error.radius.size)
     rings = error.radius.size // size
     z = error.z[:, : rings * size].reshape(-1, rings, size)
     weight = error.radius[: rings * size].reshape(rings, size)
@@ -268,23 +268,23 @@ def finish_nm(error: HeightMap, feed: float) -> float:
 
 
 def has_servos(machine: Machine) -> bool:
-    """Say whether the machine states how any axis answers."""
+    """Whether the machine states the servo response of any axis."""
     return any(axis.response is not None or axis.dead_time for axis in machine.axes.values())
 
 
 def require_servos(machine: Machine) -> None:
-    """Raise if a machine does not state how any of its axes answers."""
+    """Raise if a machine states the servo response of no axis."""
     if not has_servos(machine):
         raise InputError(
-            f"tracking is asked for, but {machine.name} states for 0 of its {len(machine.axes)} axes how they answer: "
-            "add [axes.Z.response] to a machine file and name that file in the job, or do without"
+            f"tracking needs a servo response, {machine.name} states it for 0 of {len(machine.axes)} axes: "
+            "add [axes.Z.response] to a machine file and name that file in the job, or set tracking to false"
         )
 
 
 def without_servos(machine: Machine, *, corrected: bool = False) -> Machine:
-    """Return the machine with axes that follow at once, or, ``corrected`` for its servos, pass where they are meant to.
+    """Return the machine with ideal axes, or, with ``corrected``, with axes that pass through the nominal points.
 
-    A spline passes inside its points; what is meant, and what is corrected for, passes through them.
+    A spline controller passes inside its points; the nominal motion passes through them.
     """
     axes = {letter: replace(axis, response=None, dead_time=None) for letter, axis in machine.axes.items()}
     controller = machine.controller
@@ -293,27 +293,27 @@ def without_servos(machine: Machine, *, corrected: bool = False) -> Machine:
     return replace(machine, axes=axes, controller=controller)
 
 
-def apart_nm(one: HeightMap, other: HeightMap) -> float:
-    """Return the largest distance between two maps."""
+def max_difference_nm(one: HeightMap, other: HeightMap) -> float:
+    """Return the largest difference between two maps. [nm]."""
     return float(np.nanmax(np.abs(one.z - other.z))) * NM
 
 
 def exact_motion(
     spiral: Spiral, part: Part, tool: Tool, machine: Machine, angle: Floats, *, dense_to: float = 0.0
 ) -> Motion:
-    """Return a motion that is exact wherever it crosses one of the azimuths, at one radian per second.
+    """Return a motion that is exact at some azimuths, at one radian per second.
 
-    The azimuths ascend from 0 to less than a turn, at any distance from each other. Where the tip is no farther from
-    the axis than ``dense_to`` [mm], the motion is exact at places between them too.
+    The azimuths ascend from 0 to less than a revolution, with any spacing. Where the tip is no farther from the axis
+    than ``dense_to`` [mm], the motion is also exact at points between them.
     """
     first, last = sorted((float(spiral.angle[0]), float(spiral.angle[-1])))
-    apart = 1e-11 + rounding(spiral.angle)  # so that no azimuth is one of the ends over again [rad]
+    apart = 1e-11 + rounding(spiral.angle)  # so that no azimuth repeats one of the ends [rad]
     turns = np.arange(math.floor(first / TURN), math.floor(last / TURN) + 1)
     inner = (TURN * turns[:, None] + angle).ravel()
     inner = inner[(inner > first + apart) & (inner < last - apart)]
     nodes = np.concatenate(([first], inner, [last]))[:: spiral.sense]
     far = np.abs(_between(spiral, spiral.radius, spiral.radius_rate, nodes))
-    parts = np.where(np.minimum(far[:-1], far[1:]) <= dense_to, DENSER, 1)
+    parts = np.where(np.minimum(far[:-1], far[1:]) <= dense_to, AXIS_SUBDIVISION, 1)
     start = np.repeat(np.cumsum(parts) - parts, parts)
     within = (np.arange(start.size) - start) / np.repeat(parts, parts)
     nodes = np.append(np.repeat(nodes[:-1], parts) + within * np.repeat(np.diff(nodes), parts), nodes[-1])
@@ -327,10 +327,10 @@ def exact_motion(
 
 
 def _between(spiral: Spiral, values: Floats, rates: Floats | None, nodes: Floats) -> Floats:
-    """Return what the plan has between its points: straight lines, or cubics where it states rates."""
-    order, asked = spiral.sense * spiral.angle, spiral.sense * nodes
+    """Return values of the plan between its points: linear, or cubic where it states rates."""
+    order, nodes_in_order = spiral.sense * spiral.angle, spiral.sense * nodes
     if rates is None:
-        return np.interp(asked, order, values)
+        return np.interp(nodes_in_order, order, values)
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415 - costly to import
 
-    return np.asarray(CubicHermiteSpline(order, values, spiral.sense * rates)(asked))
+    return np.asarray(CubicHermiteSpline(order, values, spiral.sense * rates)(nodes_in_order))

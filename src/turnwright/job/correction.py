@@ -1,4 +1,4 @@
-"""From what is wrong to a job that comes out right: the same pipeline with better inputs."""
+"""Correct a job by a diagnosis: the same pipeline, with the actual tool, the actual machine and a corrected surface."""
 
 from __future__ import annotations
 
@@ -44,73 +44,76 @@ if TYPE_CHECKING:
 
 __all__ = ["Correction", "correct"]
 
-SHOWN = 40_000
-"""Points at which the corrected part is predicted."""
+MAX_PREDICTED_POINTS = 40_000
+"""Most points at which the corrected part is predicted."""
 
-PLANNED = frozenset({"offset x", "offset y", "offset z", "radius error", "waviness", "squareness", "straightness"})
-"""Causes that planning with the real tool and machine takes care of."""
+PLANNED_SOURCES = frozenset(
+    {"offset x", "offset y", "offset z", "radius error", "waviness", "squareness", "straightness"}
+)
+"""Error sources that planning with the actual tool and machine corrects."""
 
-PLACES = 600
-"""Places at which draws are simulated in full."""
+MAX_SIMULATED_PLACES = 600
+"""Most points at which draws are simulated in full."""
 
-SMALL = 3.0
-"""What is off by less than this many times what is worth correcting is good."""
+MIN_ERROR_RATIO = 3.0
+"""Least form error, as a multiple of the error worth correcting, for which a correction can gain anything."""
 
-LINEAR, LINEAR_NM = 0.1, 1.0
-"""A draw that is simulated in full may differ from the linear model by this share of it, or by this."""
+LINEAR_TOL, LINEAR_TOL_NM = 0.1, 1.0
+"""Most by which a full simulation of a draw may differ from the linear model: relative, or in nm if that is more."""
 
-SIMULATED, SIMULATED_NM = 0.3, 3.0
-"""What a correction changes by simulation may differ from what is intended by this share of it, or by this."""
+SIMULATION_TOL, SIMULATION_TOL_NM = 0.3, 3.0
+"""Most by which the simulated effect of a correction may differ from the intended one: relative, or in nm."""
 
-EFFECT, RINGS, SECTORS = 2_000, 4, 12
-"""Places at which a part is looked at for what was corrected, and patches in which what else it has hangs together."""
+MAX_EFFECT_POINTS, RINGS, SECTORS = 2_000, 4, 12
+"""Most points used to look for an earlier correction, and the patches within which other errors are correlated."""
 
-REPEATED, TOLD = 0.05, 3.0
-"""Standard deviation by which an error comes back in another size, and how many of these tell two sizes apart."""
+REPEAT_SD, DIFFERENT_SIGMAS = 0.05, 3.0
+"""Relative standard deviation with which an error repeats, and how many of these make two sizes differ."""
 
-NOTHING = 0.05
-"""Share of what was corrected that is too little to be looked at apart."""
+MIN_EFFECT_FRACTION = 0.05
+"""Least fraction of the corrected error that is fitted separately."""
 
-FINE = 24
-"""Places across a feed where little is left to see of a difference but cusps."""
+FINE_PLACES_PER_FEED = 24
+"""Points across a feed where a small difference has to be separated from the cusps."""
 
 OUTLIER_SIGMA = 6.0
 """Standard deviations from which a residual is an outlier and not form, as in the fit of a diagnosis."""
 
-EXPLAINED = 1.1
-"""What is explained may be larger than what was measured by this factor."""
+MAX_EXPLAINED_RATIO = 1.1
+"""Most by which the attributed error may exceed the measured error, as a factor."""
 
-SURE = 2.0
-"""A contribution is named if it is larger than this many standard uncertainties."""
+NAMED_SIGMAS = 2.0
+"""A contribution is named if it exceeds this many standard uncertainties."""
 
 NM = 1e6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Correction:
-    """A better job, and what it should leave.
+    """A corrected job, and the form error predicted for it.
 
     Parameters
     ----------
     job
-        With the tool and the machine as they were found, aiming at the part without what repeats besides.
+        The job with the actual tool and machine as diagnosed, and with the surface corrected for the other errors that
+        repeat.
     file
-        Where it is written; the files that it names stand beside it.
+        The job file; the files that it names are in the same folder.
     cutoff
-        Wavelength from which the part itself is corrected, or ``None`` if nothing but noise is left there. [mm]
+        Shortest wavelength of the form that is corrected, or ``None`` if only noise remains there. [mm]
     measured
-        Cut minus design as it was measured, at some points; ``None`` if the part itself was not. [mm]
+        Measured form error (cut minus design) at some of the points; ``None`` if the part was not measured. [mm]
     predicted
-        The same after the correction, if all that was found repeats: what was measured, its cusps and noise among it,
-        and what the correction changes by simulation, beyond a change of pose. [mm]
+        Form error after the correction, if all diagnosed errors repeat: the measured one, with its cusps and noise,
+        plus the simulated effect of the correction, without a change of pose. [mm]
     simulated
-        Cut minus design of the corrected job by simulation, without noise, if what was found repeats. [mm]
+        Simulated form error of the corrected job, without noise, if the diagnosed errors repeat. [mm]
     proof
-        What the correction does in draws of all that is not certain.
+        The effect of the correction in random draws of all that is uncertain.
     sources
-        The findings that are planned with, by name; none where only the form is compensated.
+        Names of the error sources corrected by tool and machine; none where only the form is compensated.
     sentences
-        What is corrected, how surely, and what is at stake.
+        What is corrected, with what confidence, and the risk.
     """
 
     job: Job
@@ -125,13 +128,13 @@ class Correction:
 
     @property
     def numbers_nm(self) -> dict[str, tuple[float, float]]:
-        """Peak to valley and root mean square of each map that there is. [nm]."""
+        """PV and rms of each map that exists. [nm]."""
         maps = {"measured": self.measured, "predicted": self.predicted, "simulated": self.simulated}
         return {name: (pv_nm_of(one.z), rms_nm_of(one)) for name, one in maps.items() if one is not None}
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:
-        """Which stated tolerances the corrected part should keep, at the places that it is predicted at."""
+        """Which stated tolerances the corrected part should meet, at the predicted points."""
         pv_nm, _ = self.numbers_nm["simulated" if self.predicted is None else "predicted"]
         return judge_form(self.job, pv_nm, sq_reason="a correction predicts the form, run the job")
 
@@ -145,38 +148,40 @@ def correct(
     source: str | PathLike[str] | None = None,
     progress: StageProgress | None = None,
 ) -> Correction:
-    """Write the job that takes what was found into account, and predict what it leaves.
+    """Write a job corrected by a diagnosis, and predict its form error.
 
-    Tool and machine become what they were found to be, as far as that is certain. What else repeats is taken off the
-    surface that is aimed at, smoothly and where it was measured; the design stays what everything is judged by. What a
-    mount does to the part while it is measured or held is not corrected.
+    The job is planned with the actual tool and machine, as far as the diagnosis is certain. The other errors that
+    repeat are subtracted from the target surface, smoothed, where the part was measured; the part is still judged by
+    the design. Distortion by the mount, while the part is measured or held, is not corrected.
 
-    Before anything is written the correction is proved on draws of all that is not certain: 95 of 100 must become
-    better by more than ``measurement.worth`` and none worse by more, five of them are simulated in full. If that fails,
+    Before anything is written, the correction is tested on random draws of all that is uncertain: 95 % must improve by
+    more than ``measurement.worth`` and none may lose more than that; five of them are simulated in full. If that fails,
     a correction of the form alone is tried.
 
     Parameters
     ----------
     job
-        To be corrected: that of the measured part, or of another that is cut with this tool on this machine.
+        The job to correct: that of the measured part, or of another part cut with the same tool on the same machine.
     found
-        Why measured parts were off, see `diagnose`.
+        The diagnosis of the measured parts, see `diagnose`.
     measured
-        What was diagnosed, if the part that the job has cut was among it and was the first; the part as earlier jobs
-        have cut it counts with it. Without it only tool and machine are corrected.
+        The diagnosed parts, if the first of them was cut by this job; the same part as cut by earlier jobs may follow.
+        Without it only tool and machine are corrected.
     out
-        Folder for ``job.toml`` and the files that it names; it is made if there is none.
+        Folder for ``job.toml`` and the files that it names; created if missing.
     source
-        The file that the job was read from: its text is kept but for what changes. Without it all is written anew.
+        The file that the job was read from: its text is preserved except for the changes. Without it the whole file is
+        generated.
     progress
         Called with (stage, done, total).
 
     Raises
     ------
     InputError
-        If the job was not planned with the tool and machine of the measured parts, or was corrected by a map already.
+        If the job was planned with another tool or machine than the measured parts, or was already corrected by one of
+        the maps.
     CorrectionError
-        If no correction is certain to help, or a map does not look like its part; nothing is written then.
+        If no correction is certain to help, or a map does not match its part; nothing is written then.
     """
     report = progress or (lambda _stage, _done, _total: None)
     _check(job, found)
@@ -184,32 +189,34 @@ def correct(
     for one in every:
         if one.misplaced:
             raise CorrectionError(f"nothing is corrected: {one.misplaced}")
-    own = [same_part(one.job, job) for one in every]
-    _check_new(job, every, own)
+    is_same_part = [same_part(one.job, job) for one in every]
+    _check_new(job, every, is_same_part)
     _check_sane(found)
     report("prove the correction", 0, 2)
-    plan = _proved(job, found, own)
+    plan = _choose_plan(job, found, is_same_part)
     report("prove the correction", 1, 2)
     motions = _Motions()
-    if any(own):
+    if any(is_same_part):
         _check_linear(every[plan.map].job, plan.draws, motions)
     report("prove the correction", 2, 2)
-    text, beside = ("", File()) if source is None else (File(source).read_bytes().decode(), File(source).parent)
-    out = File(out).resolve()  # the job names its files beside itself, wherever it is read from
+    text, source_folder = ("", File()) if source is None else (File(source).read_bytes().decode(), File(source).parent)
+    out = File(out).resolve()  # the job names its files relative to its own folder
     names = tuple(
-        one.name for one in found if one.cause in PLANNED and (one.verdict == "correct" or (plan.likely and one.value))
+        one.name
+        for one in found
+        if one.cause in PLANNED_SOURCES and (one.verdict == "correct" or (plan.likely and one.value))
     )
     names = names if plan.sources else ()
     report("simulate", 0, 2)
-    maps = _simulated(job, found, plan, every if any(own) else (), motions)
+    maps = _simulate(job, found, plan, every if any(is_same_part) else (), motions)
     report("simulate", 1, 2)
     out.mkdir(parents=True, exist_ok=True)
-    better = _better(job, found, plan, [(one, _entry(one, names, plan)) for one in every], out)
+    better = _write_corrected(job, found, plan, [(one, _entry(one, names, plan)) for one in every], out)
     file = out / "job.toml"
-    write_whole(file, edited(text, job, better, folder=beside, into=out))
+    write_whole(file, edited(text, job, better, folder=source_folder, into=out))
     cutoff = None if plan.smooth is None else plan.smooth.cutoff
     report("simulate", 2, 2)
-    parts = [one for one, part in zip(every, own, strict=True) if part]
+    parts = [one for one, part in zip(every, is_same_part, strict=True) if part]
     return Correction(
         job=better, file=file, cutoff=cutoff, measured=maps.measured, predicted=maps.predicted,
         simulated=maps.simulated, proof=plan.proof, sources=names,
@@ -218,12 +225,12 @@ def correct(
 
 
 class _Plan(NamedTuple):
-    """A correction that may be written."""
+    """A candidate correction."""
 
-    likely: bool  # whether every source is planned with as it most probably is, not only those that are certain
-    sources: bool  # whether tool and machine are planned as they were found
+    likely: bool  # whether all error sources enter with their most probable values, not only the certain ones
+    sources: bool  # whether the job is planned with the diagnosed tool and machine
     smooth: Smooth | None
-    map: int  # by whose draws it is proved
+    map: int  # number of the map whose draws test it
     draws: Draws
     proof: Proof
 
@@ -237,7 +244,7 @@ class _Maps(NamedTuple):
 
 
 class _Motions:
-    """The motions of some jobs' finishing passes, each of them planned once."""
+    """A cache of the motions of finishing passes."""
 
     def __init__(self) -> None:
         self._known: list[tuple[Job, Motion]] = []
@@ -252,22 +259,22 @@ class _Motions:
         return motion
 
 
-def _simulated(
+def _simulate(
     job: Job, found: Diagnosis, plan: _Plan, every: Sequence[Measured], motions: _Motions
 ) -> _Maps:  # fmt: skip
-    """Return what a correction makes of the part, and raise where that is not what is claimed.
+    """Return the form error after a correction by simulation; raise where it contradicts the prediction.
 
     Parameters
     ----------
     every
-        The maps, if the part itself was among them.
+        The measured parts, if the part of this job is among them.
     """
     with TemporaryDirectory(prefix="turnwright-") as folder:
-        real = _better(job, found, plan._replace(likely=True, sources=True, smooth=None), (), File(folder))
-        better = _better(job, found, plan, (), File(folder))
+        real = _write_corrected(job, found, plan._replace(likely=True, sources=True, smooth=None), (), File(folder))
+        better = _write_corrected(job, found, plan, (), File(folder))
         new = motions.of(better)
         if not every:
-            x, y = evenly(job.part, SHOWN)
+            x, y = evenly(job.part, MAX_PREDICTED_POINTS)
             off = cut_by(new, real, x, y) - job.part.surface.sag(x, y)
             simulated = HeightMap(x=x, y=y, z=beyond_pose(job, x, y, off), name="simulated error")
             return _Maps(None, None, simulated)
@@ -275,15 +282,15 @@ def _simulated(
     old, error, field = motions.of(job), every[plan.map].error, found.fields[plan.map]
 
     def change(x: Floats, y: Floats) -> Floats:
-        """Return what the real tool leaves by the corrected job, less what it left by the old one."""
+        """Return the height that the actual tool cuts in the corrected job minus that in the old job."""
         return cut_by(new, real, x, y) - cut_by(old, real, x, y)
 
-    step = -(-error.z.size // SHOWN)
+    step = -(-error.z.size // MAX_PREDICTED_POINTS)
     x, y = (one[::step] for one in error.points())
     before = HeightMap(x=x, y=y, z=error.z[::step], name="measured error")
     predicted = replace(before, z=beyond_pose(job, x, y, before.z + change(x, y)), name="predicted error")
     x, y = field.points()
-    # The field holds what the job adds to its design already.
+    # The field already holds the correction of the job.
     planned = cut_by(old, job, x, y) - job.part.aimed.surface.sag(x, y)
     off = planned + field.z + change(x, y)
     _check_claim(job, plan, off=(x, y, off), planned=planned)
@@ -293,7 +300,7 @@ def _simulated(
 
 
 def _check(job: Job, found: Diagnosis) -> None:
-    """Raise unless the job cuts with the tool on the machine that were diagnosed, whatever their deviations."""
+    """Raise unless the job uses the tool and the machine that were diagnosed, apart from their deviations."""
     tool, machine = job.tool, job.machine
     if (tool.nose_radius, tool.included, tool.rake) != (found.tool.nose_radius, found.tool.included, found.tool.rake):
         raise InputError(
@@ -307,18 +314,20 @@ def _check(job: Job, found: Diagnosis) -> None:
         )
 
 
-def _better(
+def _write_corrected(
     job: Job, found: Diagnosis, plan: _Plan, ledger: Sequence[tuple[Measured, str]], out: File
 ) -> Job:  # fmt: skip
-    """Return the corrected job; the files that it names are written."""
-    kept = [line for line in job.measurement.corrected if not any(one.fingerprint in line for one, _ in ledger)]
-    corrected = (*kept, *(line for _, line in ledger)) if ledger else job.measurement.corrected
-    # The next part is another one, and the correction is its prediction now.
+    """Return the corrected job, and write the files that it names."""
+    earlier_entries = [
+        line for line in job.measurement.corrected if not any(one.fingerprint in line for one, _ in ledger)
+    ]
+    corrected = (*earlier_entries, *(line for _, line in ledger)) if ledger else job.measurement.corrected
+    # The stated deviations were those of the last part; the correction contains them.
     better = replace(job, measurement=replace(job.measurement, corrected=corrected, cut_by=None), actual=Actual())
     if plan.sources:
         tool, machine = (found.likely_tool, found.likely_machine) if plan.likely else (found.tool, found.machine)
         better = replace(
-            better, tool=_named_tool(tool, job.tool, out), machine=_named_machine(machine, job.machine, out)
+            better, tool=_write_tool(tool, job.tool, out), machine=_write_machine(machine, job.machine, out)
         )
     if plan.smooth is not None and plan.smooth.cutoff is not None:
         file, new = out / "correction.npz", plan.smooth.table
@@ -328,155 +337,159 @@ def _better(
     return better
 
 
-def _check_new(job: Job, every: Sequence[Measured], own: Sequence[bool]) -> None:
-    """Raise if a job that is corrected was corrected by one of the maps already."""
-    for one, part in zip(every, own, strict=True):
+def _check_new(job: Job, every: Sequence[Measured], is_same_part: Sequence[bool]) -> None:
+    """Raise if the job was already corrected by one of the maps."""
+    for one, part in zip(every, is_same_part, strict=True):
         noted = (one.job if part else job).measurement.corrected
         if any(one.fingerprint in line for line in noted):
             raise InputError(
-                f"the map {one.heights.name!r} was taken into account by an earlier correction of this job: measure a "
-                "part that this job has cut, or give the map with the job that cut it"
+                f"the map {one.heights.name!r} was used in an earlier correction of this job: measure a part cut by "
+                "this job, or give the map with the job that cut it"
             )
         if part and noted and one.job.measurement.cut_by is None:
             _check_effect(one)
 
 
 def _check_effect(one: Measured) -> None:
-    """Raise if a part shows all that its job was corrected by, as one does that was cut before.
+    """Raise if a part still shows the full error that its job corrects, so that it was cut before the correction.
 
-    What tool and machine were corrected by and what the form was are looked at apart: a tool that moved again shows the
-    former, in another size or without the latter.
+    The corrections of tool and machine and that of the form are fitted separately: a tool that has moved again shows
+    the former with another size, or without the latter.
     """
     job = one.job
-    own = job.machine.loaded.value if job.machine.loaded else job.machine
+    nominal_machine = job.machine.loaded.value if job.machine.loaded else job.machine
     plain = replace(
         job,
         tool=replace(job.tool, offset=(0.0, 0.0, 0.0), radius_error=0.0, waviness=()),
-        machine=replace(job.machine, squareness=own.squareness, straightness=own.straightness),
+        machine=replace(job.machine, squareness=nominal_machine.squareness, straightness=nominal_machine.straightness),
         part=replace(job.part, correction=None),
     )
     x, y = one.error.points()
-    some = slice(None, None, -(-x.size // EFFECT))
+    some = slice(None, None, -(-x.size // MAX_EFFECT_POINTS))
     x, y, error = x[some], y[some], one.error.z[some]
     motion = motion_of(plain)
-    by_tool, by_form = cut_by(motion, job, x, y) - cut_by(motion, plain, x, y), -_added(job, x, y)
-    known = np.isfinite(by_tool + by_form + error)
-    x, y = x[known], y[known]
-    seen, *effects = (beyond_pose(job, x, y, each[known]) for each in (error, by_tool, by_form))
+    by_tool, by_form = cut_by(motion, job, x, y) - cut_by(motion, plain, x, y), -_addition_at(job, x, y)
+    valid = np.isfinite(by_tool + by_form + error)
+    x, y = x[valid], y[valid]
+    seen, *effects = (beyond_pose(job, x, y, each[valid]) for each in (error, by_tool, by_form))
     corrected = effects[0] + effects[1]
     seen_nm, was_nm = (float(np.sqrt(np.mean(each**2))) * NM for each in (seen, corrected))
     if was_nm <= job.measurement.worth * NM:
         return
-    columns = np.stack([each for each in effects if np.sqrt(np.mean(each**2)) * NM > NOTHING * was_nm], axis=1)
-    shares, covariance = _shares(columns, seen, _patches(x, y))
-    whole, none = (_away(shares - value, covariance) for value in (1.0, 0.0))
-    if whole < TOLD < none:
+    columns = np.stack(
+        [each for each in effects if np.sqrt(np.mean(each**2)) * NM > MIN_EFFECT_FRACTION * was_nm], axis=1
+    )
+    shares, covariance = _fit_fractions(columns, seen, _patches(x, y))
+    full_effect_sd, no_effect_sd = (_sigmas_off(shares - value, covariance) for value in (1.0, 0.0))
+    if full_effect_sd < DIFFERENT_SIGMAS < no_effect_sd:
         share = float(seen @ corrected) / float(corrected @ corrected)
         raise InputError(
-            f"the map {one.heights.name!r} shows {share:.0%} of the {was_nm:.3g} nm rms that its job was corrected by, "
-            f"in {seen_nm:.3g} nm, as if it was cut before the correction: give the job that cut it. If this job did, "
-            'and the same error came back, write cut_by = "this job" in [measurement]'
+            f"the map {one.heights.name!r} has a form error of {seen_nm:.3g} nm rms and contains {share:.0%} of the "
+            f"{was_nm:.3g} nm rms that its job corrects, as if it was cut before the correction: give the job that cut "
+            'it; if this job did and the same error came back, write cut_by = "this job" in [measurement]'
         )
 
 
 def _patches(x: Floats, y: Floats) -> NDArray[np.intp]:
-    """Return which of rings and sectors of equal area points lie in, within which errors may hang together. (n,)."""
+    """Return the number of the patch of each point: rings and sectors of equal area. (n,)."""
     square = x * x + y * y
     ring = np.minimum((RINGS * square / square.max()).astype(np.intp), RINGS - 1)
     sector = np.minimum(((np.arctan2(y, x) / (2 * np.pi) + 0.5) * SECTORS).astype(np.intp), SECTORS - 1)
     return np.asarray(ring * SECTORS + sector)
 
 
-def _shares(columns: Floats, seen: Floats, patches: NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """Return how much of each column is seen, and the covariance of that if the rest hangs together in patches."""
+def _fit_fractions(columns: Floats, seen: Floats, patches: NDArray[np.intp]) -> tuple[Floats, Floats]:
+    """Return the fitted fraction of each column, and its covariance if the residual is correlated within patches."""
     inverse = np.linalg.pinv(columns)
     shares = inverse @ seen
-    rest = seen - columns @ shares
-    pulls = np.stack([np.bincount(patches, weights=row * rest) for row in inverse])
+    residual = seen - columns @ shares
+    pulls = np.stack([np.bincount(patches, weights=row * residual) for row in inverse])
     return shares, np.asarray(pulls @ pulls.T, dtype=np.float64)
 
 
-def _away(off: Floats, covariance: Floats) -> float:
-    """Return by how many standard deviations shares are off, those by which cuts repeat included."""
-    both = covariance + REPEATED**2 * np.eye(off.size)
+def _sigmas_off(off: Floats, covariance: Floats) -> float:
+    """Return by how many standard deviations fractions are off, with the repeatability of a cut."""
+    both = covariance + REPEAT_SD**2 * np.eye(off.size)
     return float(np.sqrt(off @ np.linalg.solve(both, off)))
 
 
 def _check_sane(found: Diagnosis) -> None:
-    """Raise if a diagnosis cannot be right."""
+    """Raise if a diagnosis is implausible."""
     for one in found:
         if one.determined and one.implausible:
             raise CorrectionError(f"nothing is corrected: {one.why}")
-    if found.explained_rms_nm > EXPLAINED * found.measured_rms_nm + 1.0:
+    if found.explained_rms_nm > MAX_EXPLAINED_RATIO * found.measured_rms_nm + 1.0:
         raise CorrectionError(
-            f"nothing is corrected: the diagnosis explains {found.explained_rms_nm:.3g} nm rms of "
-            f"{found.measured_rms_nm:.3g} nm that were measured, at most {EXPLAINED:g} times as much can be right: "
-            "measure an artefact, which tells the causes apart"
+            f"nothing is corrected: the diagnosis attributes {found.explained_rms_nm:.3g} nm rms of a "
+            f"measured {found.measured_rms_nm:.3g} nm, the limit is {MAX_EXPLAINED_RATIO:g} times the measured error: "
+            "measure a test part, which separates the error sources"
         )
 
 
-def _proved(job: Job, found: Diagnosis, own: Sequence[bool]) -> _Plan:
+def _choose_plan(job: Job, found: Diagnosis, is_same_part: Sequence[bool]) -> _Plan:
     """Return the first correction that is certain to help."""
-    plans = list(_plans(job, found, own))
+    plans = list(_plans(job, found, is_same_part))
     for plan in plans:
         if plan.proof.ok:
             return plan
-    raise CorrectionError(_refusal(found, plans[0], sum(own)))
+    raise CorrectionError(_refusal(found, plans[0], sum(is_same_part)))
 
 
-def _plans(job: Job, found: Diagnosis, own: Sequence[bool]) -> Iterator[_Plan]:
+def _plans(job: Job, found: Diagnosis, is_same_part: Sequence[bool]) -> Iterator[_Plan]:
     """Yield the corrections that may be written, the best first."""
     worth_nm = job.measurement.worth * NM
-    worth = any(one.verdict == "correct" and one.cause in PLANNED for one in found)
-    if not any(own):
+    worth = any(one.verdict == "correct" and one.cause in PLANNED_SOURCES for one in found)
+    if not any(is_same_part):
         draws = found.on(job.part.design)
         proof = prove(draws, np.zeros(draws.x.size), worth_nm=worth_nm)
         yield _Plan(likely=True, sources=True, smooth=None, map=0, draws=draws, proof=proof)
         return
-    first = list(own).index(True)
+    first = list(is_same_part).index(True)
     draws = found.draws(first)
     residuals = [
-        _without_outliers(left, cutoff_of(job)) for left, part in zip(found.residuals, own, strict=True) if part
+        _without_outliers(one, cutoff_of(job)) for one, part in zip(found.residuals, is_same_part, strict=True) if part
     ]
-    beyond = _beyond(job, residuals, draws)
-    # What no term of the diagnosis has is smoothed out of its noise.
-    rest = _smooth(job, _joined(job, residuals)) if job.measurement.repeats else None
+    beyond = _draw_beyond(job, residuals, draws)
+    # The residual of the diagnosis is smoothed to separate it from noise.
+    residual_form = _smooth_addition(job, _join_maps(job, residuals)) if job.measurement.repeats else None
     for sources, maps in ((True, found.remainders), (False, found.fields)):
         if not sources and not worth:
             return
-        form = _smooth(job, _joined(job, [one for one, part in zip(maps, own, strict=True) if part]))
-        smooth = _together(
-            [one for one in (form, rest) if one is not None and one.cutoff is not None], job.part.correction
+        form = _smooth_addition(
+            job, _join_maps(job, [one for one, part in zip(maps, is_same_part, strict=True) if part])
+        )
+        smooth = _sum_additions(
+            [one for one in (form, residual_form) if one is not None and one.cutoff is not None], job.part.correction
         )
         added = np.zeros(draws.x.size)
         if smooth is not None:
-            x, y = draws.places[:, 0], draws.places[:, 1]  # what is added stays on the part, wherever the map was
-            added = smooth.table.evaluate(x, y, 0)[0] - _added(job, x, y)
+            x, y = draws.places[:, 0], draws.places[:, 1]  # the addition is fixed to the part, at any pose of the map
+            added = smooth.table.evaluate(x, y, 0)[0] - _addition_at(job, x, y)
         proof = prove(draws, added, sources=sources, beyond=beyond, worth_nm=worth_nm)
         yield _Plan(likely=False, sources=sources, smooth=smooth, map=first, draws=draws, proof=proof)
 
 
-def _without_outliers(left: HeightMap, cutoff: float) -> HeightMap:
-    """Return residuals without places that stand out of the rest, such as dust, and their surroundings. Scattered.
+def _without_outliers(residual: HeightMap, cutoff: float) -> HeightMap:
+    """Return residuals without outliers, such as dust, and their surroundings. Scattered.
 
-    What stands out so much is no form of the part that comes back; taken for one, it would be cut into the next part.
+    An outlier is no form error that repeats; corrected as one, it would be cut into the next part.
     """
     from scipy.spatial import cKDTree  # noqa: PLC0415 - scipy is costly to import
 
-    x, y = (one.ravel() for one in left.points())
-    z = left.z.ravel()
-    known = np.isfinite(z)
-    x, y, z = x[known], y[known], z[known]
+    x, y = (one.ravel() for one in residual.points())
+    z = residual.z.ravel()
+    valid = np.isfinite(z)
+    x, y, z = x[valid], y[valid], z[valid]
     off = np.abs(z - np.median(z))
     out = off > OUTLIER_SIGMA * robust_scatter(off)
     if out.any():
         near = cKDTree(np.stack([x[out], y[out]], axis=1)).query(np.stack([x, y], axis=1))[0] <= cutoff / 2
         x, y, z = x[~near], y[~near], z[~near]
-    return HeightMap(x=x, y=y, z=z, name=left.name)
+    return HeightMap(x=x, y=y, z=z, name=residual.name)
 
 
-def _together(parts: Sequence[Smooth], before: Gridded | None) -> Smooth | None:
-    """Return what is added to a part in all, ``None`` if nothing is new."""
+def _sum_additions(parts: Sequence[Smooth], before: Gridded | None) -> Smooth | None:
+    """Return the sum of all additions to a part, ``None`` if there is no new one."""
     if not parts:
         return None
     tables = [one.table for one in parts] + ([] if before is None else [before])
@@ -484,14 +497,14 @@ def _together(parts: Sequence[Smooth], before: Gridded | None) -> Smooth | None:
     return Smooth(table, min(one.cutoff for one in parts if one.cutoff is not None))
 
 
-def _beyond(job: Job, residuals: Sequence[HeightMap], draws: Draws) -> Floats:
-    """Return what a further part has beyond all that a diagnosis knows, in draws. (draws, n) [mm].
+def _draw_beyond(job: Job, residuals: Sequence[HeightMap], draws: Draws) -> Floats:
+    """Return draws of the form error of the next part that the diagnosis does not attribute. (draws, n) [mm].
 
-    What the residuals of several maps share comes back; by as much as they differ, so does the next part.
+    The mean residual of several maps repeats; the next part scatters about it as the maps do.
     """
     smooth = [
         -one.table.evaluate(draws.x, draws.y, 0)[0]
-        for one in (_smooth(job, _joined(job, [left])) for left in residuals)
+        for one in (_smooth_addition(job, _join_maps(job, [one])) for one in residuals)
     ]
     count, random = len(smooth), np.random.default_rng(2)
     mean: Floats = np.mean(smooth, axis=0)
@@ -506,20 +519,20 @@ def _beyond(job: Job, residuals: Sequence[HeightMap], draws: Draws) -> Floats:
 
 
 def _refusal(found: Diagnosis, plan: _Plan, parts: int) -> str:
-    """Return why nothing is corrected, and what measurement would decide it."""
+    """Return why nothing is corrected, and which measurement would decide it."""
     proof = plan.proof
-    if proof.before_nm < SMALL * proof.worth_nm:
+    if proof.before_nm < MIN_ERROR_RATIO * proof.worth_nm:
         return (
-            f"no correction is written: the next part is off by {proof.before_nm:.2g} nm rms beyond cusps and noise, "
-            f"too little to become better by {proof.worth_nm:g} nm for certain: cut on, or lower measurement.worth"
+            f"no correction is written: the next part has a form error of {proof.before_nm:.2g} nm rms without cusps "
+            f"and noise, too small for a certain gain of {proof.worth_nm:g} nm: cut on, or lower measurement.worth"
         )
     gain = proof.gain_nm
     usual = (
-        f"95 % become better by {gain:.2g} nm rms or more" if gain > 0 else f"5 % become worse by {-gain:.2g} nm rms"
+        f"95 % improve by {gain:.2g} nm rms or more" if gain > 0 else f"5 % become worse by {-gain:.2g} nm rms or more"
     )
     worst = f"worse by {proof.worst_nm:.2g} nm" if proof.worst_nm > 0 else f"better by {-proof.worst_nm:.2g} nm"
     why = (
-        f"no correction is written: of {proof.draws} draws of the next part, off by {proof.before_nm:.3g} nm rms, "
+        f"no correction is written: of {proof.draws} draws of the next part, {proof.before_nm:.3g} nm rms before, "
         f"{usual}, and the worst becomes {worst}; 95 % must gain {proof.worth_nm:g} nm, and none may lose as much"
     )
     if plan.draws.unmeasured:
@@ -535,65 +548,66 @@ def _refusal(found: Diagnosis, plan: _Plan, parts: int) -> str:
 
 
 def _check_linear(job: Job, draws: Draws, motions: _Motions) -> None:
-    """Raise if some draws, simulated in full, are not what the linear model makes of them."""
+    """Raise if the full simulation of some draws differs too much from the linear model."""
     some, places = _cuspless(job, draws)
     motion = replace(motions.of(job), velocity=None)
     tool, machine = job.tool, job.machine
     clean = _means(motion, tool, machine, places)
     for case in draws.cases:
-        made = _means(_off(motion, case), case.tool, case.machine, places) - clean + case.rest[some]
-        known = np.isfinite(made)
+        made = _means(_move_tip(motion, case), case.tool, case.machine, places) - clean + case.rest[some]
+        valid = np.isfinite(made)
         linear = draws.before[case.number][some]
-        rest = replace(draws, pose=draws.pose[some][known])
-        off, size = (float(rest.rms_nm(one[None, known])[0]) for one in (made - linear, linear))
-        if off > max(LINEAR * size, LINEAR_NM):
+        valid_draws = replace(draws, pose=draws.pose[some][valid])
+        off, size = (float(valid_draws.rms_nm(one[None, valid])[0]) for one in (made - linear, linear))
+        if off > max(LINEAR_TOL * size, LINEAR_TOL_NM):
             raise CorrectionError(
-                f"nothing is corrected: a draw of the errors makes {size:.3g} nm rms by the model that they were found "
-                f"with and differs by {off:.3g} nm in full simulation, {LINEAR:.0%} is the limit: correct the largest "
-                "at the machine first, then measure again"
+                f"nothing is corrected: a draw of the errors makes {size:.3g} nm rms in the linear model and differs "
+                f"by {off:.3g} nm in full simulation, the limit is {LINEAR_TOL:.0%}: correct the largest error at the "
+                "machine first, then measure again"
             )
 
 
 def _check_simulated(job: Job, better: Job, plan: _Plan, motions: _Motions) -> None:
-    """Raise if the corrected job does not change the part as it is meant to."""
+    """Raise if the corrected job does not change the part as intended."""
     draws = plan.draws
     some, places = _cuspless(job, draws)
     after, before = (_means(motions.of(one), one.tool, one.machine, places) for one in (better, job))
-    now, then = (_added(one, draws.x[some], draws.y[some]) for one in (better, job))
-    known = np.isfinite(after - before)
-    rest = replace(draws, pose=draws.pose[some][known])
-    meant = now - then
-    off, size = (float(rest.rms_nm(one[None, known])[0]) for one in (after - before - meant, meant))
-    if off > max(SIMULATED * size, SIMULATED_NM):
+    now, then = (_addition_at(one, draws.x[some], draws.y[some]) for one in (better, job))
+    valid = np.isfinite(after - before)
+    valid_draws = replace(draws, pose=draws.pose[some][valid])
+    intended = now - then
+    off, size = (float(valid_draws.rms_nm(one[None, valid])[0]) for one in (after - before - intended, intended))
+    if off > max(SIMULATION_TOL * size, SIMULATION_TOL_NM):
         cutoff = None if plan.smooth is None else plan.smooth.cutoff
-        remedy = f"raise measurement.cutoff above {cutoff:g} mm" if cutoff else "look at the job with turnwright check"
+        remedy = f"raise measurement.cutoff above {cutoff:g} mm" if cutoff else "check the job with turnwright check"
         raise CorrectionError(
-            f"nothing is corrected: the corrected job should change the part by {size:.3g} nm rms and is {off:.3g} nm "
-            f"off that by simulation, the limit is {SIMULATED:.0%} and {SIMULATED_NM:g} nm: {remedy}"
+            f"nothing is corrected: the corrected job should change the part by {size:.3g} nm rms, its simulation "
+            f"differs from that by {off:.3g} nm, the limit is {SIMULATION_TOL:.0%} and {SIMULATION_TOL_NM:g} nm: "
+            f"{remedy}"
         )
 
 
 def _check_claim(job: Job, plan: _Plan, *, off: tuple[Floats, Floats, Floats], planned: Floats) -> None:
-    """Raise if the corrected part, by simulation, is farther off than the draws and its cusps say."""
+    """Raise if the simulated form error of the corrected part exceeds that of the draws and its cusps."""
     x, y, z = off
     simulated, cusps = (
         float(np.sqrt(np.nanmean(beyond_pose(job, x, y, one) ** 2))) * NM for one in (z, planned)
     )  # fmt: skip
     claimed = math.hypot(plan.proof.after_nm, cusps)
-    if simulated > claimed + max(SIMULATED * claimed, SIMULATED_NM):
+    if simulated > claimed + max(SIMULATION_TOL * claimed, SIMULATION_TOL_NM):
         raise CorrectionError(
-            f"nothing is corrected: the draws leave {claimed:.3g} nm rms with the cusps, the simulation of the "
-            f"corrected job {simulated:.3g} nm, {SIMULATED:.0%} and {SIMULATED_NM:g} nm more are the limit: clean the "
-            "map of what is not the part, or measure a second part"
+            f"nothing is corrected: the draws predict {claimed:.3g} nm rms with the cusps, the simulation of the "
+            f"corrected job {simulated:.3g} nm, the limit is {SIMULATION_TOL:.0%} and {SIMULATION_TOL_NM:g} nm more: "
+            "mask what is not the part in the map, or measure a second part"
         )
 
 
 def _check_candidates(one: Measured, job: Job, change: Callable[[Floats, Floats], Floats]) -> None:
-    """Raise if the part would become worse by a correction where the map may lie as well."""
+    """Raise if the correction would make the part worse at another pose that fits the map as well."""
     worth_nm = job.measurement.worth * NM
     for pose, error in errors_at_candidates(one):
         x, y = error.points()
-        step = -(-error.z.size // SHOWN)
+        step = -(-error.z.size // MAX_PREDICTED_POINTS)
         x, y, z = x[::step], y[::step], error.z[::step]
         before, after = (
             float(np.sqrt(np.nanmean(beyond_pose(job, x, y, each) ** 2))) * NM for each in (z, z + change(x, y))
@@ -601,34 +615,35 @@ def _check_candidates(one: Measured, job: Job, change: Callable[[Floats, Floats]
         if after > before + worth_nm:
             shift = ", ".join(f"{value:.4g}" for value in pose.shift)
             raise CorrectionError(
-                f"nothing is corrected: the map lies on the part with shift ({shift}) mm and rotation "
-                f"{np.rad2deg(pose.rotation):.4g} deg nearly as well, and there {before:.3g} nm rms would become "
-                f"{after:.3g} nm: measure the edge of the part or a mark, and state shift, rotation and a smaller "
+                f"nothing is corrected: the map fits nearly as well with shift ({shift}) mm and rotation "
+                f"{np.rad2deg(pose.rotation):.4g} deg, and there {before:.3g} nm rms would become "
+                f"{after:.3g} nm: measure the edge of the part or a fiducial, and state shift, rotation and a smaller "
                 "reach and clocking in [measurement]"
             )
 
 
-def _added(job: Job, x: Floats, y: Floats) -> Floats:
-    """Return what a job adds to its design at some places, of their shape. [mm]."""
+def _addition_at(job: Job, x: Floats, y: Floats) -> Floats:
+    """Return the correction that a job adds to its design, in the shape of the points. [mm]."""
     return np.zeros_like(x) if job.part.correction is None else job.part.correction.evaluate(x, y, 0)[0]
 
 
-def _off(motion: Motion, case: DrawnCut) -> Motion:
-    """Return the motion of a tip that is moved as in a draw."""
+def _move_tip(motion: Motion, case: DrawnCut) -> Motion:
+    """Return the motion with the tip displaced as in a draw."""
     along_x, along_z = case.tip_motion(*(motion.axes[letter] for letter in "XCZ"))
     return replace(motion, axes={**motion.axes, "X": motion.axes["X"] + along_x, "Z": motion.axes["Z"] + along_z})
 
 
 def _cuspless(job: Job, draws: Draws) -> tuple[NDArray[np.intp], tuple[Floats, Floats]]:
-    """Return which of the places of some draws are simulated, and the places across a feed around each. (n, FINE).
+    """Return which points of the draws are simulated, and the points across a feed around each.
 
-    Nearer to the rim than a drawn tip is off, the first turn may come short of the part.
+    (n,), 2 of (n, FINE_PLACES_PER_FEED) [mm]. Closer to the rim than a drawn tool centring error, the first revolution
+    may not reach the part.
     """
     planned = job.tool.offset
     off = max((math.dist(case.tool.offset[:2], planned[:2]) for case in draws.cases), default=0.0)
     cut = np.flatnonzero(np.hypot(draws.x, draws.y) < job.part.radius - off - feed_of(job))
-    some = cut[:: -(-draws.x.size // PLACES)]
-    return some, across_feed(job, draws.x[some], draws.y[some], FINE)
+    some = cut[:: -(-draws.x.size // MAX_SIMULATED_PLACES)]
+    return some, across_feed(job, draws.x[some], draws.y[some], FINE_PLACES_PER_FEED)
 
 
 def _means(motion: Motion, tool: Tool, machine: Machine, places: tuple[Floats, Floats]) -> Floats:
@@ -638,66 +653,68 @@ def _means(motion: Motion, tool: Tool, machine: Machine, places: tuple[Floats, F
 
 
 def _entry(one: Measured, names: Sequence[str], plan: _Plan) -> str:
-    """Return what a job notes of a map that it was corrected by."""
+    """Return the entry of a map in the job's list of corrections."""
     what = [*names, *(["form"] if plan.smooth is not None and plan.smooth.cutoff else [])]
-    return f"{one.heights.name[:NAMED] or 'map'} ({one.fingerprint}): {', '.join(what)}"
+    return f"{one.heights.name[:MAX_NAME_LENGTH] or 'map'} ({one.fingerprint}): {', '.join(what)}"
 
 
-NAMED = 60
-"""Letters of the name of a map that a job notes."""
+MAX_NAME_LENGTH = 60
+"""Most characters of a map's name in that entry."""
 
 
 def _sentences(
     found: Diagnosis, plan: _Plan, names: Sequence[str], parts: Sequence[Measured]
 ) -> tuple[str, ...]:  # fmt: skip
-    """Return what is corrected, how surely, and what is at stake."""
+    """Return what is corrected, with what confidence, and the risk."""
     proof, sentences = plan.proof, []
     form = plan.smooth is not None and plan.smooth.cutoff is not None
     sentences.append(
         f"corrected: {', '.join(names) or 'no source'} by tool and machine"
-        + (", all else that repeats by the surface that is aimed at" if form else "")
+        + (", all other errors that repeat by the target surface" if form else "")
     )
     sentences.append(
-        f"of {proof.draws} draws of what is not certain, 95 % become better by {proof.gain_nm:.3g} nm rms or more and "
-        f"none becomes worse by more than {max(proof.worst_nm, 0.0):.2g} nm: {proof.before_nm:.3g} nm become "
-        f"{proof.after_nm:.3g} nm"
+        f"of {proof.draws} random draws of the uncertainties, 95 % improve by {proof.gain_nm:.3g} nm rms or more and "
+        f"none becomes worse by more than {max(proof.worst_nm, 0.0):.2g} nm: {proof.before_nm:.3g} nm rms before, "
+        f"{proof.after_nm:.3g} nm after"
     )
-    stays = [one for one in found.contributions if one.rms_nm > max(proof.worth_nm, SURE * one.uncertainty_nm)]
+    stays = [one for one in found.contributions if one.rms_nm > max(proof.worth_nm, NAMED_SIGMAS * one.uncertainty_nm)]
     if plan.likely and stays:
         shown = ", ".join(f"{one.name} ({one.rms_nm:.3g} nm rms on the measured parts)" for one in stays)
         sentences.append(f"not corrected on this part: {shown}; cut it, measure it and correct it by its own map")
     if form and plan.draws.unmeasured:
         sentences.append(
-            f"the map leaves out {plan.draws.unmeasured:.0%} of the part: its form is not corrected there, and what is "
-            "predicted and simulated does not count it"
+            f"the map does not cover {plan.draws.unmeasured:.0%} of the part: its form is not corrected there, and the "
+            "predicted and simulated errors do not include it"
         )
     if any("rotation" in one.registration.held for one in parts):
         sentences.append(
-            "nothing on the part shows its clocking: the correction takes the map as it is turned, within a few "
-            "degrees, and lies wrong on the next part if that is measured or mounted otherwise"
+            "the surface does not show the clocking of the part: the correction uses the orientation of the map, to a "
+            "few degrees, and is misplaced on the next part if that is measured or mounted at another angle"
         )
     if found.repeatability_nm is not None:
-        sentences.append(f"the maps differ by {found.repeatability_nm:.3g} nm rms; only what they share is corrected")
+        sentences.append(
+            f"the maps differ by {found.repeatability_nm:.3g} nm rms; only their common error is corrected"
+        )
     elif proof.at_stake_nm > 1:
         sentences.append(
-            f"one map cannot show what repeats: if the {proof.at_stake_nm:.3g} nm rms that are corrected do not, "
-            f"the next part is off by up to {proof.if_not_repeated_nm:.3g} nm, {proof.at_stake_nm:.3g} nm more than "
-            "without at most; a second part decides"
+            f"one map cannot show which errors repeat: if the corrected {proof.at_stake_nm:.3g} nm rms do not, the "
+            f"next part has a form error of up to {proof.if_not_repeated_nm:.3g} nm, at most "
+            f"{proof.at_stake_nm:.3g} nm more than without the correction; a second measured part decides"
         )
     return tuple(sentences)
 
 
-def _joined(job: Job, maps: Sequence[HeightMap]) -> HeightMap:
-    """Return all heights of some maps, scattered."""
+def _join_maps(job: Job, maps: Sequence[HeightMap]) -> HeightMap:
+    """Return all heights of several maps without a change of pose. Scattered."""
     points = [tuple(one.ravel() for one in (*heights.points(), heights.z)) for heights in maps]
     x, y, z = (np.concatenate(one) for one in zip(*points, strict=True))
-    known = ~np.isnan(z)
-    x, y = x[known], y[known]
-    return HeightMap(x=x, y=y, z=beyond_pose(job, x, y, z[known]), name="left to correct")
+    valid = ~np.isnan(z)
+    x, y = x[valid], y[valid]
+    return HeightMap(x=x, y=y, z=beyond_pose(job, x, y, z[valid]), name="residual")
 
 
-def _smooth(job: Job, left: HeightMap) -> Smooth:
-    """Return what is to be added to a part so that an error does not come back."""
+def _smooth_addition(job: Job, residual: HeightMap) -> Smooth:
+    """Return the addition to a part that compensates an error."""
     strategy, last = job.strategy, job.passes[-1]
 
     def stated(name: str) -> float:
@@ -706,28 +723,32 @@ def _smooth(job: Job, left: HeightMap) -> Smooth:
     tool = job.tool
     half = np.pi / 2 if tool.included is None else tool.included / 2
     beyond = stated("lead_in") + stated("overrun") + tool.actual_radius * float(np.sin(half))
-    return form_compensation(job.part, left, cutoff=cutoff_of(job), beyond=beyond)
+    return form_compensation(job.part, residual, cutoff=cutoff_of(job), beyond=beyond)
 
 
-def _named_tool(tool: Tool, planned: Tool, out: File) -> Tool:
-    """Return the planned tool as it was found; the file of its certificate is written."""
-    found = replace(planned, radius_error=tool.radius_error, offset=tool.offset)
+def _write_tool(tool: Tool, planned: Tool, out: File) -> Tool:
+    """Return the planned tool with the diagnosed errors, and write its waviness file."""
+    actual_tool = replace(planned, radius_error=tool.radius_error, offset=tool.offset)
     if not isinstance(tool.waviness, WavinessTable) or tool.waviness is planned.waviness:
-        return found
-    columns = _columns(out / "waviness.csv", "sweep [rad],deviation [mm]", tool.waviness.sweep, tool.waviness.deviation)
-    return replace(found, waviness=replace(tool.waviness, file=str(columns)))
+        return actual_tool
+    columns = _write_columns(
+        out / "waviness.csv", "sweep [rad],deviation [mm]", tool.waviness.sweep, tool.waviness.deviation
+    )
+    return replace(actual_tool, waviness=replace(tool.waviness, file=str(columns)))
 
 
-def _named_machine(machine: Machine, planned: Machine, out: File) -> Machine:
-    """Return the planned machine as it was found; the file of its straightness is written."""
-    found = replace(planned, squareness=machine.squareness)
+def _write_machine(machine: Machine, planned: Machine, out: File) -> Machine:
+    """Return the planned machine with the diagnosed errors, and write its straightness file."""
+    actual_machine = replace(planned, squareness=machine.squareness)
     if machine.straightness is None or machine.straightness is planned.straightness:
-        return found
-    file = _columns(out / "straightness.csv", "x [mm],error [mm]", *machine.straightness)
-    return replace(found, straightness=machine.straightness, sources={**planned.sources, "straightness": str(file)})
+        return actual_machine
+    file = _write_columns(out / "straightness.csv", "x [mm],error [mm]", *machine.straightness)
+    return replace(
+        actual_machine, straightness=machine.straightness, sources={**planned.sources, "straightness": str(file)}
+    )
 
 
-def _columns(file: File, head: str, one: Floats, other: Floats) -> File:
+def _write_columns(file: File, head: str, one: Floats, other: Floats) -> File:
     """Write two columns with every digit."""
     rows = (f"{a!r},{b!r}" for a, b in zip(one.tolist(), other.tolist(), strict=True))
     write_whole(file, "\n".join([head, *rows]) + "\n")

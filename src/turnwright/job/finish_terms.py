@@ -1,4 +1,4 @@
-"""The finish that a motion leaves, with each published term beside the shape of the tool apart and by its name."""
+"""Predict the surface finish of a motion: the shape of the tool, vibration and minimum chip as separate terms."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ __all__ = ["Finish", "finish"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Finish:
-    """A predicted surface and what it is made of.
+    """A predicted surface and its terms.
 
     Parameters
     ----------
     surface
-        All together. [mm]
+        Sum of all terms. [mm]
     terms
-        What each adds, by name, in the order in which they were put on: "kinematic", then "vibration" and "minimum
-        chip" where they were asked for. Their sum is the surface. [mm]
+        Contribution of each term by name, in the order of addition: "kinematic", then "vibration" and "minimum chip"
+        where requested. [mm]
     """
 
     surface: HeightMap
@@ -53,23 +53,23 @@ def finish(
     Parameters
     ----------
     motion
-        As the axes move.
+        Motion of the axes.
     tool
         The edge.
     radius, angle
         The polar grid. (n_radius,) [mm], (n_angle,) [rad]
     vibration
-        Of tool and work, relative to each other.
+        Vibration of the tool relative to the part.
     minimum_chip
-        What the edge does not cut; of its radius by `MinimumChip.of_edge`.
+        Minimum chip thickness that the edge cuts; from its radius by `MinimumChip.of_edge`.
     machine
-        Whose geometric errors act; that of the motion if not given.
+        Actual machine with its geometric errors; that of the motion if not given.
 
     Returns
     -------
     Finish
-        A term's share is what the surface gains by it when it comes on top of the ones before: what a thin chip leaves
-        is that of the vibrating tool.
+        A term is the change of the surface when it is added to the ones before: the minimum chip is that of the
+        vibrating tool.
     """
     made = generate_polar(motion, tool, radius=radius, angle=angle, machine=machine)
     terms = {"kinematic": made}

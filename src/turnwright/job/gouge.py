@@ -1,4 +1,4 @@
-"""Where the predicted surface lies below the design by more than the plan allows: the last look for a gouge."""
+"""Find where the predicted surface is below the design by more than the plan allows: the final gouge check."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
 
 __all__ = ["Gouge", "find_gouge"]
 
-SLACK = 1e-6
-"""Depth below the design that every plan allows. [mm]"""
+ALLOWED_DEPTH_MM = 1e-6
+"""Depth below the design that is always allowed. [mm]"""
 
 ZONES = (5, 12)
-"""Zones along the radius and around the axis; the lowest place of each is judged."""
+"""Zones along the radius and around the axis; the lowest point of each is checked."""
 
-STEPS = 3
-"""Points of the program on either side of a place whose straight lines may leave it low."""
+NEIGHBOUR_POINTS = 3
+"""Points of the program on either side of a point whose chords may cut it too low."""
 
 
 class Gouge(NamedTuple):
-    """A place where the predicted surface is too low: [mm] all."""
+    """A point where the predicted surface is too low. All [mm]."""
 
     x: float
     y: float
@@ -38,39 +38,39 @@ class Gouge(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """What was found, and what is allowed."""
+        """Depth, position and allowed depth."""
         return (
-            f"the tool gouges by {say_length(self.depth)} at x = {self.x:.4g} mm, y = {self.y:.4g} mm, where decimals "
-            f"and straight lines between the points allow {say_length(self.allowed)}: take more points, or state a "
-            "chord"
+            f"the tool gouges by {say_length(self.depth)} at x = {self.x:.4g} mm, y = {self.y:.4g} mm, where the "
+            f"decimals of the program and the chords between its points allow {say_length(self.allowed)}: take more "
+            "points, or state a chord"
         )
 
 
 def find_gouge(job: Job, whole: Prediction, motion: Motion, rounding_limit_nm: float) -> Gouge | None:
-    """Return the place that lies lowest below what the plan allows, ``None`` if there is none or it cannot be judged.
+    """Return the point farthest below the allowed depth, ``None`` if there is none or the job cannot be checked.
 
-    Judged is only a job whose tool and machine are as planned, that aims at the part itself, asks for no servos and
-    writes no heights by time: whatever else deviates cuts below the design by right.
+    A job is checked only if tool and machine are as planned, the part has no correction, and the program has neither
+    servo tracking nor heights by time: other deviations legitimately cut below the design.
 
-    The plan allows the decimals of the program and the stated chord. Without a chord it allows what straight lines
-    between the points may leave: where a path jumps or has a kink, up to its second difference there.
+    The plan allows the decimals of the program and the stated chord. Without a chord it allows the chords between the
+    points: up to the second difference of the path where that jumps or has a slope discontinuity.
 
     Parameters
     ----------
     job
-        What was asked for.
+        The job.
     whole
-        The whole part as predicted from the program.
+        Prediction of the whole part from the program.
     motion
         The finishing pass of the program read back.
     rounding_limit_nm
-        What its decimals allow.
+        Most error by the decimals of the program. [nm]
     """
     deviates = job.actual.tool.stated or job.actual.machine.stated or job.simulation.tracking
-    by_time = job.program.fast_tool == "time"  # heights of its own between the points, which no chord bounds
+    by_time = job.program.fast_tool == "time"  # its heights between the points are not bounded by the chord
     if deviates or by_time or job.part.correction is not None or job.strategy.along != "z":
         return None
-    flat = SLACK + rounding_limit_nm * 1e-6
+    flat = ALLOWED_DEPTH_MM + rounding_limit_nm * 1e-6
     chord: float | None = getattr(job.servo(job.passes[-1]).lays_out, "chord", None)
     low = [one for one in _lowest(whole) if one[2] > flat]
     if not low:
@@ -85,7 +85,7 @@ def find_gouge(job: Job, whole: Prediction, motion: Motion, rounding_limit_nm: f
 
 
 def _lowest(whole: Prediction) -> Iterator[tuple[float, float, float]]:
-    """Yield the lowest place of all and of each zone: x, y and how far it is below the design. [mm]."""
+    """Yield the lowest point of the part and of each zone: x, y and depth below the design. [mm]."""
     if whole.form is not None:
         lowest = whole.form.lowest
         yield lowest.x, lowest.y, -lowest.error
@@ -100,7 +100,7 @@ def _lowest(whole: Prediction) -> Iterator[tuple[float, float, float]]:
 
 
 class _Chords:
-    """How far straight lines between the points of a motion may be from the path."""
+    """Most distance of the chords between the points of a motion from the path."""
 
     def __init__(self, job: Job, motion: Motion) -> None:
         tool, axes = job.tool, motion.axes
@@ -115,23 +115,23 @@ class _Chords:
         self.step = float(np.abs(np.diff(c)).max())
         edge = tool.cutting_edge(motion.sense)
         flank = max(abs(tool.arc[0]), abs(tool.arc[1]))
-        # Where the path jumps the flanks are in the cut as well.
+        # Where the path jumps, the flanks cut as well.
         self.reach = tool.actual_radius * np.sin(flank) + abs(edge.dx) + 2 * np.tan(flank) * self.bend_z.max()
         upright = edge.upright and not np.any(axes.get("Y", 0.0))
-        self.aside = 0.0 if upright else self.reach + float(np.abs(axes.get("Y", 0.0)).max()) + abs(edge.dy)
+        self.lateral_reach = 0.0 if upright else self.reach + float(np.abs(axes.get("Y", 0.0)).max()) + abs(edge.dy)
 
     def at(self, x: float, y: float) -> float:
-        """Return the most that a line near a place may be from the path. [mm]."""
+        """Return the most distance of a chord near a point from the path. [mm]."""
         radius = np.hypot(x, y)
-        share = self.aside / radius if radius > self.aside else 1.0
-        half = STEPS * self.step + (np.arcsin(share) if self.aside else 0.0)
-        if radius <= self.aside or half >= np.pi / 2:
+        share = self.lateral_reach / radius if radius > self.lateral_reach else 1.0
+        half = NEIGHBOUR_POINTS * self.step + (np.arcsin(share) if self.lateral_reach else 0.0)
+        if radius <= self.lateral_reach or half >= np.pi / 2:
             near = self.order
         else:
             mid = np.arctan2(y, x)
             bounds = ((mid + turn - half, mid + turn + half) for turn in (-2 * np.pi, 0.0, 2 * np.pi, 4 * np.pi))
             near = np.concatenate([self.order[slice(*np.searchsorted(self.azimuth, one))] for one in bounds])
-        near = near[np.abs(self.x[near] - radius) <= self.reach + self.aside]
+        near = near[np.abs(self.x[near] - radius) <= self.reach + self.lateral_reach]
         if near.size == 0:
             return 0.0
         slope = float(np.hypot(*self.surface.gradient(x, y)))
@@ -139,8 +139,8 @@ class _Chords:
 
 
 def _bend(c: Floats, values: Floats) -> Floats:
-    """Return twice how far each point is from the line through its neighbours. (n,) [mm]."""
-    found = np.zeros(c.size)
+    """Return twice the distance of each point from the line through its neighbours. (n,) [mm]."""
+    bends = np.zeros(c.size)
     share = (c[1:-1] - c[:-2]) / (c[2:] - c[:-2])
-    found[1:-1] = 2 * np.abs(values[1:-1] - values[:-2] - share * (values[2:] - values[:-2]))
-    return found
+    bends[1:-1] = 2 * np.abs(values[1:-1] - values[:-2] - share * (values[2:] - values[:-2]))
+    return bends

@@ -1,4 +1,4 @@
-"""What a job states by a name or by a file in place of the values: heights, certificates, machines, instruments."""
+"""Values that a job states by name or file: heights, certificates, machines, instruments."""
 
 from __future__ import annotations
 
@@ -34,18 +34,26 @@ if TYPE_CHECKING:
     from pydantic import ValidationInfo
 
 __all__ = [
-    "AnyInstrument", "AnyMachine", "ExistingFile", "HeightFile", "MachineDeviations", "asking",
-    "context_of", "with_keys",
+    "AnyInstrument",
+    "AnyMachine",
+    "ExistingFile",
+    "HeightFile",
+    "MachineDeviations",
+    "context_of",
+    "with_interpolation",
+    "with_keys",
 ]  # fmt: skip
 
 
 def existing(text: str, folder: str | PathLike[str]) -> File:
-    """Return a file as a whole path, looked for beside the job file."""
+    """Return the absolute path of a file, relative to the folder of the job file."""
     file = File(folder) / text
-    if not os.path.isfile(file):  # noqa: PTH113 - false of a name that no system takes, too
+    if not os.path.isfile(file):  # noqa: PTH113 - also false for an invalid path
         if os.path.exists(file):  # noqa: PTH110 - likewise
-            raise JobError(f"{text!r} is no plain file, but a folder or a device: name a file")
-        raise JobError(f"the file {text!r} does not exist beside the job file: correct the name or put it there")
+            raise JobError(f"{text!r} must be a file, got a folder or a device")
+        raise JobError(
+            f"the file {text!r} does not exist in the folder of the job file: correct its path, or copy it there"
+        )
     return file.resolve()
 
 
@@ -57,28 +65,28 @@ ExistingFile: TypeAlias = Annotated[File, BeforeValidator(_existing)]
 
 
 def context_of(folder: str | PathLike[str]) -> dict[str, Any]:
-    """Return what pydantic is given along with a job: where its files lie, and how they are read."""
+    """Return the validation context of a job: the folder of its files, and their readers."""
     return {"folder": folder, "readers": READERS}
 
 
 def _correction(text: str, folder: str) -> Gridded:
-    """Return a correction as `correct` writes it."""
+    """Return the correction that `correct` wrote."""
     file = existing(text, folder)
     heights = read_map(file)
     if heights.x is None or heights.y is None or heights.scattered or np.isnan(heights.z).any():
         raise JobError(
-            f"{file.name} is no whole grid of heights over x and y: name what turnwright correct has written"
+            f"{file.name} must be a full grid of heights over x and y: name a file that turnwright correct wrote"
         )
     return Gridded(x=heights.x, y=heights.y, z=heights.z, source=HeightFile(file=file))
 
 
 def _material(text: str, folder: str) -> str:
-    """Return a known material's name as it is, the file of one as a whole path."""
+    """Return the name of a known material unchanged, or the absolute path of a material file."""
     if not text.endswith(".toml"):
         if text and Material.named(text) is None:
             raise JobError(
-                f"{shown(text)} is not a known material: {Material.suggest(text)}; give the .toml file of one of your "
-                "own, or state a material that is not to be judged as material_note"
+                f"{shown(text)} is not a known material: {Material.suggest(text)}; give a .toml file of "
+                "your own material, or state a material without cutting data as material_note"
             )
         return text
     file = str(existing(text, folder))
@@ -87,7 +95,7 @@ def _material(text: str, folder: str) -> str:
 
 
 def _waviness(text: str, folder: str) -> WavinessTable:
-    """Return the certificate of an edge: columns sweep and deviation, each with its unit in the head."""
+    """Return the waviness of an edge from its certificate: columns sweep and deviation with units in the header."""
     file = existing(text, folder)
     sweep, deviation = read_columns(file, {"sweep": "rad", "deviation": "mm"})
     return WavinessTable(sweep=sweep, deviation=deviation, file=str(file))
@@ -107,15 +115,15 @@ class HeightFile(Family):
     Parameters
     ----------
     file
-        Table or list of heights, or a map of an instrument: text, CSV, Zemax grid sag and others.
+        Table or list of heights, or a measured map: text, CSV, Zemax grid sag and others.
     units
-        Of x and y, where the file does not state it.
+        Unit of x and y, where the file does not state it.
     sag_units
-        Of the heights, where the file does not state it.
+        Unit of the heights, where the file does not state it.
     pixel_size
-        Of a file that counts pixels: one size, or one along x and one along y. [mm]
+        Pixel size of a file without lengths: one, or one along x and one along y. [mm]
     inverted
-        Whether the heights of the file grow into the material.
+        Whether the heights of the file increase into the material.
     """
 
     family = "gridded"
@@ -128,15 +136,15 @@ class HeightFile(Family):
 
     @property
     def heights(self) -> Gridded | Scattered:
-        """The surface through the heights, which are read anew when the file has changed."""
+        """The surface through the heights, read again when the file has changed."""
         stamp = self.file.stat()
         return _tabulated(self, (stamp.st_mtime_ns, stamp.st_size))
 
 
-def with_keys(told: str, where: str) -> str:
-    """Return a message on a missing unit with the keys of a job that state it, and where they stand."""
-    told = re.sub("unit='mm', or as a column '([xy]) ", rf"units = 'mm' in {where}, or as a column '\1 ", told)
-    return told.replace("unit='mm', or", f"sag_units = 'mm' in {where}, or")
+def with_keys(message: str, where: str) -> str:
+    """Return a message on a missing unit with the keys of the job that state it, and their table."""
+    message = re.sub("unit='mm', or as a column '([xy]) ", rf"units = 'mm' in {where}, or as a column '\1 ", message)
+    return message.replace("unit='mm', or", f"sag_units = 'mm' in {where}, or")
 
 
 @lru_cache(maxsize=4)
@@ -144,30 +152,30 @@ def _tabulated(stated: HeightFile, _stamp: tuple[int, int]) -> Gridded | Scatter
     """Return the surface through the heights of a file."""
     file = stated.file
     try:
-        found = read_map(file, unit=stated.sag_units, lateral_unit=stated.units or "", pixel_size=stated.pixel_size)
+        heights = read_map(file, unit=stated.sag_units, lateral_unit=stated.units or "", pixel_size=stated.pixel_size)
     except MapError as error:
         raise JobError(with_keys(str(error).replace(str(file), file.name), "the job")) from error
-    if not found.calibrated:
-        raise JobError(f"{file.name} counts pixels and does not say how large they are: state pixel_size")
-    z = -found.z if stated.inverted else found.z
-    if found.x is None or found.y is None:
+    if not heights.calibrated:
+        raise JobError(f"{file.name} counts pixels and does not state their size: state pixel_size")
+    z = -heights.z if stated.inverted else heights.z
+    if heights.x is None or heights.y is None:
         raise JobError(f"{file.name} holds a polar grid: write its heights over x and y, or as a list of points")
-    if found.scattered:
-        known = np.isfinite(z)
-        return Scattered(x=found.x[known], y=found.y[known], z=z[known], source=stated)
-    return Gridded(x=found.x, y=found.y, z=z, source=stated)
+    if heights.scattered:
+        valid = np.isfinite(z)
+        return Scattered(x=heights.x[valid], y=heights.y[valid], z=z[valid], source=stated)
+    return Gridded(x=heights.x, y=heights.y, z=z, source=stated)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MachineDeviations(Table):
-    """What the actual machine has otherwise than the one planned with.
+    """Deviations of the actual machine from the planned one.
 
     Parameters
     ----------
     squareness
-        How far X and Z are off a right angle: the error of Z is this times X. [rad]
+        Deviation of X and Z from a right angle: the error of Z is this times X. [rad]
     straightness_file
-        File with the columns x and error, each with its unit in the head: the error of Z over X.
+        File with the columns x and error, with units in the header: the error of Z over X.
     """
 
     squareness: Slope | None = None
@@ -175,14 +183,14 @@ class MachineDeviations(Table):
 
     @property
     def stated(self) -> dict[str, Any]:
-        """The deviations that are stated, as `Machine` takes them."""
+        """The stated deviations as arguments of `Machine`."""
         stated: dict[str, Any] = {} if self.squareness is None else {"squareness": self.squareness}
         if self.straightness_file is not None:
             stated["straightness"] = tuple(read_columns(self.straightness_file, {"x": "mm", "error": "mm"}))
         return stated
 
     def deviating(self, machine: Machine) -> Machine:
-        """Return the machine with what is stated otherwise."""
+        """Return the machine with the stated deviations."""
         file = self.straightness_file
         sources = {**machine.sources, "straightness": str(file)} if file else machine.sources
         return replace(machine, sources=sources, **self.stated)
@@ -194,21 +202,20 @@ class MachineDeviations(Table):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MachineTable(MachineDeviations):
-    """The lathe, by the name of one that comes with Turnwright or by its own file. See `turnwright.Machine`.
+    """The lathe, by a name that comes with Turnwright or by a machine file. See `turnwright.Machine`.
 
     Parameters
     ----------
     name
-        One of the lathes that come with Turnwright; or else give a file.
+        One of the lathes that come with Turnwright; otherwise give a file.
     file
-        A machine file of one's own, in place of the name.
+        Your own machine file, in place of the name.
     dialect
-        The language of the controller, where it is not the machine's usual one.
+        Dialect of the controller, where it differs from that of the machine file.
     interpolation
-        What the controller makes of the points, where it offers more than one way; the machine's own if left
-        out.
+        Interpolation between the points, where the controller offers several; that of the machine by default.
     plausible
-        How large the machine's errors plausibly are, where not as its file says.
+        Plausible sizes of the machine's errors, where they differ from the machine file.
     """
 
     name: Text | None = None
@@ -220,53 +227,55 @@ class MachineTable(MachineDeviations):
     def build(self) -> Machine:
         """Return the machine."""
         if (self.name is None) == (self.file is None):
-            raise JobError("name and file of the machine are both given or both missing: give one of them")
+            raise JobError("the machine needs either name or file, got both or neither")
         loaded = Machine.load(self.file or self.name or "")
-        own = loaded.controller.interpolation
-        machine = loaded if self.interpolation is None else asking(loaded, self.interpolation)
+        default_interpolation = loaded.controller.interpolation
+        machine = loaded if self.interpolation is None else with_interpolation(loaded, self.interpolation)
         machine = replace(
             machine, plausible={**machine.plausible, **self.plausible}, dialect=self.dialect or machine.dialect
         )
         machine = self.deviating(machine)
-        dialect, asked = dialect_of(machine), machine.controller.interpolation
-        # What a controller makes of plain points unasked is its own; any other must be asked for in the program.
-        if asked not in (own, dialect.interpolation):
+        dialect, interpolation = dialect_of(machine), machine.controller.interpolation
+        # Any interpolation but the controller's default must be selected in the program.
+        if interpolation not in (default_interpolation, dialect.interpolation):
             raise JobError(
-                f"interpolation is {asked!r}, a program in the dialect {dialect.name} asks for "
-                f"{dialect.interpolation}: choose that, or {own}, which {machine.name} takes unasked"
+                f"interpolation must be {dialect.interpolation}, which the dialect {dialect.name} selects, or "
+                f"{default_interpolation}, the default of {machine.name}, got {interpolation!r}"
             )
         return machine
 
     @classmethod
     def table_of(cls, machine: Machine) -> dict[str, Any]:
-        """Return how a job names a machine: what it was loaded from, and what differs from that.
+        """Return the table of a machine in a job: its name or file, and the differences from it.
 
         Raises
         ------
         InputError
-            If it was loaded from nothing, or differs in what a job does not state.
+            If it was not loaded from a file, or has differences that a job cannot state.
         """
         if machine.loaded is None:
-            raise InputError(f"a job names the file of a machine, and {machine.name!r} has none: write a machine file")
-        name, own = machine.loaded
+            raise InputError(f"a job names a machine by its file, {machine.name!r} has none: write a machine file")
+        name, loaded = machine.loaded
         table: dict[str, Any] = {"file" if File(name).suffix or File(name).is_absolute() else "name": name}
-        if machine.controller != own.controller:
+        if machine.controller != loaded.controller:
             table["interpolation"] = machine.controller.interpolation
-            own = asking(own, machine.controller.interpolation)
-        if machine.dialect != own.dialect:
+            loaded = with_interpolation(loaded, machine.controller.interpolation)
+        if machine.dialect != loaded.dialect:
             table["dialect"] = machine.dialect
-        if machine.squareness != own.squareness:
+        if machine.squareness != loaded.squareness:
             table["squareness"] = write(machine.squareness, "rad")
-        if not same(machine.straightness, own.straightness):
+        if not same(machine.straightness, loaded.straightness):
             file = machine.sources.get("straightness", "")
             if not File(file).is_absolute():
-                raise InputError(f"the straightness of {machine.name!r} is in no file, a job names one: write one")
+                raise InputError(
+                    f"a job names the file of a straightness, that of {machine.name!r} has none: write one"
+                )
             table["straightness_file"] = file
-        sizes = {name: size for name, size in machine.plausible.items() if own.plausible.get(name) != size}
+        sizes = {name: size for name, size in machine.plausible.items() if loaded.plausible.get(name) != size}
         if sizes:
             table["plausible"] = {key_of(name): write(size, PLAUSIBLE[name]) for name, size in sizes.items()}
         stated = replace(
-            own,
+            loaded,
             dialect=machine.dialect,
             squareness=machine.squareness,
             straightness=machine.straightness,
@@ -274,20 +283,20 @@ class MachineTable(MachineDeviations):
             sources=machine.sources,
         )
         if stated != machine:
-            raise InputError(f"a job does not state what {machine.name!r} has otherwise than its file: write it there")
+            raise InputError(f"{machine.name!r} differs from its file in values that no job states: write them there")
         return table
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class InstrumentTable(Table):
-    """The instrument through which a prediction is seen. See `turnwright.Instrument`.
+    """The instrument that a prediction is filtered by. See `turnwright.Instrument`.
 
     Parameters
     ----------
     name
-        One of the instruments that come with Turnwright; what else is stated here replaces its own.
+        One of the instruments that come with Turnwright; the other keys replace its values.
     file
-        A ``.toml`` file of an instrument of one's own, in place of the name.
+        Your own ``.toml`` file of an instrument, in place of the name.
     """
 
     like = Instrument
@@ -304,37 +313,37 @@ class InstrumentTable(Table):
     def build(self) -> Instrument:
         """Return the instrument."""
         if self.name is not None and self.file is not None:
-            raise JobError("name and file of the instrument are both given: give one of them")
+            raise JobError("the instrument needs either name or file, got both")
         if self.name is not None and self.name not in Instrument.known():
             raise JobError(
                 f"the instrument is {shown(self.name)}, the known ones are {', '.join(Instrument.known())}: choose "
                 "one, name a .toml file, or state its pixel and resolution"
             )
         source = self.file or self.name
-        own = Instrument() if source is None else Instrument.load(source)
+        base = Instrument() if source is None else Instrument.load(source)
         values = {key: getattr(self, key) for key in types_of(type(self)) if key not in ("name", "file")}
         stated = {key: value for key, value in values.items() if value is not None}
         if not stated and source is None:
-            raise JobError("the instrument states nothing: give its name, a file, or what it resolves, such as pixel")
-        return replace(own, **stated)
+            raise JobError("the instrument has no values: give its name, a file, or its resolution, such as pixel")
+        return replace(base, **stated)
 
     @classmethod
     def table_of(cls, instrument: Instrument) -> dict[str, Any]:
-        """Return how a job states an instrument: what it was loaded from, and what differs from that."""
-        source, own = instrument.loaded or ("", Instrument())
+        """Return the table of an instrument in a job: its name or file, and the differences from it."""
+        source, base = instrument.loaded or ("", Instrument())
         table: dict[str, Any] = {"file" if source.endswith(".toml") else "name": source} if source else {}
-        stated = written(instrument, base=own)
+        stated = written(instrument, base=base)
         return table | {key: stated[key] for key in types_of(cls) if key in stated and key != "name"}
 
 
-def asking(machine: Machine, interpolation: str) -> Machine:
-    """Return a machine whose controller is asked for an interpolation, and offers no other then."""
-    found = machine.interpolating(interpolation)
-    return replace(found, controller=replace(found.controller, other_interpolations={}))
+def with_interpolation(machine: Machine, interpolation: str) -> Machine:
+    """Return a machine whose controller uses an interpolation and offers no other."""
+    chosen = machine.interpolating(interpolation)
+    return replace(chosen, controller=replace(chosen.controller, other_interpolations={}))
 
 
 def _instrument(value: object) -> object:
-    """Return the table that the name or the file of an instrument stands for."""
+    """Return the table of an instrument given by name or file."""
     if isinstance(value, str):
         return {"file" if value.endswith(".toml") else "name": value}
     return value

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 from turnwright.access import check_access, check_depths
 from turnwright.errors import InputError
 from turnwright.job.approach import Entry, entries_of
-from turnwright.job.contributions import Shares, shares
+from turnwright.job.contributions import ErrorBreakdown, break_down_error
 from turnwright.job.cutting import chips_of
 from turnwright.job.pass_plan import PassPlan, Watch
 from turnwright.job.predicting import WHOLE, predict
 from turnwright.job.programs import read_back, written
 from turnwright.job.result import Pass
-from turnwright.job.window import can_be_parted, predict_parted
+from turnwright.job.window import can_predict_window, predict_window
 from turnwright.motion import check_limits
 
 if TYPE_CHECKING:
@@ -290,11 +290,11 @@ class Pipeline:
         return predict(self.job, self.program_motion, meant=self.finishing.nominal, watch=self.watch)
 
     @cached_property
-    def shares(self) -> Shares:
+    def shares(self) -> ErrorBreakdown:
         """Error contributions to the form error of the program read back."""
         part, tool, plan = self.job.part.aimed, self.job.tool, self.finishing
         with self.watch.stage("shares") as tell:
-            return shares(
+            return break_down_error(
                 part, tool, plan.spiral, plan.commanded, again=self.program_motion, meant=plan.nominal, progress=tell
             )
 
@@ -323,8 +323,8 @@ class Pipeline:
         names = [WHOLE, *(patch.name for patch in self.job.simulation.patches)]
         if name not in names:
             raise InputError(f"patch must be one of {', '.join(names)}, got {name!r}")
-        if "commanded" not in vars(self.finishing) and can_be_parted(self.job):
-            prediction = predict_parted(self.job, name)
+        if "commanded" not in vars(self.finishing) and can_predict_window(self.job):
+            prediction = predict_window(self.job, name)
             if prediction is not None:
                 return prediction
         return predict(self.job, self.motion, meant=self.finishing.nominal, only=(name,))[0]

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from turnwright.errors import JobError, LimitError, Stopped, TurnwrightError
 from turnwright.generation import generate_polar
 from turnwright.job.contributions import (
-    Shares,
-    apart_nm,
+    ErrorBreakdown,
+    break_down_error,
     exact_cusps,
     exact_motion,
     finish_nm,
     has_servos,
-    shares,
+    max_difference_nm,
     without_servos,
 )
 from turnwright.job.interpolated import interpolated
-from turnwright.job.named import asking
+from turnwright.job.named import with_interpolation
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.predicting import predict
 from turnwright.job.programs import read_back, written
@@ -136,7 +136,7 @@ class Plan:
     """
 
     job: Job
-    shares: Shares
+    shares: ErrorBreakdown
     verdicts: tuple[Verdict, ...]
     limits: Limits
     tried: tuple[Trial, ...]
@@ -212,7 +212,7 @@ def stage_of(interpolation: str) -> str:
 
 
 def _with_interpolation(job: Job, interpolation: str) -> Job:
-    return replace(job, machine=asking(job.machine, interpolation))
+    return replace(job, machine=with_interpolation(job.machine, interpolation))
 
 
 def _plan_interpolation(job: Job, form: float, sq: float, report: StageProgress) -> Plan:
@@ -351,7 +351,7 @@ class _Search:
         tell(0.9)
         return Plan(
             job=final,
-            shares=shares(
+            shares=break_down_error(
                 self.part, self.tool, points.spiral, motion, again=again, meant=reference, pv_nm=predictions[0].pv_nm
             ),
             verdicts=judge(final, predictions),
@@ -398,7 +398,7 @@ class _Search:
         exact = exact_motion(points.spiral, self.part, self.tool, self.machine, angle)
         real = interpolated(points.top, without_servos(self.machine, corrected=self.corrected))
         maps = [generate_polar(one, self.tool, radius=radius, angle=angle) for one in (exact, real)]
-        return apart_nm(*maps) / NM
+        return max_difference_nm(*maps) / NM
 
     def _place(self, spacing: float) -> _Points:
         """Return points at a chord or an arc length [mm], in motion at the highest speed within the limits."""

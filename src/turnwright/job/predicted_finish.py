@@ -1,4 +1,4 @@
-"""What a job's finishing pass leaves."""
+"""Predict the surface after the finishing pass of a job."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["across_feed", "cut_by", "feed_of", "finished", "motion_of"]
 
-ACROSS = 8
-"""Places across a feed, whose mean has of the cusps a share of 0.4/64 of their height at most."""
+PLACES_PER_FEED = 8
+"""Points across a feed; the error of their mean is at most 0.4/64 of the cusp height."""
 
 
 def feed_of(job: Job) -> float:
@@ -31,27 +31,27 @@ def motion_of(job: Job) -> Motion:
 
 
 def cut_by(motion: Motion, real: Job, x: Floats, y: Floats) -> Floats:
-    """Return the heights that a motion leaves with tool and machine of a job. (n,) [mm]."""
+    """Return the heights after a motion with the tool and machine of a job. (n,) [mm]."""
     return generate_points(motion, real.tool, x=x, y=y, machine=real.machine)
 
 
 def finished(job: Job, real: Job, x: Floats, y: Floats) -> Floats:
-    """Return the heights that a job's finishing pass leaves if tool and machine are those of another job. (n,) [mm].
+    """Return the heights after the finishing pass of a job with the tool and machine of another. (n,) [mm].
 
     Parameters
     ----------
     job
-        That is planned and driven.
+        The job as planned.
     real
-        Whose tool cuts on whose machine.
+        The job with the actual tool and machine.
     x, y
         Points. Each (n,) [mm]
     """
     return cut_by(motion_of(job), real, x, y)
 
 
-def across_feed(job: Job, x: Floats, y: Floats, places: int = ACROSS) -> tuple[Floats, Floats]:
-    """Return places across a feed around some points, over which cusps have their mean. Each (n, places) [mm]."""
+def across_feed(job: Job, x: Floats, y: Floats, places: int = PLACES_PER_FEED) -> tuple[Floats, Floats]:
+    """Return points across a feed around each point, to average over cusps. Each (n, places) [mm]."""
     radius, angle = np.hypot(x, y), np.arctan2(y, x)
     feed = feed_of(job)
     inside = np.minimum(radius, job.part.radius - feed / 2)  # the surface may end at the rim

@@ -9,7 +9,7 @@ import numpy as np
 
 from turnwright.generation import generate_polar
 from turnwright.job.approach import Entry, entries_of
-from turnwright.job.contributions import Shares, clear_azimuths, shares
+from turnwright.job.contributions import ErrorBreakdown, break_down_error, clear_azimuths
 from turnwright.job.pass_plan import PassPlan, Watch
 from turnwright.job.predicting import followed
 from turnwright.post import ProgramFiles, ProgramHeader, dialect_of, read_fast_tool, read_nc, write_fast_tool, write_nc
@@ -80,7 +80,7 @@ def predicted_motion(job: Job, file: File, name: str, *, progress: StageProgress
     return real or ideal
 
 
-def program_shares(job: Job, file: File, name: str) -> Shares:
+def program_shares(job: Job, file: File, name: str) -> ErrorBreakdown:
     """Return the error contributions to the form error of the finishing pass of a program on disk.
 
     Tool and machine are the nominal ones, as in `compare`. Without precorrection the motion is that of the program, so
@@ -98,8 +98,8 @@ def program_shares(job: Job, file: File, name: str) -> Shares:
     part, tool, plan = job.part.aimed, job.tool, PassPlan(job)
     motion = read_back(job, file, name)
     if not job.program.precorrect:
-        return shares(part, tool, plan.spiral, motion)
-    return shares(part, tool, plan.spiral, plan.commanded, again=motion, meant=plan.nominal)
+        return break_down_error(part, tool, plan.spiral, motion)
+    return break_down_error(part, tool, plan.spiral, plan.commanded, again=motion, meant=plan.nominal)
 
 
 def rounding(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:

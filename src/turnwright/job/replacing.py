@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from turnwright._faults import sentences, suggestion
 from turnwright._tables import Keyed, Stated, adapter, merged, types_of
 from turnwright.errors import InputError, JobError, shown
-from turnwright.job.named import asking, context_of
+from turnwright.job.named import context_of, with_interpolation
 from turnwright.machine import Machine
 from turnwright.pose import Pose
 from turnwright.strategy import STRATEGIES, Strategy
@@ -75,7 +75,7 @@ class _Change:
         if isinstance(held, Machine) and step in ("name", "file"):
             raise JobError(f"{self.name} selects another machine: replace machine with the result of Machine.load")
         if isinstance(held, Machine) and step == "interpolation":
-            return asking(held, self._within(held.controller.interpolation, Text, rest))
+            return with_interpolation(held, self._within(held.controller.interpolation, Text, rest))
         if isinstance(held, Surface) and step == "placed":
             inner, pose = (held.surface, held.pose) if isinstance(held, Placed) else (held, Pose())
             pose = self._within(pose, Pose, rest)

@@ -1,4 +1,4 @@
-"""A job's design and its predicted cusps as the instrument of its map sees them."""
+"""The design and the predicted cusps of a job as measured by the instrument of its map."""
 
 from __future__ import annotations
 
@@ -23,47 +23,47 @@ if TYPE_CHECKING:
 __all__ = ["SeenTexture", "design_as_seen", "texture_as_seen"]
 
 MOST_POINTS = 20_000_000
-"""Of the design, in steps that an instrument can be applied to."""
+"""Most points of the design on a grid fine enough for the instrument model."""
 
 WINDOW_POINTS = 600_000
-"""Of the predicted cusps."""
+"""Most points of the predicted cusps."""
 
 FEED_STEPS = 8
-"""Steps of the predicted cusps in a feed, at least."""
+"""Least steps of the predicted cusps per feed."""
 
 FINEST_STEPS = 2
-"""Steps in the finest of pixel and optical resolution, at least."""
+"""Least steps per pixel or optical resolution."""
 
 BALL_STEPS = 10
-"""Steps in the radius of a stylus, at least."""
+"""Least steps per radius of a stylus."""
 
-MARGIN = 4
-"""Finest lengths of an instrument by which a surface reaches beyond the map."""
+MARGIN_LENGTHS = 4
+"""Margin of the surface around the map, in pixels or optical resolutions."""
 
 CUTOFF_FEEDS = 5
-"""Cutoff of the texture in feeds: the filter takes a share of 3e-8 of the height of cusps."""
+"""Cutoff of the texture in feeds: the filter removes 3e-8 of the height of cusps."""
 
 CUTOFF_STEPS = 5
-"""Steps of a map in the cutoff of the texture, at least."""
+"""Least steps of a map per cutoff of the texture."""
 
-LEAST_SHARE = 0.5
-"""Of the window that must be measured."""
+MIN_MEASURED_FRACTION = 0.5
+"""Least fraction of the window that is measured."""
 
 NM = 1e6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeenTexture:
-    """The cusps in the middle of a map against those that the job leaves, seen through the instrument or not.
+    """The texture in the middle of a map against the predicted one, with and without the instrument.
 
     Parameters
     ----------
     side
-        Of the window. (along x, along y) [mm]
+        Size of the window. (along x, along y) [mm]
     cutoff
         Wavelength up to which the heights count as texture. [mm]
     measured_nm, predicted_nm, seen_nm
-        Sq as measured, as the job's tool leaves it, and of that what the instrument shows, its noise among it. [nm]
+        Sq as measured, as predicted for the job's tool, and as predicted through the instrument with its noise. [nm]
     """
 
     side: tuple[float, float]
@@ -74,7 +74,7 @@ class SeenTexture:
 
     @property
     def sentence(self) -> str:
-        """What is compared, and how it agrees."""
+        """The comparison in a sentence."""
         return (
             f"texture below {1e3 * self.cutoff:.3g} um in the middle {self.side[0]:.3g} x {self.side[1]:.3g} mm: Sq "
             f"{self.measured_nm:.3g} nm measured, {self.seen_nm:.3g} nm predicted through the instrument, "
@@ -83,25 +83,25 @@ class SeenTexture:
 
 
 def design_as_seen(job: Job, heights: HeightMap, pose: Pose) -> Floats | None:
-    """Return what pixel and stylus of the job's instrument add to the heights of the design. (ny, nx) [mm].
+    """Return the change of the design by pixel and stylus of the job's instrument. (ny, nx) [mm].
 
-    Optics are left to the cusps. Their linear filter holds for heights small against the wavelength; of a form of many
-    fringes the light far from its place averages out, where the filter would count the slow tails of the image.
+    Optics act on the cusps only: their linear filter holds for heights small against the wavelength. On a form of many
+    fringes light from distant points averages out, while the filter would include the slow tails of the image.
 
     Parameters
     ----------
     job
-        Of the part, and of what is known of the instrument.
+        Job of the part, with the instrument.
     heights
-        The map; departures from a reference are taken as heights already.
+        The map, converted to heights if it was a departure from a reference.
     pose
-        Where it lies on the part.
+        Pose of the map on the part.
 
     Returns
     -------
     ndarray or None
-        0 where the design has no height; ``None`` if the job states no instrument, or the map is no even grid or needs
-        too many points between its own.
+        0 where the design has no height; ``None`` if the job states no instrument, or the map is not evenly spaced or
+        needs too fine a grid.
     """
     stated = job.measurement.instrument
     if stated is None or heights.x is None or heights.y is None or heights.scattered or min(heights.z.shape) < 2:
@@ -119,16 +119,16 @@ def design_as_seen(job: Job, heights: HeightMap, pose: Pose) -> Floats | None:
 
 
 def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> SeenTexture | None:
-    """Return the texture in the middle of a map against that which the job predicts.
+    """Return the texture in the middle of a map against the prediction of the job.
 
     Parameters
     ----------
     job
-        That the part was cut by, and that states the instrument.
+        Job that the part was cut by, with the instrument.
     error
         Cut minus design in the grid of the map, nan where nothing was measured. [mm]
     pose
-        Where the map lies on the part.
+        Pose of the map on the part.
 
     Returns
     -------
@@ -140,7 +140,7 @@ def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> SeenTexture | Non
         return None
     limit = min(_step_limit(instrument), feed / FEED_STEPS)
     steps = [float(np.diff(axis).mean()) for axis in (error.y, error.x)]
-    # The window has the shape of the map; of its pixels so many as their finer steps allow.
+    # The window has the shape of the map, and as many pixels as the finer grid allows.
     most = math.sqrt(WINDOW_POINTS) * limit
     sizes = [min(axis.size, int(most / step)) for axis, step in zip((error.y, error.x), steps, strict=True)]
     starts = [(axis.size - size) // 2 for axis, size in zip((error.y, error.x), sizes, strict=True)]
@@ -149,7 +149,7 @@ def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> SeenTexture | Non
     cutoff = max(CUTOFF_FEEDS * feed, CUTOFF_STEPS * max(steps) * (1 + 1e-9))
     if min(size * step for size, step in zip(sizes, steps, strict=True)) < 2 * cutoff:
         return None
-    if np.isfinite(window.z).mean() < LEAST_SHARE:
+    if np.isfinite(window.z).mean() < MIN_MEASURED_FRACTION:
         return None
     grid = _grid(error.x[columns], error.y[rows], limit, _reach(instrument))
     if grid is None:
@@ -162,12 +162,12 @@ def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> SeenTexture | Non
     surface = np.where(np.isfinite(made), design, np.nan)
     through = (instrument.see(HeightMap(x=grid.x, y=grid.y, z=one)).z for one in (made, surface))
     seen = next(through) - next(through)
-    known = np.isfinite(window.z) & np.isfinite(seen[grid.rows, grid.columns])
-    if known.mean() < LEAST_SHARE:
+    valid = np.isfinite(window.z) & np.isfinite(seen[grid.rows, grid.columns])
+    if valid.mean() < MIN_MEASURED_FRACTION:
         return None
 
     def sq_nm(z: Floats) -> float:
-        texture = replace(window, z=np.where(known, z, np.nan))
+        texture = replace(window, z=np.where(valid, z, np.nan))
         return float(np.nanstd(texture.z - filter_map(texture, cutoff).z)) * NM
 
     return SeenTexture(
@@ -180,7 +180,7 @@ def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> SeenTexture | Non
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Grid:
-    """A finer grid, which reaches beyond that of a map, and where the points of the map lie on it."""
+    """A finer grid that extends beyond a map, and the points of the map on it."""
 
     x: Floats
     y: Floats
@@ -189,20 +189,20 @@ class _Grid:
 
 
 def _reach(instrument: Instrument) -> float:
-    """Return how far beyond the map a surface must be known. [mm]."""
+    """Return the margin of the surface around the map. [mm]."""
     finest = max(instrument.pixel or 0.0, 1 / instrument.cutoff)
-    return max(MARGIN * finest, instrument.stylus_radius or 0.0)
+    return max(MARGIN_LENGTHS * finest, instrument.stylus_radius or 0.0)
 
 
 def _step_limit(instrument: Instrument) -> float:
-    """Return the largest steps of a surface that an instrument can be applied to. [mm]."""
+    """Return the largest grid step for the instrument model. [mm]."""
     finest = max(instrument.pixel or 0.0, 1 / instrument.cutoff)
     ball = instrument.stylus_radius
     return min(finest / FINEST_STEPS or math.inf, math.inf if ball is None else ball / BALL_STEPS)
 
 
 def _grid(x: Floats, y: Floats, limit: float, reach: float) -> _Grid | None:
-    """Return a grid of such steps on which the points of a map lie, or ``None`` if it has too many points."""
+    """Return a grid with steps up to a limit that contains the points of a map; ``None`` if it has too many points."""
     axes, places = [], []
     if not (is_even(x) and is_even(y)):
         return None
@@ -219,11 +219,11 @@ def _grid(x: Floats, y: Floats, limit: float, reach: float) -> _Grid | None:
 
 
 def _inspected(job: Job, u: Floats, v: Floats) -> Floats:
-    """Return what an instrument without errors would show of the design: its height, or its departure. [mm]."""
-    asked = job.measurement
+    """Return the reading of an ideal instrument on the design: height, or departure from the reference. [mm]."""
+    settings = job.measurement
     surfaces = [job.part.surface]
-    if asked.quantity != "height":
-        reference = asked.departure_from
+    if settings.quantity != "height":
+        reference = settings.departure_from
         surfaces.append(reference if isinstance(reference, Surface) else surfaces[0])
     on = np.ones(u.shape, dtype=np.bool_)
     for surface in surfaces:

@@ -1,4 +1,4 @@
-"""What the surface of a part looks like over its clear aperture: a slip of a unit or of a sign must be seen."""
+"""Summarise the shape of a part over its clear aperture, to show a wrong unit or sign."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 __all__ = ["PartShape", "part_shape"]
 
 RADII, ANGLES = 201, 360
-"""Of the places that are looked at, the axis included."""
+"""Samples along the radius, the axis included, and around it."""
 
 FLAT = 1e-12
-"""Curvature below which a place counts as flat. [1/mm]"""
+"""Largest curvature of a flat point. [1/mm]"""
 
 ROUNDING = 1e-9
-"""Height, or departure from the best-fit sphere, that is rounding. [mm]"""
+"""Largest height, or departure from the best-fit sphere, that is rounding. [mm]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,13 +37,13 @@ class PartShape:
     lowest, highest
         Heights of the finished surface. [mm]
     steepest, steepest_at
-        The largest slope, and where x, y it is. [rad, mm]
+        Largest slope, and its position x, y. [rad, mm]
     sphere_radius
         Radius of curvature of the best-fit sphere, positive where concave; infinite for a plane. [mm]
     departure_pv, departure_rms
-        Of the surface from that sphere, or from the best-fit plane where no sphere fits, along z. [mm]
+        Departure of the surface from that sphere, or from the best-fit plane where no sphere fits, along z. [mm]
     concave_radius, convex_radius
-        The least radii of curvature of either sign; infinite where there is none. [mm]
+        Least radius of curvature of either sign; infinite if there is none. [mm]
     """
 
     lowest: float
@@ -58,7 +58,7 @@ class PartShape:
 
     @property
     def facts(self) -> dict[str, str]:
-        """Each quantity by its name, with its unit."""
+        """Each quantity with its unit, by name."""
         x, y = (round(one, 6) + 0.0 for one in self.steepest_at)
         departure = f"departure PV {say_length(self.departure_pv)}, RMS {say_length(self.departure_rms)}"
         sphere = f"none, a plane fits best, {departure}"
@@ -80,7 +80,7 @@ class PartShape:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The facts, a line each."""
+        """The facts, one line each."""
         return tuple(f"{name[0].lower()}{name[1:]}: {value}" for name, value in self.facts.items())
 
 
@@ -101,7 +101,7 @@ def part_shape(part: Part) -> PartShape:
     angle = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
     x, y = radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None]
     z = part.surface.sag(x, y)
-    with np.errstate(all="ignore"):  # a formula may have no slope at single places
+    with np.errstate(all="ignore"):  # a formula may have no slope at single points
         zx, zy = part.surface.gradient(x, y)
         zxx, zxy, zyy = part.surface.hessian(x, y)
         slope = np.hypot(zx, zy)
@@ -120,7 +120,7 @@ def part_shape(part: Part) -> PartShape:
     heights = HeightMap(z=z, radius=radius, angle=angle)
     try:
         fit = best_fit(heights, "sphere")
-    except InputError:  # such as two levels of a step, which are no sphere at all
+    except InputError:  # no sphere fits, for example two levels of a step
         fit = best_fit(heights, "plane")
     sphere, departs = fit.parameters.get("radius", math.inf), fit.pv_nm * 1e-6 > ROUNDING
     lowest, highest = float(np.nanmin(z)), float(np.nanmax(z))

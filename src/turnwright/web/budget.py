@@ -10,7 +10,7 @@ from pathlib import Path as File
 from typing import Any
 
 from turnwright._io import write_whole
-from turnwright.job import Shares, program_shares
+from turnwright.job import ErrorBreakdown, program_shares
 from turnwright.web.made import finishing_pass, numbers_of
 
 __all__ = ["budget"]
@@ -27,7 +27,9 @@ def budget(folder: str) -> dict[str, Any]:
         return numbers
     job, file, name = finishing_pass(folder, "no error budget is available")
     contributions = program_shares(job, file, name)
-    numbers = {one.name: _number(getattr(contributions, one.name)) for one in fields(Shares) if one.name != "error"}
+    numbers = {
+        one.name: _number(getattr(contributions, one.name)) for one in fields(ErrorBreakdown) if one.name != "error"
+    }
     numbers["rounding_nm"] = numbers_of(folder)["rounding_nm"]
     numbers["servos"] = any(one.response is not None or one.dead_time for one in job.machine.axes.values())
     with suppress(OSError):  # on a full disk the result is not cached
