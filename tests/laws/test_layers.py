@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import grimp
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -13,7 +14,7 @@ FORBIDDEN = {
     "The simulator never sees the planner": ("generation.py", "from turnwright.placing import touch"),
     "One way up: doors > studies > job > stages > things > ground": ("tool.py", "from turnwright.access import Access"),
     "Only doors draw pictures and talk": ("tracking.py", "import matplotlib"),
-    "metrology is private behind its door": ("job/result.py", "from turnwright.metrology.clean import despike"),
+    "metrology is private behind its door": ("job/prediction.py", "from turnwright.metrology.clean import despike"),
     "No circles among siblings": ("pose.py", "from turnwright.heightmap import HeightMap"),
 }
 
@@ -33,3 +34,14 @@ def test_a_forbidden_import_breaks_its_contract(contract, tmp_path):
     )  # fmt: skip
     assert done.returncode == 1, done.stdout + done.stderr
     assert f"{contract} BROKEN" in " ".join(done.stdout.split())
+
+
+def test_modules_import_each_other_in_one_direction():
+    # A sum of surfaces is a surface that `+` makes, and a surface reads surfaces of every family from a job file.
+    recursive = {f"turnwright.surface.{name}" for name in ("base", "compound", "stated")}
+    graph = grimp.build_graph("turnwright", cache_dir=None)
+    imports = {name: graph.find_modules_directly_imported_by(name) - recursive for name in graph.modules}
+    while leaves := [name for name, imported in imports.items() if not imported & imports.keys()]:
+        for name in leaves:
+            del imports[name]
+    assert not imports

@@ -10,7 +10,7 @@ import turnwright as tw
 from turnwright.heightmap import HeightMap
 from turnwright.job import Job, break_down_error, plan, run
 from turnwright.job.contributions import exact_motion
-from turnwright.job.result import Prediction
+from turnwright.job.prediction import Prediction
 from turnwright.machine import Axis, Machine, SecondOrder
 from turnwright.motion import drive
 from turnwright.part import Part

@@ -22,9 +22,10 @@ from turnwright.job.pass_plan import PassPlan
 from turnwright.job.pipeline import Pipeline
 from turnwright.job.planning import Plan, Trial, plan
 from turnwright.job.predicting import predict
+from turnwright.job.prediction import Prediction
 from turnwright.job.programs import predicted_motion, program_shares
 from turnwright.job.reference import job_schema
-from turnwright.job.result import Pass, Prediction, Preview, Result
+from turnwright.job.result import Pass, Preview, Result
 from turnwright.job.running import finishing_motion, preview, run
 from turnwright.job.schema import Job, faults
 from turnwright.job.shape import PartShape, part_shape

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from turnwright._arrays import Floats
-    from turnwright.job.result import Prediction
+    from turnwright.job.prediction import Prediction
     from turnwright.job.schema import Job
     from turnwright.path import Motion
 

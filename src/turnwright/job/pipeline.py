@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from turnwright.access import Access, AccessFinding
     from turnwright.cutting import ChipMap
     from turnwright.job.cutting import PassChips
-    from turnwright.job.result import Prediction
+    from turnwright.job.prediction import Prediction
     from turnwright.job.schema import Job, PassTable
     from turnwright.motion import Limits
     from turnwright.part import Part

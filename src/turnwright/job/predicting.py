@@ -13,7 +13,7 @@ from turnwright.job.contributions import finish_nm, lines, require_servos, witho
 from turnwright.job.extremes import find_extremes
 from turnwright.job.interpolated import interpolated, off_curves
 from turnwright.job.pass_plan import Watch
-from turnwright.job.result import Prediction
+from turnwright.job.prediction import Prediction
 from turnwright.metrology import roughness
 
 if TYPE_CHECKING:

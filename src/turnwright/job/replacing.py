@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from types import UnionType
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 from pydantic import ValidationError
@@ -22,15 +22,17 @@ from turnwright.surface import FAMILIES, Placed, Surface
 from turnwright.units import Number, Text
 
 if TYPE_CHECKING:
-    from turnwright.job.schema import Job
+    from _typeshed import DataclassInstance
 
 __all__ = ["replaced"]
+
+Owner = TypeVar("Owner", bound="DataclassInstance")
 
 _STEP = re.compile(r"([^.\[\]]+)((?:\[[0-9]{1,9}\])*)")
 """A key, and the indices of entries in the lists that it holds."""
 
 
-def replaced(job: Job, name: str, value: Any) -> Job:
+def replaced(job: Owner, name: str, value: Any) -> Owner:
     """Return the job with one field changed. See `turnwright.job.Job.replace`."""
     change = _Change(name, value)
     step, *steps = _steps(name)

@@ -5,10 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from turnwright.job.contributions import pv_nm_of, rms_nm_of
-from turnwright.job.interpolated import CHORD_TOL
 from turnwright.job.verdict import judge, missed
 
 if TYPE_CHECKING:
@@ -16,25 +12,20 @@ if TYPE_CHECKING:
 
     from turnwright.access import Access
     from turnwright.cutting import ChipMap
-    from turnwright.heightmap import HeightMap
     from turnwright.job.approach import Entry
     from turnwright.job.cutting import PassChips
-    from turnwright.job.extremes import Extremes
+    from turnwright.job.prediction import Prediction
     from turnwright.job.schema import Job
     from turnwright.job.shape import PartShape
     from turnwright.job.verdict import Verdict
     from turnwright.machine import Machine
-    from turnwright.metrology import Roughness
     from turnwright.motion import Limits
     from turnwright.part import Part
     from turnwright.path import Motion, Path
     from turnwright.post import ProgramFiles
     from turnwright.tool import Tool
 
-__all__ = ["Pass", "Prediction", "Preview", "Result"]
-
-CHORD_REPORT_RATIO = 1.01
-"""Ratio to `CHORD_TOL` above which the distance from the curves is reported; second differences resolve it to 1 %."""
+__all__ = ["Pass", "Preview", "Result"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -103,71 +94,6 @@ class Pass:
     points: int
     limits: Limits
     chips: PassChips | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Prediction:
-    """Predicted surface of the whole part or of a patch, from the program read back from disk.
-
-    Parameters
-    ----------
-    name
-        Name of the patch; "whole part" is the polar map.
-    error
-        Predicted surface minus the design. [mm]
-    roughness
-        After form removal; for the whole part without form removal, on a grid too coarse to show every cusp.
-    tracking
-        Contribution of the servos: error with them minus error without; ``None`` if they were not simulated. [mm]
-    above_stock
-        Number of points where the deepest pass stays above the stated stock, so that nothing is cut.
-    off_curves
-        Distance between the simulated linear segments and the controller's curves. [mm]
-    form
-        Highest and lowest point of the whole part, which a grid hits only by chance; ``None`` for a patch.
-    finish_nm
-        Sq of the roughest ring of the whole part, where the job states a tolerance and has no patch; else ``None``.
-    """
-
-    name: str
-    error: HeightMap
-    roughness: Roughness
-    tracking: HeightMap | None = None
-    above_stock: int = 0
-    off_curves: float = 0.0
-    form: Extremes | None = None
-    finish_nm: float | None = None
-
-    @property
-    def uncut(self) -> int:
-        """Number of points that no pass cuts."""
-        return int(np.count_nonzero(np.isnan(self.error.z))) + self.above_stock
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Limitations of the map, a sentence each."""
-        remarks = []
-        if self.uncut:
-            why = "no pass reaches them" + (", or only above the stock" if self.above_stock else "")
-            remarks.append(f"{self.name}: {self.uncut:,} of {self.error.z.size:,} points are not cut: {why}")
-        if self.off_curves > CHORD_REPORT_RATIO * CHORD_TOL:
-            remarks.append(
-                f"{self.name}: simulated in linear segments within {self.off_curves * 1e6:.2g} nm of the curves of the "
-                "controller, memory allows no more segments"
-            )
-        return tuple(remarks)
-
-    @property
-    def pv_nm(self) -> float:
-        """Peak to valley: of the whole part from its highest to its lowest point, of a patch on its grid."""
-        return self.roughness.pv_nm if self.form is None else self.form.pv_nm
-
-    @property
-    def tracking_nm(self) -> tuple[float, float] | None:
-        """Peak to valley and rms over the area of the contribution of the servos, or ``None``."""
-        if self.tracking is None:
-            return None
-        return pv_nm_of(self.tracking.z), rms_nm_of(self.tracking)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

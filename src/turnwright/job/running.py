@@ -18,8 +18,9 @@ from turnwright.job.cutting import PassChips, predicted_chips
 from turnwright.job.gouge import find_gouge
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.pipeline import GOUGE, Cut, Pipeline
+from turnwright.job.prediction import Prediction
 from turnwright.job.programs import predicted_motion, rounding
-from turnwright.job.result import Pass, Prediction, Preview, Result
+from turnwright.job.result import Pass, Preview, Result
 from turnwright.job.shape import part_shape
 from turnwright.job.verdict import judge
 from turnwright.path import Spiral

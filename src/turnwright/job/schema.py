@@ -21,6 +21,7 @@ from turnwright._validate import check_numbers
 from turnwright.diagnosis import CAUSES
 from turnwright.errors import InputError, JobError
 from turnwright.job.named import AnyInstrument, AnyMachine, ExistingFile, MachineDeviations, context_of
+from turnwright.job.replacing import replaced
 from turnwright.job.table import Table
 from turnwright.machine import Machine
 from turnwright.motion import require_variable
@@ -698,8 +699,6 @@ class Job(Table):
         JobError
             If there is no such field, or the job is invalid with this value.
         """
-        from turnwright.job.replacing import replaced  # noqa: PLC0415 - imports this module
-
         return replaced(self, name, value)
 
     def table(self, *, whole: bool = False) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from turnwright.job.result import Prediction
+    from turnwright.job.prediction import Prediction
     from turnwright.job.schema import Job
 
 __all__ = ["Verdict", "judge", "judge_form", "missed", "tolerances_of", "unjudged"]

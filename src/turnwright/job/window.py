@@ -26,7 +26,7 @@ from turnwright.strategy import FastToolServo, SlowToolServo
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats, Ints
-    from turnwright.job.result import Prediction
+    from turnwright.job.prediction import Prediction
     from turnwright.job.schema import Job, Patch
     from turnwright.path import Motion, Path
     from turnwright.strategy import Strategy

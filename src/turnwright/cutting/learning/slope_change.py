@@ -9,15 +9,13 @@ import numpy as np
 
 from turnwright.cutting.learning.fit import MAX_CHANCE, TINY, Fit, interval
 from turnwright.cutting.learning.rows import MIN_ROWS
+from turnwright.cutting.learning.uniform_rows import COMPONENTS
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats
-    from turnwright.cutting.learning.straight import StraightRows
+    from turnwright.cutting.learning.uniform_rows import UniformRows
 
-__all__ = ["COMPONENTS", "ROUNDING_VARIANCE", "SlopeChange", "bound_chance", "find_slope_change"]
-
-COMPONENTS = 2
-"""Cutting force and thrust."""
+__all__ = ["ROUNDING_VARIANCE", "SlopeChange", "bound_chance", "find_slope_change"]
 
 ROUNDING_VARIANCE = 1e-18
 """Variance of forces without noise, relative to their mean square."""
@@ -68,7 +66,7 @@ class SlopeChange:
     falls: bool
 
 
-def find_slope_change(rows: StraightRows, confidence: float) -> SlopeChange | None:
+def find_slope_change(rows: UniformRows, confidence: float) -> SlopeChange | None:
     """Find the thickness at which the forces change their slope; ``None`` if there are too few rows."""
     from scipy.stats import f  # noqa: PLC0415 - costly to import
 
@@ -114,13 +112,13 @@ def find_slope_change(rows: StraightRows, confidence: float) -> SlopeChange | No
     )
 
 
-def _fit_bent(rows: StraightRows, fits: list[Fit], component: int, limit: float) -> tuple[Floats, float, Floats]:
+def _fit_bent(rows: UniformRows, fits: list[Fit], component: int, limit: float) -> tuple[Floats, float, Floats]:
     """Return the fit of a ductile line with a different slope beyond a thickness."""
     beyond = rows.widths[:, component] * np.maximum(rows.thickest - limit, 0.0)
     return fits[component].solve(np.column_stack((rows.ductile(component, limit), beyond))[:, None])
 
 
-def _fit_smooth(rows: StraightRows, fits: list[Fit], component: int) -> float:
+def _fit_smooth(rows: UniformRows, fits: list[Fit], component: int) -> float:
     """Return the smallest sum of squares with an edge force or a size effect, without a transition."""
     from scipy.optimize import minimize_scalar  # noqa: PLC0415 - costly to import
 
@@ -142,7 +140,7 @@ def _fit_smooth(rows: StraightRows, fits: list[Fit], component: int) -> float:
     return min(float(size_effect.fun), squares if plausible else np.inf)
 
 
-def _largest_variance(rows: StraightRows, residual: Floats, limit: float) -> float:
+def _largest_variance(rows: UniformRows, residual: Floats, limit: float) -> float:
     """Return the larger long-run variance of both sides; the components of a row may be correlated."""
     variances = []
     for side in (rows.thickest <= limit, rows.thickest > limit):
@@ -154,7 +152,7 @@ def _largest_variance(rows: StraightRows, residual: Floats, limit: float) -> flo
     return max([MIN_NOISE, *variances] if variances else [float(COMPONENTS)])
 
 
-def bound_chance(rows: StraightRows, residual: Floats, limit: float) -> float:
+def bound_chance(rows: UniformRows, residual: Floats, limit: float) -> float:
     """Return an upper bound of the probability that forces without a transition show one as clear.
 
     For one component and one split, the gain of straight lines with normal noise follows an F distribution with two

@@ -22,7 +22,6 @@ transition.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,14 +30,9 @@ from turnwright._arrays import Bools, Floats, Ints
 from turnwright.cutting.learning.cuts import Cuts
 from turnwright.cutting.learning.fit import MAX_CHANCE, TINY, WARNING_CONFIDENCE, Fit, hansen
 from turnwright.cutting.learning.learned import FORCE_NAMES, Transition
-from turnwright.cutting.learning.rows import MIN_ROWS, Rows
-from turnwright.cutting.learning.slope_change import (
-    COMPONENTS,
-    ROUNDING_VARIANCE,
-    SlopeChange,
-    bound_chance,
-    find_slope_change,
-)
+from turnwright.cutting.learning.rows import MIN_ROWS
+from turnwright.cutting.learning.slope_change import ROUNDING_VARIANCE, SlopeChange, bound_chance, find_slope_change
+from turnwright.cutting.learning.uniform_rows import COMPONENTS, UniformRows
 from turnwright.errors import InputError
 
 __all__ = ["StraightRows", "least_chance"]
@@ -53,72 +47,8 @@ MAX_SLOPE_UNCERTAINTY = 0.3
 """Largest expanded uncertainty of a slope, relative to the ductile slope, for a decision."""
 
 
-class StraightRows(Rows):
-    """Rows of chips of uniform thickness along the edge: each component determines one coefficient."""
-
-    judged = slice(0, 1)
-
-    def __init__(self, cuts: Cuts, drift: int | None = None) -> None:
-        """Take the cuts and the degree of their drift."""
-        force, engaged = np.column_stack((cuts.cutting, cuts.thrust)), cuts.thickness > 0
-        super().__init__(
-            force, tuple(FORCE_NAMES), engaged, cuts.thickness,
-            time=cuts.time, record=cuts.record, drift=drift, uncertainty=cuts.uncertainty,
-        )  # fmt: skip
-        area = cuts.thickness * cuts.width if cuts.area is None else cuts.area
-        self.areas = np.column_stack((area, area if cuts.thrust_area is None else cuts.thrust_area))
-        self.widths = np.divide(
-            self.areas, cuts.thickness[:, None], out=np.zeros_like(self.areas), where=engaged[:, None]
-        )
-        self.spread = np.zeros_like(cuts.thickness) if cuts.spread is None else cuts.spread
-        self.reference = float(np.exp(np.log(cuts.thickness[engaged]).mean()))
-        self.load, self.labels = self.areas[:, 0], tuple(FORCE_NAMES.values())
-        self.selected = np.arange(COMPONENTS)
-
-    def ductile(self, component: int, limit: float = np.inf) -> Floats:
-        """Return the columns of a coefficient and of its edge force or exponent. (n, 1 or 2).
-
-        Beyond ``limit`` [mm] they are constant per width.
-        """
-        width, thickness = self.widths[:, component], np.minimum(self.thickest, limit)
-        area = width * thickness if limit < np.inf else self.areas[:, component]
-        if self.power is not None:
-            ratio = np.where(self.engaged, thickness / self.reference, 1.0)
-            falls = area * ratio ** -self.power[component]
-            return np.column_stack((falls, -falls * np.log(ratio)))
-        return np.column_stack((area, width)) if self.edge else area[:, None]
-
-    def columns(self, limit: float) -> Floats:
-        """Return the design matrix, see `Rows.columns`."""
-        thin, p = (self.thickest <= limit)[:, None], self.parts
-        columns = np.zeros((self.engaged.size, COMPONENTS, 2 * p + (2 * COMPONENTS if limit < np.inf else 0)))
-        for c in range(COMPONENTS):
-            columns[:, c, p * c : p * (c + 1)] = self.ductile(c) * thin
-            if limit < np.inf:
-                brittle = np.column_stack((self.widths[:, c], self.areas[:, c])) * ~thin
-                columns[:, c, 2 * p + 2 * c : 2 * p + 2 * c + 2] = brittle
-        return columns[:, self.selected]
-
-    def part(self, component: int) -> StraightRows:
-        """Return the rows with one force component."""
-        single = super().part(component)
-        assert isinstance(single, StraightRows)  # noqa: S101 - a copy
-        single.selected = self.selected[[component]]
-        return single
-
-    def groups(
-        self, relative: Sequence[float] | Floats = (0.0, 0.0)
-    ) -> Iterator[tuple[Rows, Sequence[float] | Floats]]:
-        """Return each component separately, since it determines its own coefficient only."""
-        yield from ((self.part(c), relative[c : c + 1]) for c in range(COMPONENTS))
-
-    def surely_ductile(self, low: float) -> Bools:
-        """Return the mask of rows that are ductile for every limit of at least ``low``."""
-        return np.asarray(self.thickest + self.spread <= low)
-
-    def surely_brittle(self, high: float) -> Bools:
-        """Return the mask of rows that are brittle for every limit of at most ``high``."""
-        return np.asarray(self.thickest - self.spread >= high)
+class StraightRows(UniformRows):
+    """Rows of chips of uniform thickness, with the transition that they show."""
 
     def find_warnings(self, split: Transition | None, ductile: Bools) -> list[str]:
         """Return warnings if the forces beyond the limit are constant, or few rows are ductile."""
@@ -136,11 +66,6 @@ class StraightRows(Rows):
         """Return the transition: none, a drop, or a change of slope."""
         return _transition(self, confidence)
 
-    @property
-    def free(self) -> int:
-        """Degrees of freedom after the drift, a line and a limit."""
-        return int(max(self.engaged.size - self.drift.shape[1] - 3, 1))
-
 
 @dataclass(frozen=True, slots=True)
 class _Drop:
@@ -152,7 +77,7 @@ class _Drop:
     noise: float
 
 
-def _find_drop(rows: StraightRows, confidence: float) -> _Drop | None:
+def _find_drop(rows: UniformRows, confidence: float) -> _Drop | None:
     """Find the thickness at which the forces jump, with its interval."""
     engaged = np.flatnonzero(rows.engaged)
     order = engaged[np.argsort(rows.thickest[engaged], kind="stable")]
@@ -188,7 +113,7 @@ def _find_drop(rows: StraightRows, confidence: float) -> _Drop | None:
     return _Drop(split, squares[:, best], weight, max(eta))
 
 
-def _split_squares(rows: StraightRows, component: int, order: Ints, after: Ints) -> Floats:
+def _split_squares(rows: UniformRows, component: int, order: Ints, after: Ints) -> Floats:
     """Return the residual sum of squares of each split, from cumulative sums of column products. (k,)."""
     ductile, beyond = rows.ductile(component), np.column_stack((rows.widths[:, component], rows.areas[:, component]))
     table = np.column_stack((rows.drift, ductile, beyond, rows.force[:, component]))
@@ -211,7 +136,7 @@ def _split_squares(rows: StraightRows, component: int, order: Ints, after: Ints)
 
 
 def _compare_sides(
-    rows: StraightRows, order: Ints, cut: int, limit: float
+    rows: UniformRows, order: Ints, cut: int, limit: float
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Return long-run covariances of the thin and thick side of a split, its jump, the residuals and the parameters.
 
@@ -243,7 +168,7 @@ def least_chance(cuts: Cuts, confidence: float = 0.95) -> float:
     return min([1.0, *(candidate.chance for candidate in candidates if candidate is not None)])
 
 
-def _transition(rows: StraightRows, confidence: float) -> Transition | None:
+def _transition(rows: UniformRows, confidence: float) -> Transition | None:
     """Return the transition: none, a drop, or a change of slope.
 
     A change of slope has fewer parameters. A drop is chosen if it fits significantly better; if that is undecided, the
@@ -283,7 +208,7 @@ def _as_transition(bend: SlopeChange | None) -> Transition | None:
     return Transition(bend.value, bend.low, bend.high, (1.0, 1.0), bend.chance)
 
 
-def _check_constant_forces(rows: StraightRows, limit: float) -> list[str]:
+def _check_constant_forces(rows: UniformRows, limit: float) -> list[str]:
     """Return a warning if both forces are constant beyond a limit; raise if only one of them is.
 
     Fracture changes both forces; saturation changes one channel.
