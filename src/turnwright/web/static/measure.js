@@ -4,14 +4,10 @@ import { Fragment, html, render, useEffect, useRef, useState } from "./vendor/pr
 import { get, getPacked, post, sendForPacked, upload } from "./api.js";
 import { say, set, state } from "./state.js";
 import { chart } from "./charts.js";
+import { GOING, clear, follow, halt } from "./measurement.js";
 import { editAgain, refresh } from "./runs.js";
 import { Bar, Downloads, Icon, Mark, Tool, bytes, count, doubted, height, number, percent, quantity, useStore } from "./ui.js";
 
-const POLL_MS = 700; // interval of updates while a measurement is processed
-const GOING = new Set(["queued", "running"]);
-
-let timer = 0;
-let wanted = null; // id of the last requested measurement
 let sending = () => {};
 let showing = () => {};
 
@@ -23,7 +19,7 @@ export async function take(file, of = measuredRun()) {
   if (!run) return say("Run the job first: a measurement is compared with the part of a run.", "bad");
   const limit = state.about?.limits.upload_bytes;
   if (limit && file.size > limit) return say(`${file.name} has ${bytes(file.size)}, the limit is ${bytes(limit)}.`, "bad");
-  none();
+  clear();
   sending({ name: file.name, share: 0 });
   try {
     const { id } = await upload("/measurements", { run, name: file.name }, file, (sent, total) => sending({ name: file.name, share: sent / total }));
@@ -51,29 +47,6 @@ function measuredRun() {
   const fit = (run) => run.state === "done" && ["run", "correct"].includes(run.kind);
   const looked = state.runs.find((run) => run.id === state.run && fit(run));
   return (looked ?? state.runs.find(fit))?.id ?? null;
-}
-
-/** Clear the measurement and cancel a pending one. */
-function none() {
-  clearTimeout(timer);
-  wanted = null;
-  set({ measurement: null });
-}
-
-/** Show a measurement, and update it while it is processed. */
-export async function follow(id) {
-  clearTimeout(timer);
-  wanted = id;
-  try {
-    const measurement = { id, ...(await get(`/measurements/${id}`)) };
-    // Another one was chosen in the meantime.
-    if (wanted !== id) return;
-    set({ measurement });
-    if (GOING.has(measurement.state)) timer = setTimeout(() => follow(id), POLL_MS);
-    if (measurement.state === "failed") say(measurement.sentence ?? "The file could not be read.", "bad");
-  } catch (error) {
-    say(error.message, "bad");
-  }
 }
 
 // ------------------------------------------------------------------------------------------------------ bringing it in
@@ -121,7 +94,7 @@ function placed({ pose, std, held }) {
 
 function Seen({ measurement }) {
   const { alignment, roughness } = measurement;
-  return html`<div><div class="panehead"><strong>${measurement.name}</strong><span class="gap"></span><${Tool} icon="close" name="Upload another measurement" onClick=${none} /></div>
+  return html`<div><div class="panehead"><strong>${measurement.name}</strong><span class="gap"></span><${Tool} icon="close" name="Upload another measurement" onClick=${clear} /></div>
   <div class="scroll" role="region" tabindex="0" aria-label="Results of the measurement"><div class="cards">
     <${Numbers} title="Form error" rows=${[
       ["form, PV", height(measurement.form_pv_nm)], ["form, RMS", height(measurement.form_rms_nm)],
@@ -348,7 +321,7 @@ export function mount(element) {
   render(html`<${Panel} />`, element);
   return {
     destroy: () => {
-      clearTimeout(timer);
+      halt();
       render(null, element);
     },
   };

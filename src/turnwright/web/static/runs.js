@@ -3,10 +3,10 @@
 import { html, useState } from "./vendor/preact.js";
 import { address, events, get, post, remove } from "./api.js";
 import { lastText, settled, takeJob } from "./form.js";
+import { GOING, follow as followMeasurement } from "./measurement.js";
 import { say, set, state } from "./state.js";
 import { Bar, Mark, Tool, clock, duration, useStore } from "./ui.js";
 
-const GOING = new Set(["queued", "running"]);
 const POLL_MS = 5000; // interval of list updates while a run is active
 
 /** State of a run before its results are loaded. */
@@ -115,9 +115,8 @@ export async function look(id) {
   if (!run || run.state !== "done") return undefined;
   try {
     if (run.kind === "measure") {
-      const { follow: show } = await import("./measure.js");
       set({ drawer: "measure", view: "drawer" });
-      return await show(id);
+      return await followMeasurement(id);
     }
     const { files, data } = await get(`/runs/${id}`);
     if (run.kind === "compare") {

@@ -41,7 +41,7 @@
    line          {x0, y0, x1, y1} of the profile that was drawn | null                    mapview.js
    block         number of the program line pointed at, from 0 | null                     program.js, scene.js
    --            the measurement
-   measurement   GET /api/measurements/{id} with its id | null                            measure.js
+   measurement   GET /api/measurements/{id} with its id | null                            measurement.js
 */
 
 export const state = {
