@@ -123,7 +123,9 @@ def test_decimals_err_by_what_was_moved():
     """Oracle: Z moved by a known constant."""
     part, tool, spiral, motion = planned(Plane(), SlowToolServo(feed=FEED, points_per_rev=36, spindle_rpm=60))
     moved = replace(motion, axes={**motion.axes, "Z": motion.axes["Z"] + 3e-6})
-    assert break_down_error(part, tool, spiral, motion, again=moved).rounding_nm == pytest.approx(3.0, rel=1e-6)
+    assert break_down_error(part, tool, spiral, motion, program_motion=moved).rounding_nm == pytest.approx(
+        3.0, rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("response", [None, {"frequency": "100 Hz", "damping": 0.7, "velocity_feedforward": 1.0}])
@@ -182,5 +184,5 @@ def test_decimals_take_no_pass_away_at_an_azimuth(tmp_path, sense, inside_out, c
     spiral = servo.spiral(part, tool)
     motion = tw.drive(tw.place(spiral, part, tool), servo, machine)
     tw.write_nc(motion, machine, tmp_path / "part.nc", depth=None)
-    found = break_down_error(part, tool, spiral, motion, again=tw.read_nc(tmp_path / "part.nc", machine))
+    found = break_down_error(part, tool, spiral, motion, program_motion=tw.read_nc(tmp_path / "part.nc", machine))
     assert found.rounding_nm < 0.6

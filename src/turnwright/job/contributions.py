@@ -120,8 +120,8 @@ def break_down_error(
     spiral: Spiral,
     motion: Motion,
     *,
-    again: Motion | None = None,
-    meant: Motion | None = None,
+    program_motion: Motion | None = None,
+    nominal: Motion | None = None,
     pv_nm: float | None = None,
     progress: Progress | None = None,
 ) -> ErrorBreakdown:
@@ -135,9 +135,9 @@ def break_down_error(
         Planned spiral; its path is placed again, exactly at the azimuths of the lines.
     motion
         Commanded motion, with its machine.
-    again
+    program_motion
         The motion read back from the program on disk; ``motion`` itself if not given.
-    meant
+    nominal
         Nominal motion, if ``motion`` is corrected for the servos: interpolation is then judged by the nominal motion,
         and servos by the difference of the actual surface from it, rounding included.
     pv_nm
@@ -156,15 +156,15 @@ def break_down_error(
     zone, reach = _axis_zone(part, tool, feed)
     ideal_path = exact_motion(spiral, part, tool, machine, angle, dense_to=reach)
     exact = made(ideal_path, 0)
-    again, ideal = again or motion, without_servos(machine)
+    program_motion, ideal = program_motion or motion, without_servos(machine)
     steady = machine.controller.interpolation == "linear"
     sent = made(motion if steady else interpolated(motion, ideal), 1)
-    wanted = sent if meant is None else made(interpolated(meant, without_servos(machine, corrected=True)), 2)
-    moved = again if steady else interpolated(again, ideal)
-    rounded = sent if again is motion else made(moved, 3)
+    planned = sent if nominal is None else made(interpolated(nominal, without_servos(machine, corrected=True)), 2)
+    moved = program_motion if steady else interpolated(program_motion, ideal)
+    rounded = sent if program_motion is motion else made(moved, 3)
     real = rounded
     if has_servos(machine):
-        moved = interpolated(again, machine)
+        moved = interpolated(program_motion, machine)
         real = made(moved, 4)
     error = real.minus(part.surface)
     report(5, 6)
@@ -176,9 +176,9 @@ def break_down_error(
     return ErrorBreakdown(
         cusp_nm=pv_nm_of(np.append(cusps.z.ravel(), _about_axis(ideal_path, part, tool, zone))),
         cusp_away_nm=pv_nm_of(cusps.z[:, radius > 2 * feed]),
-        chord_nm=max_difference_nm(wanted, exact),
+        chord_nm=max_difference_nm(planned, exact),
         rounding_nm=max_difference_nm(rounded, sent),
-        tracking_nm=max_difference_nm(real, rounded if meant is None else wanted),
+        tracking_nm=max_difference_nm(real, rounded if nominal is None else planned),
         pv_nm=pv_nm,
         rms_nm=rms_nm_of(error),
         sq_nm=finish_nm(error, feed),

@@ -287,7 +287,7 @@ class Pipeline:
     @cached_property
     def predictions(self) -> tuple[Prediction, ...]:
         """Predicted surface of the program read back, for the whole part and every patch."""
-        return predict(self.job, self.program_motion, meant=self.finishing.nominal, watch=self.watch)
+        return predict(self.job, self.program_motion, nominal=self.finishing.nominal, watch=self.watch)
 
     @cached_property
     def shares(self) -> ErrorBreakdown:
@@ -295,7 +295,13 @@ class Pipeline:
         part, tool, plan = self.job.part.aimed, self.job.tool, self.finishing
         with self.watch.stage("shares") as tell:
             return break_down_error(
-                part, tool, plan.spiral, plan.commanded, again=self.program_motion, meant=plan.nominal, progress=tell
+                part,
+                tool,
+                plan.spiral,
+                plan.commanded,
+                program_motion=self.program_motion,
+                nominal=plan.nominal,
+                progress=tell,
             )
 
     def prediction(self, name: str) -> Prediction:
@@ -327,7 +333,7 @@ class Pipeline:
             prediction = predict_window(self.job, name)
             if prediction is not None:
                 return prediction
-        return predict(self.job, self.motion, meant=self.finishing.nominal, only=(name,))[0]
+        return predict(self.job, self.motion, nominal=self.finishing.nominal, only=(name,))[0]
 
     @property
     def refused(self) -> tuple[str, ...]:

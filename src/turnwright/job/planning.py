@@ -343,16 +343,22 @@ class _Search:
         tell(0.6)
         filled = points.filled
         with TemporaryDirectory(prefix="turnwright-") as folder:
-            again = read_back(filled, written(filled, {"finish": motion}, File(folder)).files[0], "finish")
+            program_motion = read_back(filled, written(filled, {"finish": motion}, File(folder)).files[0], "finish")
         tell(0.7)
         final = _fill_in(filled, self.across, points.ways, speed)
         reference = nominal if self.corrected else None
-        predictions = predict(final, again, meant=reference)
+        predictions = predict(final, program_motion, nominal=reference)
         tell(0.9)
         return Plan(
             job=final,
             shares=break_down_error(
-                self.part, self.tool, points.spiral, motion, again=again, meant=reference, pv_nm=predictions[0].pv_nm
+                self.part,
+                self.tool,
+                points.spiral,
+                motion,
+                program_motion=program_motion,
+                nominal=reference,
+                pv_nm=predictions[0].pv_nm,
             ),
             verdicts=judge(final, predictions),
             limits=check_limits(motion, self.machine),

@@ -36,7 +36,7 @@ def predict(
     motion: Motion,
     *,
     tracking: bool | None = None,
-    meant: Motion | None = None,
+    nominal: Motion | None = None,
     only: Collection[str] | None = None,
     extremes: bool = True,
     watch: Watch | None = None,
@@ -54,7 +54,7 @@ def predict(
         A motion read back from a program, of this job or any other.
     tracking
         Whether to include the servo response, and to report its contribution; as the job says if not given.
-    meant
+    nominal
         Nominal motion of the axes, if ``motion`` is precorrected for the servos; servo errors are counted from it.
     only
         Names of the maps to predict: patches and "whole part"; all of them if not given.
@@ -70,7 +70,7 @@ def predict(
     """
     watch = watch or Watch(progress)
     part, tool, machine = job.part, job.actual_tool, job.actual_machine
-    motion, real = followed(job, motion, job.simulation.tracking if tracking is None else tracking, meant, watch)
+    motion, real = followed(job, motion, job.simulation.tracking if tracking is None else tracking, nominal, watch)
     straight = machine.controller.interpolation == "linear"
     off = 0.0 if straight else max(off_curves(one) for one in (motion, real) if one is not None)
 
@@ -134,7 +134,7 @@ def _ring_sq_nm(job: Job, motion: Motion) -> float:
 
 
 def followed(
-    job: Job, motion: Motion, tracking: bool, meant: Motion | None, watch: Watch
+    job: Job, motion: Motion, tracking: bool, nominal: Motion | None, watch: Watch
 ) -> tuple[Motion, Motion | None]:
     """Return a motion as the controller interpolates it, and as the servos follow it, ``None`` without tracking."""
     machine = job.actual_machine
@@ -143,8 +143,8 @@ def followed(
         require_servos(machine)
         with watch.stage("track") as tell:
             real = interpolated(motion, machine, tell)
-        motion = meant or motion
-    ideal = without_servos(machine, corrected=meant is not None)
+        motion = nominal or motion
+    ideal = without_servos(machine, corrected=nominal is not None)
     if ideal.controller.interpolation != "linear":
         with watch.stage("interpolate") as tell:
             motion = interpolated(motion, ideal, tell)

@@ -99,7 +99,7 @@ def program_shares(job: Job, file: File, name: str) -> ErrorBreakdown:
     motion = read_back(job, file, name)
     if not job.program.precorrect:
         return break_down_error(part, tool, plan.spiral, motion)
-    return break_down_error(part, tool, plan.spiral, plan.commanded, again=motion, meant=plan.nominal)
+    return break_down_error(part, tool, plan.spiral, plan.commanded, program_motion=motion, nominal=plan.nominal)
 
 
 def rounding(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:
