@@ -40,11 +40,11 @@ from turnwright.machine import Axis, Machine, SecondOrder
 from turnwright.metrology import (
     area_psd,
     best_fit,
-    despike,
     filter_map,
     fit_zernike,
-    fizeau_view,
+    interferogram,
     remove_form,
+    remove_outliers,
     roughness,
 )
 from turnwright.motion import check_limits, drive
@@ -384,7 +384,7 @@ def bench_metrology(table, scale):
     heights, cutoff = HeightMap(x=x, y=x, z=z), n * 4e-5
     whole = rng.normal(size=(n, n))
     works = {
-        "despike": (lambda: despike(heights), None),
+        "remove_outliers": (lambda: remove_outliers(heights), None),
         "filter_map, Gaussian": (lambda: filter_map(heights, cutoff), 1.5),
         "filter_map, Gaussian, cutoff of ten times that": (lambda: filter_map(heights, 10 * cutoff), 1.5),
         "filter_map, robust": (lambda: filter_map(heights, cutoff, kind="robust"), 6.0),
@@ -411,7 +411,7 @@ def bench_analysis(table, scale):
     works = {
         "remove_form, degree 10": lambda: remove_form(part, 10),
         "best_fit, sphere": lambda: best_fit(part, "sphere"),
-        "fizeau_view": lambda: fizeau_view(part),
+        "interferogram": lambda: interferogram(part),
         "fit_zernike, 37 terms": lambda: fit_zernike(error, terms=37, indexing="fringe"),
         "area_psd": lambda: area_psd(error, missing="mask").radial(),
         "roughness": lambda: roughness(error, form=10),

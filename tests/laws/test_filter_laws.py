@@ -7,7 +7,7 @@ from hypothesis import assume, given, settings, strategies as st
 
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import Nesting, despike, filter_map, separate_bands, trim_edge
+from turnwright.metrology import Nesting, filter_map, remove_outliers, separate_bands, trim_edge
 
 STEP = 0.02
 
@@ -74,11 +74,11 @@ def test_spikes_are_the_same_upside_down_on_a_slope_and_turned(seed, slope, heig
     z[rng.random(z.shape) < 0.02] += 40
     z[rng.random(z.shape) < 0.1] = np.nan
     plain = HeightMap(x=np.arange(31.0), y=np.arange(25.0), z=z)
-    spikes = despike(plain, rule=rule).spikes
+    spikes = remove_outliers(plain, rule=rule).outliers
     tilted = replace(plain, z=height - z + slope * np.arange(31))
-    np.testing.assert_array_equal(despike(tilted, rule=rule).spikes, spikes)
+    np.testing.assert_array_equal(remove_outliers(tilted, rule=rule).outliers, spikes)
     turned = HeightMap(x=plain.y, y=plain.x, z=z.T)
-    np.testing.assert_array_equal(despike(turned, rule=rule).spikes, spikes.T)
+    np.testing.assert_array_equal(remove_outliers(turned, rule=rule).outliers, spikes.T)
 
 
 @settings(max_examples=20)

@@ -14,7 +14,10 @@ FORBIDDEN = {
     "The simulator never sees the planner": ("generation.py", "from turnwright.placing import touch"),
     "One way up: doors > studies > job > stages > things > ground": ("tool.py", "from turnwright.access import Access"),
     "Only doors draw pictures and talk": ("tracking.py", "import matplotlib"),
-    "metrology is private behind its door": ("job/prediction.py", "from turnwright.metrology.clean import despike"),
+    "metrology is private behind its door": (
+        "job/prediction.py",
+        "from turnwright.metrology.clean import remove_outliers",
+    ),
     "No circles among siblings": ("pose.py", "from turnwright.heightmap import HeightMap"),
 }
 

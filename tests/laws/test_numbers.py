@@ -248,12 +248,12 @@ MAY = {
 
 ANSWERS = """
     Access AccessFinding Alignment Approach AreaSpectrum Bands Bearing BestFit Candidate CentreDefect ChipMap Column
-    Comparison Contribution Correction Cusps CuttingForces Despiked Diagnosis DrawnCut Draws DuctileGate EdgeFit Entry
+    Comparison Contribution Correction Cusps CuttingForces Diagnosis DrawnCut Draws DuctileCheck EdgeFit Entry
     ErrorBreakdown Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage HeightFile IntactShare
-    LearnedMaterial Lenslet Lenslets Limits Measured Move Outcome PartShape Pass Plan PoseCandidate Prediction Preview
-    ProfileRoughness ProgramFiles ProgramInfo ProgramPass Proof Registration Result Roughness Sensitivity Series
-    Slopes Spectrum Stretch Tightening TiledMap ToleranceStudy Trial TurnedEdge TurningCentre Undetermined
-    Verdict ZernikeFit
+    LearnedMaterial Lenslet Lenslets Limits Measured Move Outcome OutlierRemoval PartShape Pass Plan PoseCandidate
+    Prediction Preview ProfileRoughness ProgramFiles ProgramInfo ProgramPass Proof Registration Result Roughness
+    Sensitivity Series Slopes Spectrum Stretch Tightening TiledMap ToleranceStudy Trial TurnedEdge TurningCentre
+    Undetermined Verdict ZernikeFit
 """
 """Classes that only functions make: there nan and infinity say what could not be found."""
 

@@ -5,7 +5,7 @@ import pytest
 from scipy import optimize
 
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import best_fit, fizeau_view
+from turnwright.metrology import best_fit, interferogram
 from turnwright.surface import Conic, EvenAsphere, Sphere
 
 X = np.linspace(-4, 4, 61) + 0.3
@@ -177,7 +177,7 @@ def test_fizeau_sees_the_departure_along_the_normal_of_the_best_sphere():
         slope = np.hypot(*base.gradient(COLUMNS, ROWS))
         spot = bump * np.exp(-((COLUMNS - 2.5) ** 2 + (ROWS - 2.0) ** 2) / 0.3**2)
         lifted = HeightMap(x=X, y=X, z=base.sag(COLUMNS, ROWS) + spot * np.sqrt(1 + slope**2))
-        held = fizeau_view(lifted, radius=radius).residual.z
+        held = interferogram(lifted, radius=radius).residual.z
         assert np.abs(held - np.median(held) - spot).max() < 0.03 * bump
         along_z = best_fit(lifted, base, free=("x", "y", "z")).residual.z
         top = np.unravel_index(spot.argmax(), spot.shape)
@@ -189,7 +189,7 @@ def test_fizeau_sees_the_departure_along_the_normal_of_the_best_sphere():
 def test_fizeau_with_a_held_radius_shows_the_power():
     # A sphere of another radius than the one stated: distances of two spheres by geometry.
     part = Sphere(radius=50.0)
-    view = fizeau_view(HeightMap(x=X, y=X, z=part.sag(COLUMNS, ROWS)), radius=50.5)
+    view = interferogram(HeightMap(x=X, y=X, z=part.sag(COLUMNS, ROWS)), radius=50.5)
     centre = view.parameters["z"] + 50.5
     truth = 50.5 - np.sqrt(
         (COLUMNS - view.parameters["x"]) ** 2

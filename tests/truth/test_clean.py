@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import despike, fill_holes, keep_disc, trim_edge
+from turnwright.metrology import crop_to_aperture, fill_holes, remove_outliers, trim_edge
 from turnwright.surface import LensArray, Plane, Sphere, Toroid
 
 STEP = 0.005
@@ -33,8 +33,8 @@ def test_the_robust_rule_finds_every_spike_and_nothing_else(polar):
         if polar
         else {"x": STEP * np.arange(400), "y": STEP * np.arange(300)}
     )
-    found = despike(HeightMap(z=z, **axes))
-    assert (found.spikes & where).sum() == where.sum() == found.count
+    found = remove_outliers(HeightMap(z=z, **axes))
+    assert (found.outliers & where).sum() == where.sum() == found.count
     assert found.scale[0] == pytest.approx(NOISE, rel=0.01)
     np.testing.assert_array_equal(np.isnan(found.heights.z), where)
     np.testing.assert_array_equal(found.heights.z[~where], z[~where])
@@ -48,12 +48,12 @@ def test_one_in_fifty_points_and_spikes_that_touch_are_found():
     z[90, 100:103] = -0.002
     z[120:123, 130:133] = 0.003
     where[50:52, 60:62] = where[90, 100:103] = where[120:123, 130:133] = True
-    found = despike(grid(z))
-    assert not (found.spikes & ~where).any()
+    found = remove_outliers(grid(z))
+    assert not (found.outliers & ~where).any()
     # Where spikes of all sizes crowd, one in a hundred hides beside a higher one.
-    assert (where & ~found.spikes).sum() <= 0.01 * where.sum()
+    assert (where & ~found.outliers).sum() <= 0.01 * where.sum()
     for block in ((slice(50, 52), slice(60, 62)), (90, slice(100, 103)), (slice(120, 123), slice(130, 133))):
-        assert found.spikes[block].all()
+        assert found.outliers[block].all()
 
 
 def test_borders_and_holes_neither_hide_spikes_nor_are_taken_for_them():
@@ -68,21 +68,21 @@ def test_borders_and_holes_neither_hide_spikes_nor_are_taken_for_them():
         z[place] += 30 * NOISE
         where[place] = True
     where &= ~np.isnan(z)
-    found = despike(grid(z))
-    assert not (found.spikes & ~where).any()
-    assert (found.spikes & where).sum() == where.sum()
+    found = remove_outliers(grid(z))
+    assert not (found.outliers & ~where).any()
+    assert (found.outliers & where).sum() == where.sum()
     assert found.unjudged == 0
 
 
 def test_scratches_steps_and_curved_forms_without_noise_are_no_spikes():
     x = np.arange(120)
     smooth = np.sin(x / 15) * np.cos(x[:, None] / 20)
-    assert despike(grid(smooth)).count == 0
+    assert remove_outliers(grid(smooth)).count == 0
     z = np.random.default_rng(1).normal(0, NOISE, (120, 120))
     z[:, 60:] += 1e-2
     z[30, 10:50] -= 1e-2
     z[np.arange(40, 80), np.arange(10, 50)] += 1e-2
-    found = despike(grid(z)).spikes
+    found = remove_outliers(grid(z)).outliers
     # The ends of a scratch are points.
     assert not np.delete(found, [9, 10, 49, 50], axis=1).any()
 
@@ -98,14 +98,14 @@ def lens_map(seed=2):
 
 def test_with_the_design_borders_of_lenses_stay():
     design, measured, where = lens_map()
-    np.testing.assert_array_equal(despike(measured, design=design).spikes, where)
+    np.testing.assert_array_equal(remove_outliers(measured, design=design).outliers, where)
     # Without it they would not.
-    assert (despike(measured).spikes & ~where).any()
+    assert (remove_outliers(measured).outliers & ~where).any()
 
 
 def test_kongs_rule_keeps_borders_too_but_not_the_neighbours_of_spikes():
     design, measured, where = lens_map()
-    found = despike(measured, rule="kong", design=design).spikes
+    found = remove_outliers(measured, rule="kong", design=design).outliers
     near = np.zeros_like(where)
     for axis in (0, 1):
         for step in (-1, 0, 1):
@@ -119,10 +119,10 @@ def test_kongs_rule_keeps_borders_too_but_not_the_neighbours_of_spikes():
 def test_a_map_a_pixel_out_of_register_needs_a_spare():
     design, measured, where = lens_map()
     shifted = design.placed(shift=(STEP, 0.3 * STEP, 0.0))
-    careless = despike(measured, design=shifted)
-    assert (careless.spikes & ~where).any()
-    spared = despike(measured, design=shifted, spare=2.5 * STEP)
-    assert not (spared.spikes & ~where).any()
+    careless = remove_outliers(measured, design=shifted)
+    assert (careless.outliers & ~where).any()
+    spared = remove_outliers(measured, design=shifted, spare=2.5 * STEP)
+    assert not (spared.outliers & ~where).any()
     assert 0 < spared.unjudged < 0.4 * where.size
 
 
@@ -136,8 +136,8 @@ def test_kongs_rule_is_the_published_one():
         high = np.abs(d - np.nanmean(d)) > 3 * np.nanstd(d)
         inner = (slice(1, -1), slice(None)) if axis == 0 else (slice(None), slice(1, -1))
         expected[inner] |= high
-    found = despike(grid(z), rule="kong")
-    np.testing.assert_array_equal(found.spikes, expected)
+    found = remove_outliers(grid(z), rule="kong")
+    np.testing.assert_array_equal(found.outliers, expected)
     assert found.scale == pytest.approx((np.nanstd(np.diff(z, 2, axis=1)), np.nanstd(np.diff(z, 2, axis=0))))
 
 
@@ -223,11 +223,11 @@ def test_the_filled_plate_is_biharmonic():
 def test_a_disc_keeps_what_is_inside():
     whole = HeightMap(x=np.linspace(-1, 1, 9), y=np.linspace(-1, 1, 9), z=np.zeros((9, 9)))
     x, y = whole.points()
-    kept = np.isfinite(keep_disc(whole, 0.6, centre=(0.25, -0.1)).z)
+    kept = np.isfinite(crop_to_aperture(whole, 0.6, centre=(0.25, -0.1)).z)
     np.testing.assert_array_equal(kept, (x - 0.25) ** 2 + (y + 0.1) ** 2 <= 0.36)
     x, y = np.random.default_rng(1).uniform(-1, 1, (2, 50))
     cloud = HeightMap(x=x, y=y, z=np.zeros(50))
-    np.testing.assert_array_equal(np.isfinite(keep_disc(cloud, 0.5).z), x * x + y * y <= 0.25)
+    np.testing.assert_array_equal(np.isfinite(crop_to_aperture(cloud, 0.5).z), x * x + y * y <= 0.25)
 
 
 def test_the_design_of_one_piece_is_taken_off_first():
@@ -235,4 +235,4 @@ def test_the_design_of_one_piece_is_taken_off_first():
     x = 0.05 * np.arange(-60, 61)
     z, where = injected((121, 121), 0.002, 15 * NOISE, seed=8)
     measured = HeightMap(x=x, y=x, z=z + steep.sag(*np.meshgrid(x, x)))
-    np.testing.assert_array_equal(despike(measured, design=steep).spikes, where)
+    np.testing.assert_array_equal(remove_outliers(measured, design=steep).outliers, where)

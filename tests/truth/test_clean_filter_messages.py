@@ -5,7 +5,15 @@ import pytest
 
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import Nesting, despike, fill_holes, filter_map, keep_disc, separate_bands, trim_edge
+from turnwright.metrology import (
+    Nesting,
+    crop_to_aperture,
+    fill_holes,
+    filter_map,
+    remove_outliers,
+    separate_bands,
+    trim_edge,
+)
 
 Z = np.random.default_rng(1).normal(size=(40, 50))
 
@@ -140,7 +148,7 @@ def test_single_points_and_empty_lines_are_filtered():
 )
 def test_despike_says_what_it_cannot_do(heights, arguments, sentence):
     with pytest.raises(InputError, match=sentence):
-        despike(heights, **arguments)
+        remove_outliers(heights, **arguments)
 
 
 def test_trimming_and_cropping_say_when_nothing_is_left():
@@ -151,9 +159,9 @@ def test_trimming_and_cropping_say_when_nothing_is_left():
     with pytest.raises(InputError, match="scattered"):
         trim_edge(CLOUD, 1.0)
     with pytest.raises(InputError, match=r"no valid height lies within 0.1 mm of \(5, 5\) mm: give the aperture"):
-        keep_disc(flat(), 0.1, centre=(5, 5))
+        crop_to_aperture(flat(), 0.1, centre=(5, 5))
     with pytest.raises(InputError, match="the radius of the aperture is -1 mm"):
-        keep_disc(flat(), -1.0)
+        crop_to_aperture(flat(), -1.0)
 
 
 @pytest.mark.parametrize("heights", [POLAR, flat(x=np.arange(50.0) ** 2), flat(Z[:2])])
@@ -165,9 +173,9 @@ def test_holes_are_filled_on_even_grids_only(heights):
 def test_a_line_has_spikes_too_and_a_lone_point_is_not_judged():
     z = np.random.default_rng(2).normal(0, 1e-5, (1, 200))
     z[0, 77] = 1e-2
-    found = despike(flat(z))
-    assert np.flatnonzero(found.spikes).tolist() == [77]
+    found = remove_outliers(flat(z))
+    assert np.flatnonzero(found.outliers).tolist() == [77]
     z = np.random.default_rng(2).normal(0, 1e-5, (40, 50))
     z[10:20, 10:20] = np.nan
     z[15, 15] = 1.0
-    assert despike(flat(z)).unjudged == 1
+    assert remove_outliers(flat(z)).unjudged == 1

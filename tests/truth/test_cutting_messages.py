@@ -66,7 +66,7 @@ def test_chip_map_refuses_unusable_inputs():
         tw.cutting.chip_map(moving_y, tool, part, stock=0.004)
     chips = tw.cutting.chip_map(moved, tool, part, stock=0.004)
     with pytest.raises(InputError, match="states no critical thickness"):
-        tw.cutting.ductile_gate(chips, tw.Material.load("brass"), tool)
+        tw.cutting.check_ductile(chips, tw.Material.load("brass"), tool)
 
 
 def test_no_points_are_no_chips():

@@ -256,7 +256,7 @@ def _print_measured(session: Session, measured: Sequence[Measured]) -> None:
     for part in measured:
         session.echo(
             f"{part.heights.name or part.job.part.name}: form error PV {part.form_pv_nm:.4g} nm, rms "
-            f"{part.form_rms_nm:.4g} nm; {part.spikes} outliers removed"
+            f"{part.form_rms_nm:.4g} nm; {part.outliers} outliers removed"
         )
         if part.lenslets is not None:
             session.echo(part.lenslets.summary)

@@ -1,10 +1,10 @@
 """Mechanics of the cut: uncut chip thickness, cutting forces and the ductile regime."""
 
 from turnwright.cutting.chip import ChipMap, OrthogonalChip, RoundChip, chip_map, expected_thickest
+from turnwright.cutting.ductile_check import DuctileCheck, check_ductile, predict_chips
 from turnwright.cutting.finish import MinimumChip, Vibration, cusp_height, left_standing, vibrated
 from turnwright.cutting.forces import CuttingForces, FlyCut, ForceHistory, SlotMill, chip_forces
 from turnwright.cutting.fracture import IntactShare, ri80
-from turnwright.cutting.gate import DuctileGate, ductile_gate, predict_chips
 from turnwright.cutting.learning import (
     Cuts,
     Dynamometer,
@@ -34,7 +34,7 @@ __all__ = [
     "ChipMap",
     "Cuts",
     "CuttingForces",
-    "DuctileGate",
+    "DuctileCheck",
     "Dynamometer",
     "Estimate",
     "Experiment",
@@ -54,10 +54,10 @@ __all__ = [
     "TapTest",
     "Vibration",
     "average_force",
+    "check_ductile",
     "chip_forces",
     "chip_map",
     "cusp_height",
-    "ductile_gate",
     "engagements",
     "expected_thickest",
     "in_air",

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from turnwright.cutting import chip_map, ductile_gate, predict_chips
+from turnwright.cutting import check_ductile, chip_map, predict_chips
 from turnwright.errors import InputError
 from turnwright.units import say_length
 
 if TYPE_CHECKING:
     from turnwright._arrays import Ints
     from turnwright.access import Access
-    from turnwright.cutting import ChipMap, DuctileGate
+    from turnwright.cutting import ChipMap, DuctileCheck
     from turnwright.job.schema import Job, PassTable
     from turnwright.path import Motion
     from turnwright.progress import Progress
@@ -108,7 +108,7 @@ def chips_of(
     )
     if material is None or material.critical is None:
         return replace(report, sentence="ductile at any chip thickness, the material has no critical thickness"), chips
-    gate = ductile_gate(chips, material, job.tool, allowance=allowance)
+    gate = check_ductile(chips, material, job.tool, allowance=allowance)
     report = replace(
         report,
         critical=float(gate.critical[gate.worst]), margin=float(gate.margin[gate.worst]),
@@ -120,7 +120,7 @@ def chips_of(
     return _with_first_revolution(report, chips, gate, part.radius), chips
 
 
-def _with_first_revolution(report: PassChips, chips: ChipMap, gate: DuctileGate, radius: float) -> PassChips:
+def _with_first_revolution(report: PassChips, chips: ChipMap, gate: DuctileCheck, radius: float) -> PassChips:
     """Add the chips of the first revolution, if it begins within the clear aperture."""
     away = np.hypot(chips.x, chips.y)
     first = ~chips.inside & (away <= radius)

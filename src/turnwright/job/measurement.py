@@ -31,12 +31,12 @@ from turnwright.metrology import (
     area_rms,
     axisymmetric,
     base_forms,
-    despike,
+    crop_to_aperture,
     fit_zernike,
     has_lenslets,
-    keep_disc,
     lenslets,
     register,
+    remove_outliers,
     roughness,
     trim_edge,
     turning_centre,
@@ -131,7 +131,7 @@ class Measured:
         The job that the part was cut by.
     heights
         Measured heights in the frame of the instrument, without outliers and edge. [mm]
-    spikes
+    outliers
         Number of heights removed as outliers.
     registration
         Part pose, and the degrees of freedom that the surface does not determine.
@@ -163,7 +163,7 @@ class Measured:
 
     job: Job
     heights: HeightMap
-    spikes: int
+    outliers: int
     registration: Registration
     placed: HeightMap
     error: HeightMap
@@ -265,16 +265,16 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     report("register", 1, 1)
     report("clean", 0, 1)
     heights, seen_design_nm = _without_seen_design(job, heights, first.pose)
-    spikes = 0
+    outliers = 0
     if settings.spikes != "none":
         # The form error has no edges of the design, so only outliers stand out.
-        outliers = despike(
+        removal = remove_outliers(
             _error_at(heights, part, first.pose), rule="kong" if settings.spikes == "second difference" else "robust"
         )
         # Where many heights are outliers, the map is of another part.
-        if outliers.count <= MAX_OUTLIER_FRACTION * np.count_nonzero(np.isfinite(heights.z)):
-            spikes = outliers.count
-            heights = replace(heights, z=np.where(outliers.spikes, np.nan, heights.z))
+        if removal.count <= MAX_OUTLIER_FRACTION * np.count_nonzero(np.isfinite(heights.z)):
+            outliers = removal.count
+            heights = replace(heights, z=np.where(removal.outliers, np.nan, heights.z))
     if settings.trim:
         heights = trim_edge(heights, settings.trim)
     report("clean", 1, 1)
@@ -301,7 +301,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     report("register all points", 1, 1)
     report("judge", 0, 1)
     placed, error = _on_part(heights, registration)
-    inside = keep_disc(error, part.radius * (1 + EDGE))
+    inside = crop_to_aperture(error, part.radius * (1 + EDGE))
     zernike = _terms(inside, part.radius)
     rough = None
     if not heights.scattered:
@@ -309,7 +309,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         residual[~np.isnan(registration.error.z)] = error.z if zernike is None else zernike.residual.z
         rough = roughness(replace(registration.error, z=residual), form="plane")
     measured = Measured(
-        job=job, heights=heights, spikes=spikes, registration=registration, placed=placed, error=error,
+        job=job, heights=heights, outliers=outliers, registration=registration, placed=placed, error=error,
         form_pv_nm=pv_nm_of(inside.z), form_rms_nm=area_rms(inside, like=registration.error) * NM, zernike=zernike,
         roughness=rough,
         lenslets=lenslets(heights, part, pose=registration.pose) if has_lenslets(part.surface) else None,

@@ -3,8 +3,8 @@
 from turnwright.metrology.alignment import Alignment
 from turnwright.metrology.areal_parameters import Roughness, roughness
 from turnwright.metrology.bearing_curve import Bearing, bearing
-from turnwright.metrology.best_fits import BestFit, best_fit, fizeau_view
-from turnwright.metrology.clean import Despiked, Filled, despike, fill_holes, keep_disc, trim_edge
+from turnwright.metrology.best_fits import BestFit, best_fit, interferogram
+from turnwright.metrology.clean import Filled, OutlierRemoval, crop_to_aperture, fill_holes, remove_outliers, trim_edge
 from turnwright.metrology.cusps import Cusps, Stretch, find_cusps
 from turnwright.metrology.feature_parameters import Features, features
 from turnwright.metrology.filters import Bands, Nesting, filter_map, separate_bands
@@ -33,7 +33,6 @@ __all__ = [
     "Bearing",
     "BestFit",
     "Cusps",
-    "Despiked",
     "DoubtKind",
     "EdgeFit",
     "Features",
@@ -42,6 +41,7 @@ __all__ = [
     "Lenslet",
     "Lenslets",
     "Nesting",
+    "OutlierRemoval",
     "PoseCandidate",
     "ProfileRoughness",
     "Registration",
@@ -61,7 +61,7 @@ __all__ = [
     "base_forms",
     "bearing",
     "best_fit",
-    "despike",
+    "crop_to_aperture",
     "edge_from_cusps",
     "features",
     "fill_holes",
@@ -69,10 +69,9 @@ __all__ = [
     "find_cusps",
     "fit_edge",
     "fit_zernike",
-    "fizeau_view",
     "form_compensation",
     "has_lenslets",
-    "keep_disc",
+    "interferogram",
     "lenslets",
     "level",
     "line_profile",
@@ -82,6 +81,7 @@ __all__ = [
     "read_edge_trace",
     "register",
     "remove_form",
+    "remove_outliers",
     "roughness",
     "separate_bands",
     "slope_error",

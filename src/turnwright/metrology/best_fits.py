@@ -24,7 +24,7 @@ from turnwright.surface import Conic, EvenAsphere, Placed, Plane, Sphere, Surfac
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
 
-__all__ = ["BestFit", "Distance", "best_fit", "fizeau_view", "without_sphere"]
+__all__ = ["BestFit", "Distance", "best_fit", "interferogram", "without_sphere"]
 
 Distance: TypeAlias = Literal["vertical", "normal"]
 
@@ -155,7 +155,7 @@ def best_fit(
     return _fitted(heights, _Revolved.of(initial, vertex, along_normal=along_normal), free, distance)
 
 
-def fizeau_view(heights: HeightMap, *, radius: float | None = None) -> BestFit:
+def interferogram(heights: HeightMap, *, radius: float | None = None) -> BestFit:
     """Return the Fizeau interferogram of a map: its deviation from the best-fit sphere, along the normal.
 
     The rays of the transmission sphere meet the part along the normals of the sphere whose centre is their focus. The

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
     from turnwright.surface import Surface
 
-__all__ = ["Despiked", "Filled", "despike", "fill_holes", "keep_disc", "trim_edge"]
+__all__ = ["Filled", "OutlierRemoval", "crop_to_aperture", "fill_holes", "remove_outliers", "trim_edge"]
 
 Rule: TypeAlias = Literal["robust", "kong"]
 
@@ -38,14 +38,14 @@ EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Despiked:
-    """A map without outliers, and the outliers. See `despike`.
+class OutlierRemoval:
+    """A map without outliers, and the outliers. See `remove_outliers`.
 
     Parameters
     ----------
     heights
         The map, nan at the outliers.
-    spikes
+    outliers
         True at the outliers. The shape of the map.
     scale
         Standard deviation of the noise; for ``"kong"`` that of the second differences, across and along. [mm]
@@ -56,7 +56,7 @@ class Despiked:
     """
 
     heights: HeightMap
-    spikes: Bools
+    outliers: Bools
     scale: tuple[float, ...]
     threshold: float
     unjudged: int
@@ -64,23 +64,23 @@ class Despiked:
     @property
     def count(self) -> int:
         """Number of outliers."""
-        return int(np.count_nonzero(self.spikes))
+        return int(np.count_nonzero(self.outliers))
 
     @property
     def places(self) -> Floats:
         """Positions of the outliers, x and y. (count, 2) [mm]."""
         x, y = self.heights.points()
-        return np.stack([x[self.spikes], y[self.spikes]], axis=-1)
+        return np.stack([x[self.outliers], y[self.outliers]], axis=-1)
 
 
-def despike(
+def remove_outliers(
     heights: HeightMap,
     *,
     rule: Rule = "robust",
     threshold: float | None = None,
     design: Surface | None = None,
     spare: float = 0.0,
-) -> Despiked:
+) -> OutlierRemoval:
     r"""Remove outliers: single points and small groups that stand out from their neighbours.
 
     ``"robust"`` takes the deviation of a point from the mean of its two neighbours along the row, the column and both
@@ -124,7 +124,7 @@ def despike(
     >>> from turnwright.heightmap import HeightMap
     >>> z = np.random.default_rng(1).normal(0, 2e-5, (50, 60))
     >>> z[20, 30] += 1e-3
-    >>> found = despike(HeightMap(x=np.arange(60.0), y=np.arange(50.0), z=z))
+    >>> found = remove_outliers(HeightMap(x=np.arange(60.0), y=np.arange(50.0), z=z))
     >>> found.places.tolist()
     [[30.0, 20.0]]
     """
@@ -148,16 +148,16 @@ def despike(
             if spare > 0:
                 judged &= _distance(heights, _borders(piece, closed=grid.closed)) > spare
     if rule == "kong":
-        spikes, scale, open_points = _kong(z, piece, threshold)
+        outliers, scale, open_points = _kong(z, piece, threshold)
     else:
-        spikes, scale, open_points = _robust(
+        outliers, scale, open_points = _robust(
             z, piece, judged, threshold, closed=grid.closed, ways=2 if heights.polar else 4
         )
-    spikes &= judged
-    spikes.flags.writeable = False
-    return Despiked(
-        heights=replace(heights, z=np.where(spikes, np.nan, heights.z)),
-        spikes=spikes,
+    outliers &= judged
+    outliers.flags.writeable = False
+    return OutlierRemoval(
+        heights=replace(heights, z=np.where(outliers, np.nan, heights.z)),
+        outliers=outliers,
         scale=scale,
         threshold=threshold,
         unjudged=int(np.count_nonzero(valid & (open_points | ~judged))),
@@ -174,7 +174,7 @@ def _differences(z: Floats) -> tuple[Floats, Floats]:
 
 def _kong(z: Floats, piece: Ints, threshold: float) -> tuple[Bools, tuple[float, ...], Bools]:
     """Return the outliers by mean and standard deviation, the deviations, and the points not tested."""
-    spikes, judged = np.zeros(z.shape, dtype=bool), np.zeros(z.shape, dtype=bool)
+    outliers, judged = np.zeros(z.shape, dtype=bool), np.zeros(z.shape, dtype=bool)
     scales = []
     for axis, values in zip((1, 0), _differences(z), strict=True):
         mixed = np.diff(piece, axis=axis) != 0
@@ -187,8 +187,8 @@ def _kong(z: Floats, piece: Ints, threshold: float) -> tuple[Bools, tuple[float,
         if valid.any():
             mean, deviation = float(values[valid].mean()), float(values[valid].std())
             scales.append(deviation)
-            spikes |= np.abs(values - mean) > max(threshold * deviation, MIN_NOISE_MM)
-    return spikes, tuple(scales), ~judged
+            outliers |= np.abs(values - mean) > max(threshold * deviation, MIN_NOISE_MM)
+    return outliers, tuple(scales), ~judged
 
 
 def _robust(
@@ -199,7 +199,7 @@ def _robust(
     scale = max(robust_scatter(np.concatenate(spread)) / 6**0.5 if spread else 0.0, MIN_NOISE_MM)
     least = 2 if min(z.shape) > 1 else 1
     amount = np.full(z.shape, np.nan)
-    spikes = np.zeros(z.shape, dtype=bool)
+    outliers = np.zeros(z.shape, dtype=bool)
     index = np.flatnonzero(~np.isnan(z))
     while index.size:
 
@@ -211,12 +211,12 @@ def _robust(
         chosen = np.zeros(high.size, dtype=bool)
         prominent(amount, closed, threshold * scale, high, chosen)
         gone = high[chosen]
-        spikes.flat[gone] = True
+        outliers.flat[gone] = True
         z.flat[gone] = amount.flat[gone] = np.nan
         index = _around(gone, z, closed=closed)
     alone = np.isnan(amount) & ~np.isnan(z)
-    lost = alone & judged & _left_alone(z, spikes, closed=closed)
-    return spikes | lost, (scale,), alone & ~lost
+    lost = alone & judged & _left_alone(z, outliers, closed=closed)
+    return outliers | lost, (scale,), alone & ~lost
 
 
 def _around(places: Ints, z: Floats, *, closed: bool) -> Ints:
@@ -231,14 +231,14 @@ def _around(places: Ints, z: Floats, *, closed: bool) -> Ints:
     return cells[~np.isnan(z.flat[cells])]
 
 
-def _left_alone(z: Floats, spikes: Bools, *, closed: bool) -> Bools:
+def _left_alone(z: Floats, outliers: Bools, *, closed: bool) -> Bools:
     """Return the points without valid neighbours and next to an outlier: the middle of a broad outlier."""
     from scipy import ndimage  # noqa: PLC0415 - only this needs it
 
     ring = EIGHT_NEIGHBOURS.copy()
     ring[1, 1] = False
     mode: Literal["wrap", "constant"] = "wrap" if closed else "constant"
-    padded = [np.pad(mask, ((1, 1), (0, 0)), mode=mode) for mask in (~np.isnan(z), spikes)]
+    padded = [np.pad(mask, ((1, 1), (0, 0)), mode=mode) for mask in (~np.isnan(z), outliers)]
     near, touched = (ndimage.binary_dilation(mask, ring)[1:-1] for mask in padded)
     return touched & ~near
 
@@ -348,7 +348,7 @@ def _borders(piece: Ints, *, closed: bool) -> Bools:
     return border
 
 
-def keep_disc(heights: HeightMap, radius: float, *, centre: tuple[float, float] = (0.0, 0.0)) -> HeightMap:
+def crop_to_aperture(heights: HeightMap, radius: float, *, centre: tuple[float, float] = (0.0, 0.0)) -> HeightMap:
     """Return the map within a round clear aperture.
 
     Parameters
@@ -367,7 +367,7 @@ def keep_disc(heights: HeightMap, radius: float, *, centre: tuple[float, float] 
 
     >>> from turnwright.heightmap import HeightMap
     >>> whole = HeightMap(x=np.arange(-2.0, 3.0), y=np.arange(-2.0, 3.0), z=np.zeros((5, 5)))
-    >>> int(np.isfinite(keep_disc(whole, 1.1).z).sum())
+    >>> int(np.isfinite(crop_to_aperture(whole, 1.1).z).sum())
     5
     """
     heights.require_calibrated()

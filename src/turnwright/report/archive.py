@@ -222,7 +222,7 @@ def _measured_numbers(measured: Measured) -> dict[str, object]:
         "name": measured.heights.name,
         "form_pv_nm": measured.form_pv_nm,
         "form_rms_nm": measured.form_rms_nm,
-        "spikes": measured.spikes,
+        "spikes": measured.outliers,
         "registration": {
             "pose": registration.pose,
             "pivot": registration.pivot,

@@ -121,7 +121,7 @@ def write_measured(measured: Measured, path: str | PathLike[str]) -> File:
             ),
             _number("Texture Sq", rough.sq_nm, "after removal of the Zernike terms")
             if rough
-            else _Number("Outliers", str(measured.spikes), "", "removed"),
+            else _Number("Outliers", str(measured.outliers), "", "removed"),
         ],
         notes=_open_questions(measured),
         sections=[*_form(measured), *_lens_section(measured), *_through_instrument(measured), _placed(measured)],
@@ -323,7 +323,7 @@ def _placed(measured: Measured) -> _Section:
         )
     return _Section(
         title="Part pose (registration result)",
-        text=[registration.sentences[0], f"{measured.spikes} outliers were removed."],
+        text=[registration.sentences[0], f"{measured.outliers} outliers were removed."],
         columns=("degree of freedom", "value", "unit", "standard uncertainty"),
         rows=rows,
         numeric=frozenset({1, 3}),

@@ -54,7 +54,7 @@ def write_shown(measured: Measured, diagnosis: Diagnosis, out: Path) -> None:
         "name": measured.heights.name,
         "form_pv_nm": measured.form_pv_nm,
         "form_rms_nm": measured.form_rms_nm,
-        "spikes": measured.spikes,
+        "spikes": measured.outliers,
         "alignment": {
             "pose": registration.pose,
             "pivot": registration.pivot,

@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from turnwright.material import CriticalThickness, Material
     from turnwright.tool import Tool
 
-__all__ = ["DuctileGate", "ductile_gate", "predict_chips"]
+__all__ = ["DuctileCheck", "check_ductile", "predict_chips"]
 
 MIN_RAKE_RAD = np.deg2rad(-45)
 """Most negative rake that is proposed as a remedy."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DuctileGate:
+class DuctileCheck:
     """Result of the ductile-mode check of a pass.
 
     Parameters
@@ -149,7 +149,7 @@ def _percent(ratio: float) -> str:
     return f"{100 * ratio:.0f} %" if abs(ratio) >= 0.1 else f"{100 * ratio:.2g} %"
 
 
-def ductile_gate(chips: ChipMap, material: Material, tool: Tool, *, allowance: float = 0.0) -> DuctileGate:
+def check_ductile(chips: ChipMap, material: Material, tool: Tool, *, allowance: float = 0.0) -> DuctileCheck:
     """Check whether the chips of a pass stay in the ductile regime.
 
     Parameters
@@ -191,7 +191,7 @@ def ductile_gate(chips: ChipMap, material: Material, tool: Tool, *, allowance: f
     fracture = None
     if material.fracture_ratio is not None:
         fracture = float(chips.fracture[inside].max(initial=0.0))
-    return DuctileGate(
+    return DuctileCheck(
         chips=chips, critical=critical, margin=margin, share=area_fraction(margin < 0),
         uncertainty=None if material.critical.uncertainty is None else band,
         doubtful=area_fraction((margin < band) & (margin >= -band)),

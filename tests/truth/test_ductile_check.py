@@ -7,7 +7,7 @@ import pytest
 
 import turnwright as tw
 from turnwright.cutting.chip import RoundChip, chip_map
-from turnwright.cutting.gate import ductile_gate, predict_chips
+from turnwright.cutting.ductile_check import check_ductile, predict_chips
 from turnwright.job import Job
 from turnwright.material import CriticalThickness, Material
 from turnwright.units import say_length
@@ -37,7 +37,7 @@ def test_the_infrared_lens_is_ductile_in_finishing(lens):
     assert chips.thickest * 1e6 == pytest.approx(200, abs=4)
     flat = RoundChip(nose_radius=1.5, feed=0.002, depth=0.0075).thickest
     assert chips.thickest == pytest.approx(flat, rel=0.02)
-    gate = ductile_gate(chips, GLASS, tool)
+    gate = check_ductile(chips, GLASS, tool)
     assert gate.ductile
     assert gate.ok
     assert gate.share == 0
@@ -54,7 +54,7 @@ def test_the_infrared_lens_is_brittle_in_roughing(lens):
     chips = chip_map(motion, tool, part, material=GLASS, points=points)
     assert np.median(chips.thickness[chips.inside]) * 1e3 == pytest.approx(4.33, abs=0.05)
     assert chips.thickest * 1e3 == pytest.approx(4.4, abs=0.05)
-    short = ductile_gate(chips, GLASS, tool, allowance=0.001)
+    short = check_ductile(chips, GLASS, tool, allowance=0.001)
     assert not short.ok
     assert not short.ductile
     assert short.share > 0.95
@@ -63,14 +63,14 @@ def test_the_infrared_lens_is_brittle_in_roughing(lens):
     sweep = np.linspace(0, 0.1, 100_001)
     begins = sweep[np.argmax(RoundChip(nose_radius=1.5, feed=0.025, depth=0.025).thickness(sweep) > 600e-6)]
     assert short.fracture == pytest.approx(chips.thickest - 1.5 * (1 - np.cos(begins)), rel=0.01)
-    enough = ductile_gate(chips, GLASS, tool, allowance=0.0075)
+    enough = check_ductile(chips, GLASS, tool, allowance=0.0075)
     assert enough.ok
     assert "within the 7.5 um" in enough.sentence
 
 
 def test_the_feed_that_is_proposed_just_holds(lens):
     part, tool, motion, points = planned(lens, 0.025, 0.025)
-    gate = ductile_gate(chip_map(motion, tool, part, material=GLASS, points=points), GLASS, tool)
+    gate = check_ductile(chip_map(motion, tool, part, material=GLASS, points=points), GLASS, tool)
     part, tool, motion, points = planned(lens, gate.largest_feed, 0.025)
     held = chip_map(motion, tool, part, material=GLASS, points=points)
     assert held.thickest == pytest.approx(600e-6, rel=0.01)
@@ -85,7 +85,7 @@ def test_the_rake_that_is_proposed_holds_and_the_next_does_not():
     chips = chip_map(motion, tool, part, material=material)
     thickest = RoundChip(nose_radius=0.5, feed=0.001, depth=0.004).thickest
     assert chips.thickest == pytest.approx(thickest, rel=1e-6)
-    gate = ductile_gate(chips, material, tool)
+    gate = check_ductile(chips, material, tool)
     needed = -(thickest / 1e-4 - 1) / 3 * 45
     assert np.rad2deg(gate.rake) == pytest.approx(np.floor(needed), abs=1e-9)
     assert f"a rake of {np.rad2deg(gate.rake):.3g} deg" in gate.sentence
@@ -122,7 +122,7 @@ def flat_gate(critical, uncertainty=None, *, allowance=0.0, ratio=1.0, rake=None
     servo = tw.SlowToolServo(feed=0.01, points_per_rev=36, spindle_rpm=60, lead_in=0.2)
     motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, tw.Machine.load("generic"))
     chips = chip_map(motion, tool, part, material=material)
-    return ductile_gate(chips, material, tool, allowance=allowance)
+    return check_ductile(chips, material, tool, allowance=allowance)
 
 
 def test_gate_margin_uncertainty_is_that_of_the_material():
