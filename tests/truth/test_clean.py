@@ -204,7 +204,7 @@ def test_filled_holes_continue_cubics_exactly(largest, holes, left):
     z[:3] = z[:, :2] = np.nan
     z[23:33, 5:15] = np.nan
     found = fill_holes(HeightMap(x=x, y=y, z=z), largest)
-    assert (found.holes, found.left) == (holes, left)
+    assert (found.holes, found.unfilled) == (holes, left)
     np.testing.assert_allclose(found.heights.z[found.filled], form[found.filled], atol=1e-9)
     np.testing.assert_array_equal(found.filled, np.isnan(z) & ~np.isnan(found.heights.z))
     assert np.isnan(found.heights.z[:3]).all()

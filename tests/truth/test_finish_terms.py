@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
-from turnwright.cutting.finish import MinimumChip, Vibration, cusp_height, left_standing, vibrated
+from turnwright.cutting.finish import MinimumChip, Vibration, add_vibration, cusp_height, predict_uncut_height
 from turnwright.errors import InputError
 from turnwright.job import finish
 
@@ -39,7 +39,7 @@ def test_what_thin_chips_leave_makes_cusps_as_high_as_brammertz_says(flat, chip)
 
 def test_the_strip_left_standing_is_as_wide_as_the_geometry_says(flat):
     chip, radius = 20e-6, cusps()
-    extra = left_standing(flat, TOOL, MinimumChip(thickness=chip), radius=radius, angle=[0.7]).z[0]
+    extra = predict_uncut_height(flat, TOOL, MinimumChip(thickness=chip), radius=radius, angle=[0.7]).z[0]
     width = np.count_nonzero(extra > 0) * (radius[1] - radius[0]) / 2
     assert width == pytest.approx(NOSE * chip / FEED, rel=1e-2)
 
@@ -47,7 +47,7 @@ def test_the_strip_left_standing_is_as_wide_as_the_geometry_says(flat):
 def test_springback_leaves_its_share(flat):
     radius = cusps()
     full, half, none = (
-        left_standing(flat, TOOL, MinimumChip(thickness=20e-6, recovery=share), radius=radius, angle=[0.7]).z
+        predict_uncut_height(flat, TOOL, MinimumChip(thickness=20e-6, recovery=share), radius=radius, angle=[0.7]).z
         for share in (1.0, 0.5, 0.0)
     )
     assert np.abs(half - full / 2).max() < 1e-15
@@ -128,7 +128,7 @@ def test_the_terms_add_up_to_the_surface(flat):
 
 def test_a_vibrating_motion_adds_its_sine_to_one_axis(flat):
     shake = Vibration(amplitude=1e-5, frequency_hz=95.0, phase=1.0)
-    moved = vibrated(flat, shake)
+    moved = add_vibration(flat, shake)
     assert np.abs(moved.axes["Z"] - 1e-5 * np.sin(2 * np.pi * 95 * moved.time + 1.0)).max() < 1e-15
     assert np.diff(moved.time).max() <= 1 / (72 * 95) + 1e-12
     assert np.abs(np.interp(moved.time, flat.time, flat.axes["X"]) - moved.axes["X"]).max() < 1e-12

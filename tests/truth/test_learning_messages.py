@@ -5,7 +5,7 @@ import pytest
 
 import turnwright as tw
 from turnwright.cutting import Cuts, Dynamometer, NoseCuts, TapTest, learn_material, measured_cuts
-from turnwright.cutting.finish import MinimumChip, Vibration, cusp_height, left_standing, vibrated
+from turnwright.cutting.finish import MinimumChip, Vibration, add_vibration, cusp_height, predict_uncut_height
 from turnwright.cutting.fracture import ri80
 from turnwright.cutting.learning.signals import (
     ForceRecord,
@@ -143,16 +143,16 @@ WRONG = {
     "friction": (lambda: MinimumChip.of_edge(1e-5, np.pi / 2), "friction_angle is 1.5708 rad (90 deg)"),
     "a thick minimum chip": (lambda: cusp_height(0.01, 0.5, 2e-4), "minimum_chip is 0.0002 mm, the limits are 0 to 0.0001"),
     "velocities": (
-        lambda: vibrated(motion(velocity=STILL), Vibration(amplitude=1e-5, frequency_hz=1)), "states velocities"
+        lambda: add_vibration(motion(velocity=STILL), Vibration(amplitude=1e-5, frequency_hz=1)), "states velocities"
     ),
     "a fast vibration": (
-        lambda: vibrated(motion(), Vibration(amplitude=1e-5, frequency_hz=1e6)), "the limit is 5e+07"
+        lambda: add_vibration(motion(), Vibration(amplitude=1e-5, frequency_hz=1e6)), "the limit is 5e+07"
     ),
     "a raked edge": (
-        lambda: left_standing(motion(), tw.Tool(**TOOL, rake=-0.4), **ON), "rake, tool height error and Y must be 0"
+        lambda: predict_uncut_height(motion(), tw.Tool(**TOOL, rake=-0.4), **ON), "rake, tool height error and Y must be 0"
     ),
     "a grid that falls": (
-        lambda: left_standing(motion(), tw.Tool(**TOOL), **ON | {"radius": [1.0, 0.9]}), "radius must be strictly ascending"
+        lambda: predict_uncut_height(motion(), tw.Tool(**TOOL), **ON | {"radius": [1.0, 0.9]}), "radius must be strictly ascending"
     ),
 }  # fmt: skip
 

@@ -67,7 +67,7 @@ def made(base, seed, *, way=0.0, displaced=2e-3, side=500, coma=COMA):
 def judged(found, centres, moved):
     """Return how far the centres are off without a frame [mm], over their stated uncertainty too."""
     assert found.measured.all()
-    frame = tw.metrology.Alignment.of(centres, centres + moved).rest
+    frame = tw.metrology.Alignment.of(centres, centres + moved).residual
     off = found.irregular - frame
     stated = np.array([one.centre_std for one in found])
     return np.sqrt(np.mean(np.sum(off**2, axis=1))), np.sqrt(np.mean((off / stated) ** 2))

@@ -124,7 +124,7 @@ def test_rotation_and_scale_are_told_from_lens_displacements():
     assert np.abs(np.array(found.shift) - [0.05, -0.02]).max() < 4 * found.shift_std
     # The same lenslets on a part that is clocked and shifted: the rest only turns with it.
     clocked = tw.metrology.Alignment.of(ARRAY.centres, centres @ [[0.8, 0.6], [-0.6, 0.8]] + 3)
-    assert np.linalg.norm(clocked.rest, axis=1) == pytest.approx(np.linalg.norm(found.rest, axis=1), abs=1e-12)
+    assert np.linalg.norm(clocked.residual, axis=1) == pytest.approx(np.linalg.norm(found.residual, axis=1), abs=1e-12)
 
 
 @pytest.mark.parametrize("noise", [0, 2e-5])

@@ -2,7 +2,7 @@
 
 from turnwright.cutting.chip import ChipMap, OrthogonalChip, RoundChip, chip_map, expected_thickest
 from turnwright.cutting.ductile_check import DuctileCheck, check_ductile, predict_chips
-from turnwright.cutting.finish import MinimumChip, Vibration, cusp_height, left_standing, vibrated
+from turnwright.cutting.finish import MinimumChip, Vibration, add_vibration, cusp_height, predict_uncut_height
 from turnwright.cutting.forces import CuttingForces, FlyCut, ForceHistory, SlotMill, chip_forces
 from turnwright.cutting.fracture import IntactShare, ri80
 from turnwright.cutting.learning import (
@@ -53,6 +53,7 @@ __all__ = [
     "SlotMill",
     "TapTest",
     "Vibration",
+    "add_vibration",
     "average_force",
     "check_ductile",
     "chip_forces",
@@ -64,13 +65,12 @@ __all__ = [
     "interrupted_cuts",
     "learn_from_file",
     "learn_material",
-    "left_standing",
     "low_pass",
     "measured_cuts",
     "predict_chips",
+    "predict_uncut_height",
     "read_forces",
     "remove_drift",
     "ri80",
     "turning_cuts",
-    "vibrated",
 ]

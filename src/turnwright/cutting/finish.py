@@ -6,8 +6,8 @@ over the material, which springs back. Behind each cusp the chip begins at zero,
 
 .. math:: h = \frac{f^2}{8R} + \frac{t_m}{2} \Bigl(1 + \frac{R\,t_m}{f^2}\Bigr)
 
-[Brammertz1961]_. It holds for :math:`d \le f/2`; beyond that, material stays for several revolutions. `left_standing`
-computes the effect on any surface, with the only assumption that thinner chips are not cut.
+[Brammertz1961]_. It holds for :math:`d \le f/2`; beyond that, material stays for several revolutions.
+`predict_uncut_height` computes the effect on any surface, with the only assumption that thinner chips are not cut.
 
 **Edge radius.** For an edge of radius r and a friction angle β between tool and work
 :math:`t_m = r\,(1 - \cos(\pi/4 - \beta/2))` [Son2005]_, for ductile metals.
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from turnwright.path import Motion
     from turnwright.tool import Tool
 
-__all__ = ["MinimumChip", "Vibration", "cusp_height", "left_standing", "vibrated"]
+__all__ = ["MinimumChip", "Vibration", "add_vibration", "cusp_height", "predict_uncut_height"]
 
 POINTS_PER_CYCLE = 72
 """Points per vibration cycle; linear interpolation is then within 0.1 % of the amplitude."""
@@ -219,7 +219,7 @@ def cusp_height(feed: float, nose_radius: float, minimum_chip: float = 0.0, *, c
     return float(cusp + lift - sag)
 
 
-def vibrated(motion: Motion, vibration: Vibration) -> Motion:
+def add_vibration(motion: Motion, vibration: Vibration) -> Motion:
     """Add a vibration to the Z axis of a motion, with more points to resolve it.
 
     Parameters
@@ -259,7 +259,7 @@ def vibrated(motion: Motion, vibration: Vibration) -> Motion:
     return replace(motion, time=dense, axes=axes, stated_blocks=None)
 
 
-def left_standing(
+def predict_uncut_height(
     motion: Motion,
     tool: Tool,
     chip: MinimumChip,

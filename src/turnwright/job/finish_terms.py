@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from turnwright.cutting import MinimumChip, Vibration, left_standing, vibrated
+from turnwright.cutting import MinimumChip, Vibration, add_vibration, predict_uncut_height
 from turnwright.generation import generate_polar
 from turnwright.heightmap import HeightMap
 
@@ -75,12 +75,12 @@ def finish(
     terms = {"kinematic": made}
     moving = motion
     if vibration is not None:
-        moving = vibrated(motion, vibration)
+        moving = add_vibration(motion, vibration)
         after = generate_polar(moving, tool, radius=radius, angle=angle, machine=machine)
         terms["vibration"] = _named(after, after.z - made.z, "vibration")
         made = after
     if minimum_chip is not None:
-        extra = left_standing(moving, tool, minimum_chip, radius=radius, angle=angle, machine=machine)
+        extra = predict_uncut_height(moving, tool, minimum_chip, radius=radius, angle=angle, machine=machine)
         terms["minimum chip"] = _named(made, extra.z, "minimum chip")
         made = _named(made, made.z + extra.z, made.name)
     return Finish(surface=_named(made, made.z, "predicted finish"), terms=MappingProxyType(terms))

@@ -31,7 +31,7 @@ class Alignment:
         About the axis of the part, counter-clockwise seen from the tool. [rad]
     scale, scale_std
         Scale factor of all distances, minus one. [1]
-    rest
+    residual
         Residual dislocations. (n, 2) [mm]
     share
         Share of the sum of squares of the dislocations, their mean removed, that rotation and scale explain. [1]
@@ -43,7 +43,7 @@ class Alignment:
     rotation_std: float
     scale: float
     scale_std: float
-    rest: Floats
+    residual: Floats
     share: float
 
     @classmethod
@@ -87,6 +87,6 @@ class Alignment:
             rotation_std=scatter / float(np.sqrt(spread)),
             scale=float(np.hypot(along, across)) - 1,
             scale_std=scatter / float(np.sqrt(spread)),
-            rest=frozen(residual, "rest", ndim=2),
+            residual=frozen(residual, "residual", ndim=2),
             share=1 - float(np.sum(residual**2)) / dislocated if dislocated > 0 else float("nan"),
         )

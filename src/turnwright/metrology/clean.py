@@ -394,14 +394,14 @@ class Filled:
         True at the filled heights, which were not measured. The shape of the map.
     holes
         Number of filled holes.
-    left
+    unfilled
         Number of holes not filled, because they are larger.
     """
 
     heights: HeightMap
     filled: Bools
     holes: int
-    left: int
+    unfilled: int
 
 
 def fill_holes(heights: HeightMap, largest: float) -> Filled:
@@ -457,7 +457,7 @@ def fill_holes(heights: HeightMap, largest: float) -> Filled:
     if filled.any():
         z[filled] = _plate(z, filled, dx, dy)
     filled.flags.writeable = False
-    return Filled(heights=replace(heights, z=z), filled=filled, holes=sum(small), left=count - sum(small))
+    return Filled(heights=replace(heights, z=z), filled=filled, holes=sum(small), unfilled=count - sum(small))
 
 
 def _plate(z: Floats, unknown: Bools, dx: float, dy: float) -> Floats:

@@ -215,7 +215,7 @@ class Lenslets(Sequence[Lenslet]):
         """The dislocations without shift, rotation and scale: the same in every frame. (n, 2) [mm]."""
         irregular = np.full((len(self.items), 2), np.nan)
         if self.alignment is not None:
-            irregular[self.measured] = self.alignment.rest
+            irregular[self.measured] = self.alignment.residual
         return irregular
 
     @property
