@@ -222,11 +222,11 @@ def test_a_part_may_be_said_to_be_cut_by_the_corrected_job(shop, corrected, tmp_
     assert main([*common, str(corrected / "job.toml"), "--force", "--set", "cut_by=this job"]) == 0
 
 
-def test_artefacts_correct_the_job_of_the_part(shop, tmp_path, capsys):
+def test_test_parts_correct_the_job_of_the_part(shop, tmp_path, capsys):
     maps, jobs = [], []
     for kind in ("tilted flat", "concave sphere"):
         job = tmp_path / f"{kind.replace(' ', '-')}.toml"
-        assert main(["artefact", str(shop / "job.toml"), "--kind", kind, "--out", str(job)]) == 0
+        assert main(["test-part", str(shop / "job.toml"), "--kind", kind, "--out", str(job)]) == 0
         maps.append(str(seen(job, tmp_path / f"{job.stem}.npz")))
         jobs += ["--job", str(job)]
     out = tmp_path / "out"
@@ -236,7 +236,7 @@ def test_artefacts_correct_the_job_of_the_part(shop, tmp_path, capsys):
     assert better.tool.offset[0] == pytest.approx(OFFSET, abs=5e-4)
     assert better.part.correction is None
     capsys.readouterr()
-    assert main(["artefact", str(shop / "job.toml"), "--kind", "cube", "--out", str(tmp_path / "cube.toml")]) == 2
+    assert main(["test-part", str(shop / "job.toml"), "--kind", "cube", "--out", str(tmp_path / "cube.toml")]) == 2
     assert '"tilted flat" or "concave sphere"' in capsys.readouterr().err
     assert not (tmp_path / "cube.toml").exists()
 
@@ -295,7 +295,7 @@ def test_a_test_part_keeps_what_a_person_wrote(tmp_path):
     """Oracle: the lines of the file, by difflib; the part is another, all else stays."""
     job, out = tmp_path / "job.toml", tmp_path / "flat.toml"
     job.write_text(BY_HAND, encoding="utf-8")
-    assert main(["artefact", str(job), "--kind", "tilted flat", "--out", str(out)]) == 0
+    assert main(["test-part", str(job), "--kind", "tilted flat", "--out", str(out)]) == 0
     lost, _ = lines_lost(out.read_text(encoding="utf-8"))
     assert {line.partition(" = ")[0] for line in lost} <= {"name", "surface", "whole_part", "[simulation]", ""}
     assert 'radius = "0.2 cm"' in out.read_text(encoding="utf-8")

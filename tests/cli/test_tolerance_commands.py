@@ -31,7 +31,7 @@ JOB = {
 BUDGET = """
 name = "of the shop"
 noise = "1 nm"
-artefacts = ["concave sphere"]
+test_parts = ["concave sphere"]
 [errors]
 "tool offset x" = { spread = "normal(0, 3) um", source = "assumed" }
 "drift z" = { spread = "uniform(-20, 20) nm", source = "log of the shop" }
@@ -51,7 +51,7 @@ def study_of(job, **more):
 def table(**changed):
     budget = {
         "noise": "1 nm",
-        "artefacts": ["concave sphere"],
+        "test_parts": ["concave sphere"],
         "errors": {
             "tool offset x": {"spread": "normal(0, 3) um", "source": "assumed"},
             "drift z": {"spread": "uniform(-20, 20) nm", "source": "assumed"},
@@ -60,7 +60,7 @@ def table(**changed):
     return budget | changed
 
 
-def test_an_artefact_is_worth_what_it_finds(job, tmp_path):
+def test_a_test_part_is_worth_what_it_finds(job, tmp_path):
     found = study_of(job, store=tmp_path)
     assert found.count == 24
     assert not found.reasons
@@ -179,8 +179,8 @@ def entry(spread="normal(0, 1) nm", source="a"):
         ({"settling": "0 s"}, "settling is 0 s.*above 0 s"),
         ({"settling": "3 mm"}, "settling: '3 mm' is a length.*a time"),
         ({"name": 3}, "name is 3.*text"),
-        ({"artefacts": "cone"}, "artefacts is 'cone'.*a list"),
-        ({"artefacts": ["cone"]}, r"artefacts is \('cone',\).*tilted flat, concave sphere"),
+        ({"test_parts": "cone"}, "test_parts is 'cone'.*a list"),
+        ({"test_parts": ["cone"]}, r"test_parts is \('cone',\).*tilted flat, concave sphere"),
         ({"errors": {"tool ofset x": entry()}}, r"errors\.tool ofset x: .*'tool offset x'"),
         ({"errors": {"drift z": 3}}, r"errors\.drift z is 3.*a table"),
         ({"errors": {"drift z": {"spread": "normal(0, 1) nm"}}}, r"errors\.drift z\.source is missing"),
@@ -231,7 +231,7 @@ def test_a_budget_reads_back_what_it_writes(tmp_path):
     assert set(typical.only("drift").errors) == {"drift x", "drift z"}
     with pytest.raises(InputError, match="no error of the budget is of luck, its groups are tool offset"):
         typical.only("luck")
-    # The part's own draws do not depend on whether artefacts are drawn too.
+    # The part's own draws do not depend on whether test parts are drawn too.
     alone, both = (typical.draw(5, seed=2, correction=one) for one in (False, True))
     assert all(np.array_equal(values, both[name]) for name, values in alone.items())
     assert Spread.read("normal(0, 2) um", "mm", source="a").largest == pytest.approx(0.002 * 5.998, rel=1e-3)

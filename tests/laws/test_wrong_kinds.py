@@ -119,7 +119,7 @@ CALLS = {
     "correction of draws": lambda _at, it: ErrorBudget.typical().draw(1, seed=0, correction=it),
     "error": lambda _at, it: ErrorBudget.typical().unit(it),
     "errors": lambda _at, it: ErrorBudget(errors={it: None} if isinstance(it, int | float | str) else it, noise=0.0),
-    "artefacts": lambda _at, it: ErrorBudget(errors=ErrorBudget.typical().errors, noise=0.0, artefacts=it),
+    "test_parts": lambda _at, it: ErrorBudget(errors=ErrorBudget.typical().errors, noise=0.0, test_parts=it),
     "name": lambda _at, it: ErrorBudget(errors=ErrorBudget.typical().errors, noise=0.0, name=it),
     "begins": lambda _at, it: ErrorBudget.typical().largest(it),
     "unit": lambda _at, it: Spread.read("normal(0, 1) um", it, source="a"),
@@ -146,8 +146,8 @@ def test_what_is_of_the_wrong_kind_is_a_sentence(name, there, tmp_path, monkeypa
     assert not [one for one in said if "\n" in one or len(one) > 1000]
 
 
-def test_the_name_of_an_artefact_is_no_list_of_its_letters():
-    with pytest.raises(InputError, match="artefacts is 'tilted flat', it must be a list of names"):
-        ErrorBudget(errors=ErrorBudget.typical().errors, noise=0.0, artefacts="tilted flat")
-    one = ErrorBudget(errors=ErrorBudget.typical().errors, noise=0.0, artefacts=["tilted flat"])
-    assert one.artefacts == ("tilted flat",)
+def test_the_name_of_a_test_part_is_no_list_of_its_letters():
+    with pytest.raises(InputError, match="test_parts is 'tilted flat', it must be a list of names"):
+        ErrorBudget(errors=ErrorBudget.typical().errors, noise=0.0, test_parts="tilted flat")
+    one = ErrorBudget(errors=ErrorBudget.typical().errors, noise=0.0, test_parts=["tilted flat"])
+    assert one.test_parts == ("tilted flat",)

@@ -7,8 +7,8 @@ import pytest
 
 import blind_parts as blind
 import turnwright as tw
-from tests.proof.proof_artefacts import maps_of
 from tests.proof.proof_loop import Sample, commander, draw, outcome
+from tests.proof.proof_test_parts import maps_of
 
 PER_REV = 480
 TOROID = {"family": "toroid", "radius_x": "15 mm", "radius_y": "25 mm"}
@@ -182,8 +182,8 @@ def test_a_source_beyond_belief_stops_a_correction(tmp_path):
         tw.correct(part.job, tw.diagnose(maps), maps, out=tmp_path / "better")
 
 
-def test_lobes_that_artefacts_show_are_said_to_stay_on_the_part(tmp_path):
-    """A job that is corrected by artefacts has their tool and machine, not the form that the spindle makes."""
+def test_lobes_that_test_parts_show_are_said_to_stay_on_the_part(tmp_path):
+    """A job that is corrected by test parts has their tool and machine, not the form that the spindle makes."""
     part = sample(replace(LOBED, offset=(7e-3, 0.0, 0.0)))
     found = tw.diagnose(maps_of(part, np.random.default_rng(1)))
     better = tw.correct(part.job, found, out=tmp_path / "better")

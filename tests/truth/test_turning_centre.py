@@ -160,7 +160,7 @@ def test_a_part_that_nothing_else_places_is_put_about_its_axis(surface):
     """Decentred by 25 um in the map, where the middle of the map was taken for the axis."""
     centre, half, pixel, feed = (0.025, -0.018), 1.9, 0.01, 0.04
     job = {
-        "part": {"name": "artefact", "radius": "2 mm", "surface": surface},
+        "part": {"name": "test part", "radius": "2 mm", "surface": surface},
         "tool": {"nose_radius": "0.5 mm", "included": "60 deg", "clearance": "10 deg"},
         "machine": {"name": "generic"},
         "strategy": {"kind": "slow tool servo", "feed": "40 um/rev", "points_per_rev": 360},

@@ -1,4 +1,4 @@
-"""Commands for measured parts: artefact, measure, diagnose and correct."""
+"""Commands for measured parts: test-part, measure, diagnose and correct."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ Jobs = Annotated[
 ]
 
 
-@app.command()
-def artefact(
+@app.command("test-part")
+def write_test_part(
     context: typer.Context,
     job: JobFile,
     kind: Annotated[str, typer.Option(metavar="KIND", help='"tilted flat" or "concave sphere".', show_default=False)],
@@ -88,14 +88,14 @@ def artefact(
     It is cut like the part, so that measuring it reveals tool and machine errors before the part is cut.
     """
     session: Session = context.obj
-    from turnwright.job import Job, artefact, edited  # noqa: PLC0415
+    from turnwright.job import Job, edited, make_test_part  # noqa: PLC0415
     from turnwright.units import parse  # noqa: PLC0415
 
     require_unused(out)
     recipe = Job.load(job)
     text = job.read_bytes().decode()
     with show_progress(session.stop, [Step(stage="speed of the part", work=3.0)]) as progress:
-        made = artefact(
+        made = make_test_part(
             recipe,
             kind,  # type: ignore[arg-type] # any other kind raises InputError
             radius=None if radius is None else parse(radius, "mm"),

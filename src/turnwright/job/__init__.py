@@ -11,7 +11,6 @@ from turnwright.job.agenda import (
     steps_of_run,
 )
 from turnwright.job.approach import Entry
-from turnwright.job.artefacts import Artefact, artefact
 from turnwright.job.comparison import Candidate, Comparison, compare
 from turnwright.job.contributions import ErrorBreakdown, break_down_error, has_servos, without_servos
 from turnwright.job.correction import Correction, correct
@@ -31,11 +30,11 @@ from turnwright.job.schema import Job, faults
 from turnwright.job.shape import PartShape, part_shape
 from turnwright.job.table import Table
 from turnwright.job.template import job_template, reference_tables
+from turnwright.job.testparts import TestPartKind, make_test_part
 from turnwright.job.text import as_tables, edited, written
 from turnwright.job.verdict import Verdict, judge, judge_form, missed, unjudged
 
 __all__ = [
-    "Artefact",
     "Candidate",
     "Comparison",
     "Correction",
@@ -55,9 +54,9 @@ __all__ = [
     "Preview",
     "Result",
     "Table",
+    "TestPartKind",
     "Trial",
     "Verdict",
-    "artefact",
     "as_tables",
     "break_down_error",
     "compare",
@@ -73,6 +72,7 @@ __all__ = [
     "job_template",
     "judge",
     "judge_form",
+    "make_test_part",
     "measure",
     "missed",
     "part_shape",

@@ -201,7 +201,7 @@ def _budget(study: ToleranceStudy) -> _Section:
         title="Error budget",
         text=[
             f"{budget.name or 'Budget'}: drift {drift}; instrument noise {budget.noise * 1e6:.3g} nm.",
-            f"Test parts: {', '.join(budget.artefacts)}; they share tool, slides and servos with the part.",
+            f"Test parts: {', '.join(budget.test_parts)}; they share tool, slides and servos with the part.",
             "Drift, mounting and chuck tilt are drawn independently for every cut.",
         ],
         columns=["error", "spread", "source"],

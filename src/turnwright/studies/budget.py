@@ -79,7 +79,7 @@ NUMBERED_ERRORS = (
 )
 """Errors with an index, such as the order of a term, and their units."""
 
-ARTEFACTS = ("tilted flat", "concave sphere")
+TEST_PARTS = ("tilted flat", "concave sphere")
 """Test parts that can be cut and measured before the part."""
 
 GROUPS_PER_CUT = ("drift", "mounting", "chuck tilt")
@@ -284,7 +284,7 @@ class ErrorBudget(Stated):
         Standard deviation of each measured height. [mm]
     settling
         Time constant of an exponentially settling drift; ``None`` for a linear drift. [s]
-    artefacts
+    test_parts
         Test parts that are cut and measured before the part: any of ``"tilted flat"`` and ``"concave sphere"``.
     name
         Name of the budget.
@@ -303,7 +303,7 @@ class ErrorBudget(Stated):
     errors: Annotated[Mapping[str, Spread], Errors()]
     noise: Thickness
     settling: Time | None = None
-    artefacts: tuple[Text, ...] = ARTEFACTS
+    test_parts: tuple[Text, ...] = TEST_PARTS
     name: Text = ""
 
     def __post_init__(self) -> None:
@@ -328,14 +328,14 @@ class ErrorBudget(Stated):
         if self.settling is not None:
             positive(self.settling, "settling", "s")
         validate.thing(self.name, str, "the name of a budget")
-        named = [str(one) for one in self.artefacts] if isinstance(self.artefacts, list | tuple) else []
-        if not named or sorted(named) != sorted(one for one in ARTEFACTS if one in named):
+        named = [str(one) for one in self.test_parts] if isinstance(self.test_parts, list | tuple) else []
+        if not named or sorted(named) != sorted(one for one in TEST_PARTS if one in named):
             raise InputError(
-                f"artefacts is {shown(self.artefacts)}, it must be a list of names, of {', '.join(ARTEFACTS)}: name "
+                f"test_parts is {shown(self.test_parts)}, it must be a list of names, of {', '.join(TEST_PARTS)}: name "
                 "each once"
             )
         object.__setattr__(self, "errors", MappingProxyType(dict(self.errors)))
-        object.__setattr__(self, "artefacts", tuple(self.artefacts))
+        object.__setattr__(self, "test_parts", tuple(self.test_parts))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return ErrorBudget.read, (self.table(),)
@@ -393,7 +393,7 @@ class ErrorBudget(Stated):
         per_cut = {
             name: spread for name, spread in self.errors.items() if group_of(name) in {*GROUPS_PER_CUT, "instrument"}
         }
-        return part | {f"{kind}: {name}": spread for kind in self.artefacts for name, spread in per_cut.items()}
+        return part | {f"{kind}: {name}": spread for kind in self.test_parts for name, spread in per_cut.items()}
 
     def draw(self, count: int, *, seed: int, correction: bool) -> dict[str, Floats]:
         """Return independent random draws of all inputs. Each (count,).

@@ -13,7 +13,7 @@ from numpy.polynomial import legendre
 
 from turnwright.diagnosis import DEFAULT, FREE, diagnose, prove
 from turnwright.heightmap import HeightMap
-from turnwright.job import Job, artefact
+from turnwright.job import Job, make_test_part
 from turnwright.metrology import remove_form
 from turnwright.studies.budget import ErrorBudget
 from turnwright.studies.files import fetch_array, list_files, provide_files, relocate_paths, store_files
@@ -187,10 +187,10 @@ def bound_shift(budget: ErrorBudget, job: Job) -> ContactShift:
     return ContactShift(along=2 * along, across=2 * budget.largest("tool offset y"), servos=servos)
 
 
-def artefact_job(job: Job, kind: str) -> Job:
+def test_part_job(job: Job, kind: str) -> Job:
     """Return the job of a test part, with the same treatment of servos as for the part."""
     free = replace(job, program=replace(job.program, precorrect=False))
-    made = artefact(free, kind)  # type: ignore[arg-type] # a budget knows no other
+    made = make_test_part(free, kind)  # type: ignore[arg-type] # a budget knows no other
     return replace(made, simulation=replace(made.simulation, tracking=job.simulation.tracking), program=job.program)
 
 
@@ -206,8 +206,8 @@ def plan_cuts(
     """
     report = progress or (lambda _done, _total: None)
     reach = bound_shift(budget, job)
-    kinds = budget.artefacts if correction else ()
-    jobs = {"": job} | {kind: artefact_job(job, kind) for kind in kinds}
+    kinds = budget.test_parts if correction else ()
+    jobs = {"": job} | {kind: test_part_job(job, kind) for kind in kinds}
     cuts: dict[str, Any] = {}
     for number, (kind, cut_job) in enumerate(jobs.items()):
 

@@ -1,10 +1,10 @@
-"""Two artefacts whose maps are off their axis, and the part that is cut after them: 1.5 times a clean part at most.
+"""Two test parts whose maps are off their axis, and the part that is cut after them: 1.5 times a clean part at most.
 
 Oracle: brute-force cutting, see `blind_parts`; nothing of what is cut and judged is the program's own
 simulation. A tilted flat and a concave sphere are cut with the errors of the part, their maps are decentred by up to
 30 um, and the part is planned with what both show.
 
-``python -m tests.proof.proof_artefacts [PAIRS] [SEED]`` prints one line a pair and fails if one of them does.
+``python -m tests.proof.proof_test_parts [PAIRS] [SEED]`` prints one line a pair and fails if one of them does.
 """
 
 import sys
@@ -16,7 +16,7 @@ import numpy as np
 
 from tests.proof.proof_loop import Sample, commander, draw, truth
 from turnwright.errors import CorrectionError
-from turnwright.job import artefact, correct, diagnose, measure
+from turnwright.job import correct, diagnose, make_test_part, measure
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 import blind_parts as blind
@@ -26,10 +26,10 @@ WORST = 1.5
 
 
 def maps_of(part, random):
-    """Return the measured artefacts of a part, decentred."""
+    """Return the measured test parts of a part, decentred."""
     measured = []
     for kind in ("tilted flat", "concave sphere"):
-        job = artefact(part.job, kind)
+        job = make_test_part(part.job, kind)
         surface = job.part.surface
         design = blind.flat(surface.slope) if kind == "tilted flat" else blind.sphere(surface.radius)
         cut = Sample(

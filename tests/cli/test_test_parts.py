@@ -1,4 +1,4 @@
-"""Jobs of artefacts: the slopes asked of the nose against closed form, and what they take over from the part's job."""
+"""Jobs of test parts: the slopes asked of the nose against closed form, and what they take over from the part's job."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import pytest
 
 from turnwright import Job, check_access
 from turnwright.errors import JobError
-from turnwright.job import artefact
+from turnwright.job import make_test_part
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LENS = {
@@ -22,30 +22,30 @@ LENS = {
 }  # fmt: skip
 
 
-def test_an_artefact_is_cut_as_the_part_will_be():
+def test_a_test_part_is_cut_as_the_part_will_be():
     job = Job.read(LENS)
     for kind in ("tilted flat", "concave sphere"):
-        made = artefact(job, kind)
+        made = make_test_part(job, kind)
         assert made.strategy == job.strategy
         assert made.tool == job.tool
         assert made.part.stock == 0.02
         assert made.simulation.patches == ()
 
 
-def test_the_artefacts_use_the_nose_as_the_part_does():
-    """Oracle: the sphere's rim has the slope asin(5 / 61.5) = 4.663 deg; both artefacts reach the next tenth."""
+def test_the_test_parts_use_the_nose_as_the_part_does():
+    """Oracle: the sphere's rim has the slope asin(5 / 61.5) = 4.663 deg; both test parts reach the next tenth."""
     job = Job.read(LENS)
-    flat, sphere = (artefact(job, kind).part for kind in ("tilted flat", "concave sphere"))
+    flat, sphere = (make_test_part(job, kind).part for kind in ("tilted flat", "concave sphere"))
     assert np.rad2deg(check_access(flat, job.tool).sweep) == pytest.approx([-4.7, 4.7], abs=1e-3)
     assert np.rad2deg(check_access(sphere, job.tool).sweep[1]) == pytest.approx(4.7, abs=2e-3)
 
 
 def test_what_nobody_states_is_found():
-    """Oracle: the part's own highest speed, which an artefact must not leave; 3 deg for a part without slopes."""
+    """Oracle: the part's own highest speed, which a test part must not leave; 3 deg for a part without slopes."""
     flat = {**LENS, "part": {"surface": {"family": "plane", "slope": [0.0, 0.0]}, "radius": "2 mm"}}
     flat["strategy"] = {name: value for name, value in LENS["strategy"].items() if name != "spindle_speed"}
     del flat["simulation"]
-    made = artefact(Job.read(flat), "tilted flat", radius=1.0)
+    made = make_test_part(Job.read(flat), "tilted flat", radius=1.0)
     assert made.part.radius == 1.0
     assert np.rad2deg(np.arctan(made.part.surface.slope[0])) == pytest.approx(3.0)
     # 500 blocks a second, 360 a turn
@@ -60,12 +60,12 @@ def test_what_nobody_states_is_found():
         ({"kind": "concave sphere", "radius": 0.1, "slope": 0.5}, "nose radius of 0.5 mm"),
     ],
 )
-def test_what_is_no_artefact_is_refused(asked, words):
+def test_what_is_no_test_part_is_refused(asked, words):
     with pytest.raises(JobError, match=words):
-        artefact(Job.read(LENS), **asked)
+        make_test_part(Job.read(LENS), **asked)
 
 
-def test_an_artefact_can_be_made_of_every_servo():
+def test_a_test_part_can_be_made_of_every_servo():
     for name in ("kong2019_hybrid", "li2018_lens_array"):
-        made = artefact(Job.load(EXAMPLES / f"{name}.toml"), "concave sphere")
+        made = make_test_part(Job.load(EXAMPLES / f"{name}.toml"), "concave sphere")
         assert made.strategy.kind == Job.load(EXAMPLES / f"{name}.toml").strategy.kind

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from turnwright.job.schema import Job
     from turnwright.progress import StageProgress
 
-__all__ = ["Artefact", "artefact"]
+__all__ = ["TestPartKind", "make_test_part"]
 
-Artefact: TypeAlias = Literal["tilted flat", "concave sphere"]
+TestPartKind: TypeAlias = Literal["tilted flat", "concave sphere"]
 
 MIN_SLOPE_RAD = np.deg2rad(3.0)
 """Least slope of a test part, for a nearly flat part; [Troutman2016]_ ch. 6 tilts its flat by this. [rad]"""
@@ -31,9 +31,9 @@ MAX_SLOPE_RAD = np.deg2rad(45.0)
 """Largest tilt or rim slope that an interferometer measures. [rad]"""
 
 
-def artefact(
+def make_test_part(
     job: Job,
-    kind: Artefact,
+    kind: TestPartKind,
     *,
     radius: float | None = None,
     slope: float | None = None,
@@ -98,7 +98,7 @@ def artefact(
         strategy = replace(strategy, base=None)  # the motion of the slide is specific to the part
     if strategy.spindle_rpm is None and strategy.spindle_speeds is None:
         strategy = strategy.stating(spindle_rpm=_find_speed(job, progress))
-    flat = replace(part, surface=surface, radius=radius, name=f"{name}, artefact", correction=None, blank=None)
+    flat = replace(part, surface=surface, radius=radius, name=f"{name}, test part", correction=None, blank=None)
     return replace(job, part=flat, strategy=strategy, simulation=SimulationTable(), tolerances=Tolerances())
 
 
