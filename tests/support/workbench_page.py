@@ -129,7 +129,7 @@ class Bench:
         with self.page.expect_file_chooser() as chosen:
             self.page.get_by_role("button", name="Open a job file").first.click()
         self.answer("/api/job/parse", lambda: chosen.value.set_files(file))
-        self.page.locator("#pill").filter(has_not_text="looking").wait_for()
+        self.page.locator("#pill").filter(has_not_text="checking").wait_for()
         return self
 
     def look_at(self, kind):
