@@ -128,6 +128,18 @@ def test_every_field_of_the_schema_explains_itself(client):
             assert convert(1.0, field["unit"], field["display"]) > 0, (table, name)
 
 
+def test_drawings_of_the_fields_are_served(client):
+    script = client.get("/form.js").text
+    rows = re.findall(r'^  \[/(.+)/, "(\w+)", ', script, re.MULTILINE)
+    assert len(rows) > 8
+    schema = client.get("/api/schema").json()
+    keys = {name for node in [schema, *schema["$defs"].values()] for _, name, _ in leaves(schema, node)}
+    for fields, drawing in rows:
+        answer = client.get(f"/drawings/{drawing}.svg")
+        assert (answer.status_code, answer.headers["content-type"]) == (200, "image/svg+xml")
+        assert set(re.findall(r"[a-z_]{4,}", fields)) & keys, fields
+
+
 def test_every_field_that_names_a_file_says_which_it_takes(client):
     """What the page offers there is what the server then takes."""
     schema = client.get("/api/schema").json()

@@ -937,6 +937,20 @@ def test_no_state_has_a_barrier(bench, by_hand, how):
     assert found == []
 
 
+def test_help_of_a_field_shows_its_drawing(bench, by_hand):
+    # Oracle: the size that the drawings state, and axe-core.
+    page = bench().take(by_hand.parent / "job.toml").page
+    page.locator("#field-tool-nose_radius").focus()
+    page.get_by_role("button", name=re.compile("^Enlarge: ")).click()
+    dialog = page.get_by_role("dialog")
+    wait(lambda: dialog.locator("img").evaluate("image => image.naturalWidth") == 720, what="the drawing")
+    assert barriers(page, "drawing") == []
+    page.keyboard.press("Escape")
+    expect(dialog).to_be_hidden()
+    page.locator("#field-part-name").focus()
+    expect(page.get_by_role("button", name=re.compile("^Enlarge: "))).to_have_count(0)
+
+
 @pytest.mark.parametrize("how", [{}, {"dark": True}, {"size": PHONE, "touch": True}], ids=["light", "dark", "phone"])
 def test_a_job_with_an_error_or_under_check_has_no_barrier(bench, by_hand, how):
     # Oracle: axe-core.

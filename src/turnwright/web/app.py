@@ -33,7 +33,12 @@ if TYPE_CHECKING:
 
 __all__ = ["create_app"]
 
-STATIC = Path(__file__).resolve().parent / "static"
+HERE = Path(__file__).resolve().parent
+STATIC = HERE / "static"
+DRAWINGS = next(
+    place for place in (HERE / "drawings", HERE.parents[2] / "docs" / "images" / "drawings") if place.is_dir()
+)
+"""Drawings of the documentation, in an installed package and in a checkout."""
 
 REFUSED: dict[int | str, dict[str, Any]] = {
     status: {"model": Problem, "description": text}
@@ -131,6 +136,7 @@ def create_app(
     tidy(folder)
     for routes in (planning, files, views, runs, windows, measurements):
         app.include_router(routes.router)
+    app.mount("/drawings", StaticFiles(directory=DRAWINGS), name="drawings")
     app.mount("/", StaticFiles(directory=STATIC, html=True), name="page")
     return app
 

@@ -385,7 +385,7 @@ function takeKeys(panes) {
       }
       return undefined;
     }
-    if (typing || event.altKey || $("help").open) return undefined;
+    if (typing || event.altKey || document.querySelector("dialog[open]")) return undefined;
     if (/^[1-6]$/.test(event.key)) return set({ drawer: TABS[Number(event.key) - 1].name, view: "drawer" });
     const act = { 0: panes.tall, "[": () => panes.flip("left"), "]": () => panes.flip("right"), t: switchTheme, "?": () => $("help").showModal(), Escape: () => set({ drawer: null }) }[event.key];
     return act?.();

@@ -331,6 +331,31 @@ function Wrong({ id, sentences }) {
 
 // ----------------------------------------------------------------------------------------------- what a field means
 
+/** Drawings of the documentation, by the fields that they explain; the first match is shown. */
+const DRAWINGS = [
+  [/^(actual\.)?tool\.(nose_radius|included|rake|clearance|radius_error)/, "nose", "The nose: radius, included angle, rake and clearance"],
+  [/^(actual\.)?tool\.offset/, "ogive", "What a tool off centre leaves: ogive and core"],
+  [/^(actual\.)?tool\.waviness/, "waviness", "Waviness of the edge"],
+  [/^(strategy|passes\.\d+)\.(plan\.)?(feed|scallop)$/, "cusp", "Cusp and feed"],
+  [/^(strategy\.(plan\.)?along|strategy\.(off_path|x_motion))$/, "placing", "Placing the edge along z and along the normal"],
+  [/^part\.material/, "ductile", "Where the chip exceeds the critical thickness"],
+  [/^passes\.\d+\.(depth|allowance)$/, "chip", "Uncut chip thickness of a round nose"],
+  [/^(actual\.)?machine|^strategy\.(plan\.)?(sense|inside_out)$|^program\b/, "machine_frame", "Axes and signs of lathe and part"],
+  [/^measurement\b/, "loop", "From the measured part to a better job"],
+];
+
+function Drawing({ path }) {
+  const dialog = useRef(null);
+  const here = path.join(".");
+  const [, name, title] = DRAWINGS.find(([fields]) => fields.test(here)) ?? [];
+  if (!name) return null;
+  return html`<${Fragment}>
+    <button type="button" class="drawing" title="Enlarge the drawing" aria-label=${`Enlarge: ${title}`} onClick=${() => dialog.current.showModal()}><img src=${`drawings/${name}.svg`} alt="" /></button>
+    <dialog ref=${dialog} aria-label=${title}><header><h2>${title}</h2><span class="gap"></span><${Tool} icon="close" name="Close" onClick=${() => dialog.current.close()} /></header>
+      <img src=${`drawings/${name}.svg`} alt="" /></dialog>
+  </${Fragment}>`;
+}
+
 let explain = () => {};
 
 function explaining(node, path) {
@@ -351,6 +376,7 @@ function Explained() {
   const unit = shownUnit(node);
   const text = defaultText(node);
   return html`<aside class="explain" id="explained" aria-label="About the field" tabindex="0" aria-live="off">
+    <${Drawing} key=${path.join(".")} path=${path} />
     <h3>${titleOf(node, path.at(-1))} ${unit && html`<span class="unit">[${unit}]</span>`}</h3>
     ${node.description && html`<p>${node.description}</p>`}
     ${node.holds && html`<p>Upload a file (${node.endings.join(", ")}) with the button next to the field; it is saved with the job.</p>`}

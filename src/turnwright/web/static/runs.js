@@ -115,8 +115,9 @@ export async function look(id) {
   if (!run || run.state !== "done") return undefined;
   try {
     if (run.kind === "measure") {
-      set({ drawer: "measure", view: "drawer" });
-      return await followMeasurement(id);
+      await followMeasurement(id);
+      if (id === state.run) set({ drawer: "measure", view: "drawer" });
+      return undefined;
     }
     const { files, data } = await get(`/runs/${id}`);
     if (run.kind === "compare") {
