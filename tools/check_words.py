@@ -4,7 +4,8 @@ Usage: python tools/check_words.py
 
 Rules:
 
-- `WORDS` occur nowhere in the text of `src`, `docs` and the README: code, comments, docstrings, messages, the page.
+- `WORDS` occur nowhere in the text of `src`, `docs`, `examples` and the README: code, comments, docstrings, messages,
+  the page.
 - `TARGETS` are no targets of an assignment: a variable is named after what it holds. Fields of classes are names of
   their own.
 - The subject of a commit has at most 72 characters; longer ones of the last `COMMITS` are listed.
@@ -35,7 +36,11 @@ LONGEST_SUBJECT = 72
 
 def files() -> Iterator[Path]:
     """Yield the files whose language is checked."""
-    for folder, endings in (("src", (".py", ".js", ".html", ".css")), ("docs", (".md", ".py"))):
+    for folder, endings in (
+        ("src", (".py", ".js", ".html", ".css", ".toml", ".j2")),
+        ("docs", (".md", ".py")),
+        ("examples", (".toml",)),
+    ):
         for file in sorted((ROOT / folder).rglob("*")):
             parts = file.relative_to(ROOT).parts
             if file.suffix in endings and not {"vendor", "_build", "jupyter_execute"} & {*parts}:

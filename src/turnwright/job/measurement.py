@@ -358,8 +358,8 @@ def _explain_mismatch(measured: Measured, raw: HeightMap) -> str | None:
     """Return why heights do not match the part of their job, ``None`` if they do.
 
     The form error of a part is less than half the departure of its design from the best-fit sphere, or from the
-    best-fit plane if plausible errors of tool and machine reach the former. Otherwise the map is of another part, in
-    other units, or in another orientation.
+    best-fit plane if plausible errors of tool and machine reach half the former. Otherwise the map is of another
+    part, in other units, or in another orientation.
     """
     job, off = measured.job, measured.form_rms_nm
     if job.measurement.reference != "true form":
