@@ -15,21 +15,21 @@ class Stop:
 
     Parameters
     ----------
-    deaf
-        Whether requests are only recorded, until `hear` is called.
+    records_only
+        Whether requests are only recorded, until `arm` is called.
     """
 
-    def __init__(self, *, deaf: bool = False) -> None:
+    def __init__(self, *, records_only: bool = False) -> None:
         self.wanted = False
         self.number: int = signal.SIGINT
-        self.deaf = deaf
+        self.records_only = records_only
         self._before: dict[int, object] = {}
 
     def __enter__(self) -> Self:
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
             number = getattr(signal, name, None)
             if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # nohup sets SIG_IGN
-                self._before[number] = signal.signal(number, self._hear)
+                self._before[number] = signal.signal(number, self._receive)
         return self
 
     def __exit__(self, _kind: type[BaseException] | None, _error: object, _trace: TracebackType | None) -> None:
@@ -41,16 +41,16 @@ class Stop:
         """Exit code of a process that ends by the first signal: 128 plus its number."""
         return 128 + int(self.number)
 
-    def _hear(self, number: int, _frame: object) -> None:
+    def _receive(self, number: int, _frame: object) -> None:
         if not self.wanted:
             self.number = number
         self.wanted = True
-        if not self.deaf:
+        if not self.records_only:
             raise KeyboardInterrupt
 
-    def hear(self) -> None:
+    def arm(self) -> None:
         """Raise at each request from now on, and at once if one is recorded."""
-        self.deaf = False
+        self.records_only = False
         self.check()
 
     def check(self) -> None:

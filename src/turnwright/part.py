@@ -98,12 +98,12 @@ class Part(Stated):
         positive(self.radius, "part radius", "mm")
         if self.blank is not None and self.blank.reach < self.radius:
             raise InputError(
-                f"the blank reaches {self.blank.reach:g} mm from the axis, it must reach at least the clear radius of "
-                f"{self.radius:g} mm: give the radius of the blank"
+                f"the blank reaches {self.blank.reach:g} mm from the axis, it must reach at least the radius of the "
+                f"clear aperture, {self.radius:g} mm: give the radius of the blank"
             )
         if self.stock < 0:
             raise InputError(f"stock is {self.stock:g} mm, it cannot be below 0 mm: give the thickness to remove")
-        self.surface.require_disc(self.radius, "the clear radius")
+        self.surface.require_disc(self.radius, "the radius of the clear aperture")
 
     @property
     def design(self) -> Part:

@@ -265,7 +265,7 @@ def test_a_job_with_a_blank_reads_back(tmp_path, name):
 
 
 def test_what_cannot_be_a_blank_or_a_plunge():
-    with pytest.raises(InputError, match=r"the blank reaches 4 mm .* clear radius of 5 mm"):
+    with pytest.raises(InputError, match=r"the blank reaches 4 mm .* clear aperture, 5 mm"):
         tw.Part(surface=tw.Plane(), radius=5.0, blank=tw.Blank(radius=4.0))
     with pytest.raises(InputError, match="blank radius"):
         tw.Blank(radius=0.0)

@@ -57,7 +57,7 @@ WRONG = {
     "words in a sag table": ([("part.surface", GRID | {"file": "words.csv"})], r"words\.csv has no table of numbers"),
     "an aperture larger than the grid": (
         [("part.surface", GRID), ("part.radius", "3 mm")],
-        r"clear radius is 3 mm but Gridded is not defined beyond",
+        r"clear aperture is 3 mm but Gridded is not defined beyond",
     ),
     "an aperture outside the conic": ([("part.radius", "60 mm")], r"Sphere is not defined beyond about 5\d\.\d+ mm.* disc of radius 50 mm"),
     "a formula that is a program": (

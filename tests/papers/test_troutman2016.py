@@ -32,7 +32,7 @@ def planned_with(tool, machine):
 
 
 def error_at_contacts(path, motion, machine):
-    """Cut minus design, with the tool and machine that really are, at points inside the clear radius."""
+    """Cut minus design, with the tool and machine that really are, at points inside the clear aperture."""
     here = np.flatnonzero(np.hypot(path.contact_x, path.contact_y) <= PART.radius)
     here = here[:: here.size // 4000]
     x, y = path.contact_x[here], path.contact_y[here]

@@ -210,7 +210,7 @@ class Figures:
     least: float = np.inf  # gap of a move with C at rest or in rapid to the material [mm]
     fastest: float = 0.0  # plunge over the stated plunge feed
     block: float = 0.0  # plunge of a block against the contact heights of a dense maximum, over the feed
-    gouge: float = 0.0  # below what the pass leaves, within the clear radius [mm]
+    gouge: float = 0.0  # below what the pass leaves, within the clear aperture [mm]
     unwound: float = 0.0  # longest rapid of C [turns]
     lateral: float = np.inf  # least height of lateral moves above the material [mm]
 

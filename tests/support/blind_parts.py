@@ -103,7 +103,7 @@ class Errors:
 
 @dataclass(frozen=True, kw_only=True)
 class Cut:
-    """How the part was planned: nose, feed, clear radius, sense of rotation."""
+    """How the part was planned: nose, feed, clear aperture, sense of rotation."""
 
     design: Design
     nose: float

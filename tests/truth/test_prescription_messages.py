@@ -107,8 +107,8 @@ def test_outside_the_domain(surface):
         DomainError, match=rf"{type(surface).__name__} is not defined at x = 4\.5 mm.*\(1 of 2 points\)"
     ):
         surface.sag([1.0, 4.5], 0.0)
-    with pytest.raises(DomainError, match="clear radius is 5 mm"):
-        surface.require_disc(5.0, "the clear radius")
-    surface.require_disc(3.0, "the clear radius")
+    with pytest.raises(DomainError, match="clear aperture is 5 mm"):
+        surface.require_disc(5.0, "the radius of the clear aperture")
+    surface.require_disc(3.0, "the radius of the clear aperture")
     rows = surface.evaluate(np.array([4.5, 1.0]), np.zeros(2), 2)
     assert all(np.isfinite(row[1]) for row in rows)

@@ -64,7 +64,7 @@ def test_the_domain_is_the_grid():
     np.testing.assert_array_equal(table.sag([-2.0, 2.0, 0.0], [-4.0, 4.0, 4.0]), 0)
     with pytest.raises(DomainError, match="x from -2 to 2 mm and y from -4 to 4 mm"):
         table.sag(2.0000001, 0.0)
-    with pytest.raises(DomainError, match="clear radius is 3 mm"):
-        table.require_disc(3.0, "the clear radius")
-    table.require_disc(2.0, "the clear radius")
+    with pytest.raises(DomainError, match="clear aperture is 3 mm"):
+        table.require_disc(3.0, "the radius of the clear aperture")
+    table.require_disc(2.0, "the radius of the clear aperture")
     assert table.feature_size == 0.5

@@ -64,7 +64,7 @@ BAD = {
     "table turned": (lambda: Gridded(x=AXIS, y=AXIS, z=np.zeros((7, 8))), r"\(7, 8\).* axes need \(7, 7\)"),
     "aperture beyond the table": (
         lambda: Part(surface=Gridded(x=AXIS, y=AXIS, z=np.zeros((7, 7))), radius=1.5),
-        "clear radius is 1.5 mm",
+        "clear aperture is 1.5 mm",
     ),
     "empty formula": (lambda: Expression("  "), "0 characters"),
     "endless formula": (lambda: Expression("x+" * 6000 + "x"), "12001 characters"),

@@ -47,9 +47,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         The exit code.
     """
-    with Stop(deaf=True) as stop:  # what it raises must be caught below
+    with Stop(records_only=True) as stop:  # what it raises must be caught below
         try:
-            stop.hear()
+            stop.arm()
             _open_closed()
             # The matrices are small: on a busy machine, BLAS threads would mostly wait for each other.
             os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if not stop.wanted:
                 raise
             session, code = None, INTERRUPTED_CODE
-        stop.deaf = True
+        stop.records_only = True
         if stop.wanted or code == INTERRUPTED_CODE:
             code = stop.code
             if session is not None and session.finished is not None:

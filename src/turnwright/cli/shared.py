@@ -197,7 +197,7 @@ def new_folder(out: Path, session: Session, *, force: bool) -> Iterator[Path]:
         raise InputError(f"{str(out)!r} is a link that points to itself")
     if out.is_mount():
         raise InputError(f"{str(out)!r} is a mount point and cannot be replaced: choose a folder in it")
-    session.stop.deaf = True  # until the clean-up below is armed
+    session.stop.records_only = True  # until the clean-up below is armed
     new_parents = [folder for folder in out.parents if not folder.exists()]  # deepest first
     out.parent.mkdir(parents=True, exist_ok=True)
     taken = out.exists() and not (out.is_dir() and not any(out.iterdir()))
@@ -207,14 +207,14 @@ def new_folder(out: Path, session: Session, *, force: bool) -> Iterator[Path]:
         )
     folder, lock = _create_locked(out)
     try:
-        session.stop.deaf = False
+        session.stop.records_only = False
         session.stop.check()
         yield folder
         mask = os.umask(0)
         os.umask(mask)
         folder.chmod(0o777 & ~mask)
         session.stop.check()
-        session.stop.deaf = True  # the results are complete
+        session.stop.records_only = True  # the results are complete
         if taken:
             _rename_existing(out)
         elif out.exists():
@@ -227,7 +227,7 @@ def new_folder(out: Path, session: Session, *, force: bool) -> Iterator[Path]:
         error.args = tuple(part.replace(temporary, requested) if isinstance(part, str) else part for part in error.args)
         if isinstance(error, OSError) and isinstance(error.filename, str | os.PathLike):
             error.filename = os.fspath(error.filename).replace(temporary, requested)
-        session.stop.deaf = True  # a second interrupt must not stop the clean-up
+        session.stop.records_only = True  # a second interrupt must not stop the clean-up
         shutil.rmtree(folder, ignore_errors=True)
         for parent in new_parents:
             with suppress(OSError):  # another process may have put a file in it

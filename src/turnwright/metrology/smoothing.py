@@ -113,8 +113,9 @@ def form_compensation(part: Part, error: HeightMap, *, cutoff: float, beyond: fl
     used = ~np.isnan(error.z) & (np.hypot(x, y) <= part.radius)
     if np.count_nonzero(used) < MIN_HEIGHTS:
         raise InputError(
-            f"the measured error has {np.count_nonzero(used)} heights within a clear radius of {part.radius:g} mm, "
-            f"a correction needs {MIN_HEIGHTS}: register the map to the part first, or measure more of it"
+            f"the measured error has {np.count_nonzero(used)} heights within a clear aperture of radius "
+            f"{part.radius:g} mm, a correction needs {MIN_HEIGHTS}: register the map to the part first, or measure "
+            "more of it"
         )
     reach = part.radius + positive(beyond, "beyond", "mm") + cutoff
     return smooth_table(x[used], y[used], -error.z[used], cutoff=cutoff, reach=reach)

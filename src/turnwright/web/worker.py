@@ -82,9 +82,9 @@ def main() -> int:
     with suppress(AttributeError, OSError):
         os.nice(int(sys.argv[3]))
     state, sentence, missed = "failed", "", False
-    with Stop(deaf=True) as stop:  # what it raises must be caught below
+    with Stop(records_only=True) as stop:  # what it raises must be caught below
         try:
-            stop.hear()
+            stop.arm()
             progress = _ProgressWriter(run / "progress.jsonl", stop)
             record = json.loads((run / "state.json").read_text(encoding="utf-8"))
             with _new_folder(run) as out:
@@ -102,7 +102,7 @@ def main() -> int:
         except Exception as error:  # noqa: BLE001 - the outermost handler
             traceback.print_exc()
             sentence = f"this is a defect of Turnwright ({type(error).__name__}), see the log of the run"
-        stop.deaf = True
+        stop.records_only = True
         _print_outcome(state, " ".join(sentence.split()), missed=missed)
     return 0 if state == "done" else 1
 
