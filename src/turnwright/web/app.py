@@ -23,6 +23,7 @@ from turnwright.web.guard import Guard, require_token
 from turnwright.web.limits import PARSE_BYTES, PARSE_S
 from turnwright.web.models import Problem
 from turnwright.web.queue import Runs
+from turnwright.web.shipped import shipped_folder
 from turnwright.web.workers import Busy, Superseded, planners
 
 if TYPE_CHECKING:
@@ -33,12 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = ["create_app"]
 
-HERE = Path(__file__).resolve().parent
-STATIC = HERE / "static"
-DRAWINGS = next(
-    place for place in (HERE / "drawings", HERE.parents[2] / "docs" / "images" / "drawings") if place.is_dir()
-)
-"""Drawings of the documentation, in an installed package and in a checkout."""
+STATIC = Path(__file__).resolve().parent / "static"
 
 REFUSED: dict[int | str, dict[str, Any]] = {
     status: {"model": Problem, "description": text}
@@ -136,7 +132,8 @@ def create_app(
     tidy(folder)
     for routes in (planning, files, views, runs, windows, measurements):
         app.include_router(routes.router)
-    app.mount("/drawings", StaticFiles(directory=DRAWINGS), name="drawings")
+    if (drawings := shipped_folder("drawings", "docs/images/drawings")) is not None:
+        app.mount("/drawings", StaticFiles(directory=drawings), name="drawings")
     app.mount("/", StaticFiles(directory=STATIC, html=True), name="page")
     return app
 

@@ -7,10 +7,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from turnwright.web.shipped import shipped_folder
+
 __all__ = ["Example", "example_files", "examples"]
 
-HERE = Path(__file__).resolve().parent
-PLACES = (HERE / "examples", HERE.parents[2] / "examples")
 MACHINES = "machines"
 """Folder of machine files, which are not jobs."""
 
@@ -60,7 +60,7 @@ class Example:
 
 
 def _root() -> Path | None:
-    return next((place for place in PLACES if place.is_dir()), None)
+    return shipped_folder("examples", "examples")
 
 
 @cache
