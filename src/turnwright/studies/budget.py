@@ -10,7 +10,7 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from turnwright._io import bytes_of, read_toml
 from turnwright._tables import Keyed, Stated, refuse, written
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError, shown
+from turnwright.job import TestPartKind
 from turnwright.surface import zernike_order
 from turnwright.units import Text, Thickness, Time, parse
 
@@ -79,7 +80,7 @@ NUMBERED_ERRORS = (
 )
 """Errors with an index, such as the order of a term, and their units."""
 
-TEST_PARTS = ("tilted flat", "concave sphere")
+TEST_PARTS: tuple[str, ...] = get_args(TestPartKind)
 """Test parts that can be cut and measured before the part."""
 
 GROUPS_PER_CUT = ("drift", "mounting", "chuck tilt")
