@@ -52,10 +52,10 @@ def test_a_map_that_is_not_of_its_part_is_said_to_be_so(freeform, how):
     good = shown(freeform)
     axis, z = spoil(good.x, good.z)
     measured = tw.measure(freeform, tw.HeightMap(x=axis, y=axis, z=z, name="seen"))
-    assert measured.misplaced is not None
-    assert "'seen' do not match this part" in measured.misplaced
-    assert words in measured.misplaced
-    assert measured.open_questions[0] == measured.misplaced
+    assert measured.mismatch is not None
+    assert "'seen' do not match this part" in measured.mismatch
+    assert words in measured.mismatch
+    assert measured.open_questions[0] == measured.mismatch
 
 
 @pytest.mark.parametrize("surface", [FREEFORM, SPHERE, FLAT])
@@ -64,14 +64,14 @@ def test_a_part_that_is_off_is_still_the_part(tmp_path, surface, size):
     """By 0.5 um of a cone, which a tool beside its place or a slide out of square leave."""
     job = Job.load(written(tmp_path, *surface))
     measured = tw.measure(job, shown(job, size))
-    assert measured.misplaced is None
+    assert measured.mismatch is None
 
 
 def test_a_bowl_that_was_a_dome_is_said_to_be_so(tmp_path):
     job = Job.load(written(tmp_path, *SPHERE))
     good = shown(job)
     measured = tw.measure(job, tw.HeightMap(x=good.x, y=good.y, z=-good.z))
-    assert "inverted = true" in measured.misplaced
+    assert "inverted = true" in measured.mismatch
 
 
 def test_nothing_is_corrected_by_a_map_of_something_else(freeform, tmp_path, capsys):

@@ -108,7 +108,7 @@ def test_a_controller_that_lays_cubics_is_always_predicted_with_them(tmp_path):
     lathe(tmp_path, 'dialect = "pmac"\n[controller]\ninterpolation = "hermite"')
     few = [*CHANGES, ("strategy.points_per_rev", 60), ("simulation.patches", [])]
     result = tw.run(tw.Job.load(written(tmp_path, *few)), out=tmp_path)
-    assert all(one.velocity is not None for one in result.turns)
+    assert all(one.velocity is not None for one in result.revolutions)
     text = result.program.files[0].read_text()
     assert "PVT" in text
     part, tool = result.part, result.tool

@@ -161,7 +161,7 @@ def test_what_does_not_repeat_is_said_to():
     moved = found["offset x"]
     assert moved.repeatable is False
     # An axial motion of 30 nm once in a turn is plausible, 0.6 um of offset on this flat.
-    assert moved.each == pytest.approx((0.002, 0.005), abs=5e-4)
+    assert moved.map_values == pytest.approx((0.002, 0.005), abs=5e-4)
     assert moved.value == pytest.approx(0.0035, abs=3e-4)
     assert moved.interval[0] < 0.002
     assert moved.interval[1] > 0.005

@@ -78,5 +78,5 @@ def neighbours(trials, first=0):
         found = tw.diagnose(heights, SPHERE, TOOL, MACHINE, causes=("offset x", "astigmatism"))
         low, high = found["offset x"].interval
         hits += low <= 0.001 <= high
-        together += found.together
+        together += found.correlated_points
     return hits, np.array(together)

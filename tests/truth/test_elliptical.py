@@ -91,11 +91,11 @@ def test_the_tip_stays_on_its_radius_and_does_not_drift(name):
 def test_no_kink_where_the_tool_stands_still(found, name):
     """Must show: no jump of dZ/dangle above 1e-6 mm/rad, by heights that know nothing of how valleys are found."""
     valleys, swing = found[name]
-    inside = np.flatnonzero(valleys.stood & (valleys.radius < 0.2) & (valleys.jump > 0.01))
+    inside = np.flatnonzero(valleys.is_at_rest & (valleys.radius < 0.2) & (valleys.slope_jump > 0.01))
     assert inside.size > 30
     if name == "slow":
         # All of them, but for the outermost tips, whose edge hangs over the rim, and one that is grazed.
-        assert valleys.stood[(valleys.radius < 0.2) & (valleys.jump > 0.003)].all()
+        assert valleys.is_at_rest[(valleys.radius < 0.2) & (valleys.slope_jump > 0.003)].all()
     for k in inside:
         at, step = valleys.angle[k], 1e-5
         there = swing([at, at + step])
@@ -128,10 +128,10 @@ def test_the_kink_of_a_steady_tool_in_closed_form():
     assert len(kinks) > 60
     for at, (before, after) in kinks:
         nearest = np.argmin(np.abs(valleys.azimuth - at))
-        if valleys.stood[nearest]:
+        if valleys.is_at_rest[nearest]:
             # A valley goes on a little until the tool stands there.
             assert abs(valleys.azimuth[nearest] - at) < 1e-3
-            assert valleys.jump[nearest] == pytest.approx(after - before, rel=1e-2, abs=1e-7)
+            assert valleys.slope_jump[nearest] == pytest.approx(after - before, rel=1e-2, abs=1e-7)
 
 
 def test_slow_keeps_the_limit_of_the_y_axis_at_the_least_displacement(found):
@@ -145,7 +145,7 @@ def test_slow_keeps_the_limit_of_the_y_axis_at_the_least_displacement(found):
     assert peak["slow"] < 200.0 < 0.5 * peak["skip"]
     # The tool is early at some valleys and late at others.
     off = found["slow"][0].angle - found["slow"][0].azimuth
-    assert off[found["slow"][0].stood].min() < -1e-3 < 1e-3 < off[found["slow"][0].stood].max()
+    assert off[found["slow"][0].is_at_rest].min() < -1e-3 < 1e-3 < off[found["slow"][0].is_at_rest].max()
     course = course_of("slow")[1]
     line = np.sort(np.random.default_rng(2).uniform(30.0, 32.0, 7))
     moment = SLOW._schedule_moments(course, line, np.zeros(7))
@@ -165,10 +165,10 @@ def test_slow_keeps_the_limit_of_the_y_axis_at_the_least_displacement(found):
 
 def test_policies_differ_at_short_intervals_only(found):
     merged, skipped, slow = (found[name][0] for name in SERVOS)
-    assert slow.stood.mean() > skipped.stood.mean() > merged.stood.mean() > 0.7
-    gap = np.diff(skipped.azimuth[skipped.stood]) * skipped.radius[skipped.stood][1:]
+    assert slow.is_at_rest.mean() > skipped.is_at_rest.mean() > merged.is_at_rest.mean() > 0.7
+    gap = np.diff(skipped.azimuth[skipped.is_at_rest]) * skipped.radius[skipped.is_at_rest][1:]
     assert gap.min() > 0.005 * (1 - 1e-6)
-    passed = skipped.left[~skipped.stood]
+    passed = skipped.residual_jump[~skipped.is_at_rest]
     assert passed.max() > 1e-3
 
 

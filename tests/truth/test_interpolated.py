@@ -8,7 +8,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 import turnwright as tw
 from turnwright.job import interpolated as _interpolated
-from turnwright.job.interpolated import interpolated, off_curves
+from turnwright.job.interpolated import chord_error, interpolated
 
 MACHINE = tw.Machine(
     name="test",
@@ -43,7 +43,7 @@ def test_pieces_of_a_pvt_motion_keep_to_a_hundredth_of_a_nanometre(points):
     made = interpolated(motion, MACHINE)
     assert off_the_cubics(tw.track(motion, MACHINE), motion) > 2e-7
     assert off_the_cubics(made, motion) < 1.02e-8
-    assert off_curves(made) == pytest.approx(off_the_cubics(made, motion), rel=0.05)
+    assert chord_error(made) == pytest.approx(off_the_cubics(made, motion), rel=0.05)
 
 
 def test_pieces_are_as_short_as_memory_allows(monkeypatch):
@@ -52,7 +52,7 @@ def test_pieces_are_as_short_as_memory_allows(monkeypatch):
     made = interpolated(motion, MACHINE)
     assert 7_000 < made.time.size <= 10_500
     assert 1e-8 < off_the_cubics(made, motion) < 1e-6
-    assert off_curves(made) == pytest.approx(off_the_cubics(made, motion), rel=0.05)
+    assert chord_error(made) == pytest.approx(off_the_cubics(made, motion), rel=0.05)
 
 
 def test_straight_lines_get_no_more_pieces_than_track_takes():

@@ -66,8 +66,8 @@ def test_the_pixel_of_the_instrument_takes_no_height_off_the_form():
     through = tw.measure(job_of(surface, instrument={"pixel": "0.1 mm"}), heights)
     assert without.form_rms_nm == pytest.approx((1 - passed) * 1e3 * np.std(z[np.isfinite(z)]) / passed * 1e3, rel=0.05)
     assert through.form_rms_nm < 0.02 * without.form_rms_nm
-    assert through.seen_design_nm == pytest.approx(without.form_rms_nm, rel=0.05)
-    assert without.seen_design_nm is None
+    assert through.instrument_effect_nm == pytest.approx(without.form_rms_nm, rel=0.05)
+    assert without.instrument_effect_nm is None
     assert without.texture is None
 
 
@@ -78,7 +78,7 @@ def test_optics_do_not_bend_the_form():
     x, y = np.meshgrid(axis, axis)
     job = job_of(sphere, instrument={"resolution": "5 um"})
     measured = tw.measure(job, tw.HeightMap(x=axis, y=axis, z=job.part.surface.sag(x, y)))
-    assert measured.seen_design_nm == 0
+    assert measured.instrument_effect_nm == 0
     assert measured.form_rms_nm < 1e-3
 
 

@@ -410,7 +410,7 @@ def test_the_short_way_to_a_corrected_part_is_the_long_one(tmp_path, number):
     short, _ = bench.measure(draws_of.residual_setup(real, job.tool, job.machine, found))
     # The long way: a job file with what was found, planned, placed and driven anew, cut with the real tool.
     (tmp_path / "better").mkdir()
-    draws = found.on(job.part)
+    draws = found.effects_on(job.part)
     if not prove(draws, np.zeros(draws.x.size)).ok:
         with pytest.raises(CorrectionError):
             correct(job, found, out=tmp_path / "better")

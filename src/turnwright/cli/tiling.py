@@ -46,7 +46,7 @@ def tile(
     from turnwright.studies import (  # noqa: PLC0415
         case_key,
         generate_tiled,
-        planned_layout,
+        plan_tiles,
     )
     from turnwright.units import parse  # noqa: PLC0415
 
@@ -55,7 +55,7 @@ def tile(
     part, store = recipe.part, out / MAP
     # Validate everything before planning, which may take minutes.
     _require_usable(out)
-    planned_layout(store, step, radius=part.radius, tile=size)
+    plan_tiles(store, step, radius=part.radius, tile=size)
     key = case_key({"job": recipe.table(whole=True), "pixel": step, "tile": size})
     _require_same_job(out, key)
     with ExitStack() as stack:

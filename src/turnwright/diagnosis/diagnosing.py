@@ -183,8 +183,8 @@ def _set_up_estimate(
     return Estimate(
         sights=sights, columns=columns, sense=sense, radius=[part.radius for part in parts], kinds=_group_maps(parts),
         plausible=plausible,
-        values=np.zeros((len(thin), len(columns.all))), scale=np.full(len(thin), np.inf), together=np.ones(len(thin)),
-        stated=stated,
+        values=np.zeros((len(thin), len(columns.all))), scale=np.full(len(thin), np.inf),
+        correlated_points=np.ones(len(thin)), stated=stated,
     )  # fmt: skip
 
 

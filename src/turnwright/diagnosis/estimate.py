@@ -145,7 +145,7 @@ class Estimate:
     kinds: Sequence[int | None]  # number of the set of maps of one part, None for the only map of a part
     values: Floats  # of the sources in each map (maps, k)
     scale: Floats  # noise of each map, scaled so that points count as independent [mm]
-    together: Floats  # number of correlated points of each map that count as one
+    correlated_points: Floats  # number of correlated points of each map that count as one
     stated: Floats  # lower bound of the noise of a height of each map, 0 for none [mm]
     plausible: Mapping[str, float]  # known sizes of the groups of terms [mm]
     own: Floats = field(init=False)  # variances of the groups of terms in each map (groups,) [mm² or rad²]
@@ -402,7 +402,7 @@ class Estimate:
         changes = []
         for m, system in enumerate(self.systems):
             residual = self.target(m) - system.root[:, :-1] @ self.numbers(m)
-            points = system.rows.shape[0] / self.together[m]
+            points = system.rows.shape[0] / self.correlated_points[m]
             free = max(points - self._count_determined(variances[m]), 1.0)
             scale = max(float(np.sqrt(residual @ residual / free)), MODEL_ERROR_MM, float(self.stated[m]))
             changes.append(abs(float(np.log(scale / self.scale[m]))))
@@ -472,7 +472,7 @@ class Estimate:
             split, roots = self.split(m), self.posterior.roots(m)
             spread = np.hstack([split.own, split.shared]) @ roots
             sight = self.sights[m]
-            self.together[m] = _count_correlated_points(
+            self.correlated_points[m] = _count_correlated_points(
                 self.left(m), system, spread / self.scale[m], sight.x[system.good], sight.y[system.good]
             )
         for kind in {one for one in self.kinds if one is not None}:
@@ -480,7 +480,7 @@ class Estimate:
             if (
                 shared := self._correlate_residuals(alike)
             ) > MIN_SHARED_CORRELATION:  # for example cusps that the pixels sample alike
-                self.together[alike] *= 1 + (len(alike) - 1) * shared
+                self.correlated_points[alike] *= 1 + (len(alike) - 1) * shared
 
     def _correlate_residuals(self, maps: Sequence[int]) -> float:
         """Return the mean correlation between the residuals of maps of one part, averaged over cells."""
@@ -578,11 +578,11 @@ def _count_correlated_points(left: Floats, system: LinearSystem, spread: Floats,
         free = np.count_nonzero(filled) - taken
         if free > 4:
             over[rings, sectors] = float(sums @ sums) / free / variance
-    together = max(1.0, *over.values()) if over else 1.0
-    if together > MIN_CORRELATED_POINTS:
+    correlated_points = max(1.0, *over.values()) if over else 1.0
+    if correlated_points > MIN_CORRELATED_POINTS:
         # Cells that are not much larger than the correlation length underestimate the correlation, in proportion to
         # the ratio of outline to area: cells of twice the side length underestimate by half as much.
         for large, small in itertools.pairwise(SQUARES):
             if large in over and small in over:
-                together = max(together, 2 * over[large] - over[small])
-    return min(together, left.size / 4)
+                correlated_points = max(correlated_points, 2 * over[large] - over[small])
+    return min(correlated_points, left.size / 4)

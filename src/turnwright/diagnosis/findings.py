@@ -77,7 +77,7 @@ class Finding:
         The reason, in one sentence.
     repeatable
         Whether it is the same in all maps, within what is worth a correction; ``None`` for a single map.
-    each
+    map_values
         The value in each map if it does not repeat, else empty. (maps,) [unit]
     """
 
@@ -95,7 +95,7 @@ class Finding:
     verdict: Literal["correct", "do not correct"]
     why: str
     repeatable: bool | None = None
-    each: tuple[float, ...] = ()
+    map_values: tuple[float, ...] = ()
 
     @property
     def implausible(self) -> bool:
@@ -213,7 +213,7 @@ class Diagnosis(Sequence[Finding]):
         Pose of each map relative to its design, in the free degrees of freedom.
     measured_rms_nm, explained_rms_nm, unexplained_rms_nm
         Deviation from the design beyond a change of pose; the part explained by sources and terms; the residual.
-    noise_nm, together
+    noise_nm, correlated_points
         For each map: standard deviation of the residual from point to point, and the number of correlated points that
         count as one.
     repeatability_nm
@@ -229,7 +229,7 @@ class Diagnosis(Sequence[Finding]):
     likely_tool, likely_machine
         Tool and machine of the plan with every source at its most probable value, certain or not. Their joint effect is
         known even where each single value is uncertain.
-    on
+    effects_on
         Function from another part to draws of its form error by the sources alone, before and after planning with the
         likely tool and machine.
     """
@@ -246,7 +246,7 @@ class Diagnosis(Sequence[Finding]):
     explained_rms_nm: float
     unexplained_rms_nm: float
     noise_nm: tuple[float, ...]
-    together: tuple[float, ...]
+    correlated_points: tuple[float, ...]
     repeatability_nm: float | None
     rejected: tuple[int, ...]
     signatures: tuple[Mapping[str, HeightMap], ...]
@@ -255,7 +255,7 @@ class Diagnosis(Sequence[Finding]):
     machine: Machine
     likely_tool: Tool
     likely_machine: Machine
-    on: Callable[[Part], Draws]
+    effects_on: Callable[[Part], Draws]
 
     @property
     def residual(self) -> HeightMap:
@@ -326,7 +326,7 @@ class VerdictInputs(NamedTuple):
     certain: bool  # the effect of the source is known to better than 50 %
     rms_nm: float  # of the source
     worth_nm: float
-    each: Sequence[float]
+    map_values: Sequence[float]
     allowed: bool  # may be corrected by tool or machine
     steady: bool  # the change between maps has less effect than the common part
 
@@ -345,8 +345,8 @@ def judge(inputs: VerdictInputs) -> tuple[Literal["correct", "do not correct"], 
     reason = ""
     if source and source.mount:
         reason = f"{made}, which may be the mount that bends the part: {where}"
-    elif inputs.each and not inputs.steady:
-        each = ", ".join(format_value(one, column.unit) for one in inputs.each)
+    elif inputs.map_values and not inputs.steady:
+        each = ", ".join(format_value(one, column.unit) for one in inputs.map_values)
         reason = f"{name} differs between the maps ({each}) and cannot be corrected by planning: find what moved"
     elif not inputs.allowed:
         reason = f"{made}: left to the compensation of the form, as requested"

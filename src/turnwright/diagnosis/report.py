@@ -120,6 +120,7 @@ def write_report(
     ]
     measured, explained, unexplained = _evaluate_rms(estimate)
     std = np.where(numbers.std > 0, numbers.std, np.inf)
+    noise = estimate.scale / np.sqrt(estimate.correlated_points)
     return Diagnosis(
         findings=tuple(findings[k] for k in order),
         contributions=_evaluate_contributions(estimate),
@@ -130,14 +131,14 @@ def write_report(
         fields=tuple(one.field for one in full_maps),
         poses=tuple(_pose(sight) for sight in estimate.sights),
         measured_rms_nm=measured, explained_rms_nm=explained, unexplained_rms_nm=unexplained,
-        noise_nm=tuple((np.maximum(estimate.scale / np.sqrt(estimate.together), estimate.stated) * NM).tolist()),
-        together=tuple(estimate.together.tolist()),
+        noise_nm=tuple((np.maximum(noise, estimate.stated) * NM).tolist()),
+        correlated_points=tuple(estimate.correlated_points.tolist()),
         repeatability_nm=_evaluate_repeatability(estimate),
         rejected=tuple(int(np.count_nonzero(sight.apart)) for sight in estimate.sights),
         signatures=tuple(_evaluate_signatures(estimate, m, one) for m, one in enumerate(thin)),
         draws=lambda m: _draw_parts(estimate, m, corrected, parts[m], request),
         tool=real_tool, machine=real_machine, likely_tool=likely_tool, likely_machine=likely_machine,
-        on=partial(_draw_other_part, estimate, request),
+        effects_on=partial(_draw_other_part, estimate, request),
     )  # fmt: skip
 
 
@@ -145,7 +146,9 @@ def _collect_numbers(estimate: Estimate) -> _Numbers:
     typical = estimate.typical
     k, posterior = typical.size, estimate.posterior
     root = posterior.root[:k] * typical[:, None]
-    points = sum(system.rows.shape[0] / one for system, one in zip(estimate.systems, estimate.together, strict=True))
+    points = sum(
+        system.rows.shape[0] / one for system, one in zip(estimate.systems, estimate.correlated_points, strict=True)
+    )
     return _Numbers(posterior.shared[:k] * typical, root @ root.T, max(points - TERMS, 1.0))
 
 
@@ -172,7 +175,7 @@ def _judge_findings(estimate: Estimate, numbers: _Numbers, request: ReportReques
             VerdictInputs(
                 column=column, value=value, whole=format_interval(value, float(half[i]), column.unit), seen=seen,
                 determined=bool(std[i] < DETERMINED_RATIO * typical[i]), significant=abs(value) > half[i],
-                certain=uncertain < CERTAIN_RATIO * rms, rms_nm=rms, worth_nm=worth_nm, each=each,
+                certain=uncertain < CERTAIN_RATIO * rms, rms_nm=rms, worth_nm=worth_nm, map_values=each,
                 allowed=request.allowed is None or column.cause in request.allowed, steady=between < rms,
             )
         )  # fmt: skip
@@ -194,7 +197,7 @@ def _judge_findings(estimate: Estimate, numbers: _Numbers, request: ReportReques
                     )
                 ),
                 determined=seen and bool(std[i] < DETERMINED_RATIO * typical[i]), verdict=verdict, why=why,
-                repeatable=None if many == 1 or not seen else not differs, each=each,
+                repeatable=None if many == 1 or not seen else not differs, map_values=each,
             )
         )  # fmt: skip
     return findings

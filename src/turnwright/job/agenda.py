@@ -188,7 +188,7 @@ def _points(job: Job, cut: PassTable) -> float:
         servo = job.servo(cut)
     except TurnwrightError:  # the run reports it
         return USUAL_POINTS * part.radius / 0.01 / MILLION
-    spiral: Any = servo.lays_out
+    spiral: Any = servo.spiral_strategy
     feed = getattr(spiral, "feed", None) or math.sqrt(8 * tool.actual_radius * spiral.scallop)
     return part.radius / feed * _per_rev(spiral, part) / MILLION
 

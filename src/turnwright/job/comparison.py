@@ -175,7 +175,7 @@ def _plain(stated: Strategy) -> Strategy:
     if isinstance(stated, QuasiEllipticalToolServo):
         names = {one.name for one in fields(SlowToolServo)} & {one.name for one in fields(stated)}
         return SlowToolServo(**{name: getattr(stated, name) for name in names})
-    return stated.lays_out
+    return stated.spiral_strategy
 
 
 def _strategies(

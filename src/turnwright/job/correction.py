@@ -141,7 +141,7 @@ class Correction:
 
 def correct(
     job: Job,
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     measured: Measured | Sequence[Measured] | None = None,
     *,
     out: str | PathLike[str],
@@ -162,7 +162,7 @@ def correct(
     ----------
     job
         The job to correct: that of the measured part, or of another part cut with the same tool on the same machine.
-    found
+    diagnosis
         The diagnosis of the measured parts, see `diagnose`.
     measured
         The diagnosed parts, if the first of them was cut by this job; the same part as cut by earlier jobs may follow.
@@ -184,16 +184,16 @@ def correct(
         If no correction is certain to help, or a map does not match its part; nothing is written then.
     """
     report = progress or (lambda _stage, _done, _total: None)
-    _check(job, found)
+    _check(job, diagnosis)
     every = [measured] if isinstance(measured, Measured) else list(measured or ())
     for one in every:
-        if one.misplaced:
-            raise CorrectionError(f"nothing is corrected: {one.misplaced}")
+        if one.mismatch:
+            raise CorrectionError(f"nothing is corrected: {one.mismatch}")
     is_same_part = [same_part(one.job, job) for one in every]
     _check_new(job, every, is_same_part)
-    _check_sane(found)
+    _check_sane(diagnosis)
     report("prove the correction", 0, 2)
-    plan = _choose_plan(job, found, is_same_part)
+    plan = _choose_plan(job, diagnosis, is_same_part)
     report("prove the correction", 1, 2)
     motions = _Motions()
     if any(is_same_part):
@@ -203,15 +203,15 @@ def correct(
     out = File(out).resolve()  # the job names its files relative to its own folder
     names = tuple(
         one.name
-        for one in found
+        for one in diagnosis
         if one.cause in PLANNED_SOURCES and (one.verdict == "correct" or (plan.likely and one.value))
     )
     names = names if plan.sources else ()
     report("simulate", 0, 2)
-    maps = _simulate(job, found, plan, every if any(is_same_part) else (), motions)
+    maps = _simulate(job, diagnosis, plan, every if any(is_same_part) else (), motions)
     report("simulate", 1, 2)
     out.mkdir(parents=True, exist_ok=True)
-    better = _write_corrected(job, found, plan, [(one, _entry(one, names, plan)) for one in every], out)
+    better = _write_corrected(job, diagnosis, plan, [(one, _entry(one, names, plan)) for one in every], out)
     file = out / "job.toml"
     write_whole(file, edited(text, job, better, folder=source_folder, into=out))
     cutoff = None if plan.smooth is None else plan.smooth.cutoff
@@ -220,7 +220,7 @@ def correct(
     return Correction(
         job=better, file=file, cutoff=cutoff, measured=maps.measured, predicted=maps.predicted,
         simulated=maps.simulated, proof=plan.proof, sources=names,
-        sentences=_sentences(found, plan, names, parts),
+        sentences=_sentences(diagnosis, plan, names, parts),
     )  # fmt: skip
 
 
@@ -260,7 +260,7 @@ class _Motions:
 
 
 def _simulate(
-    job: Job, found: Diagnosis, plan: _Plan, every: Sequence[Measured], motions: _Motions
+    job: Job, diagnosis: Diagnosis, plan: _Plan, every: Sequence[Measured], motions: _Motions
 ) -> _Maps:  # fmt: skip
     """Return the form error after a correction by simulation; raise where it contradicts the prediction.
 
@@ -270,8 +270,8 @@ def _simulate(
         The measured parts, if the part of this job is among them.
     """
     with TemporaryDirectory(prefix="turnwright-") as folder:
-        real = _write_corrected(job, found, plan._replace(likely=True, sources=True, smooth=None), (), File(folder))
-        better = _write_corrected(job, found, plan, (), File(folder))
+        real = _write_corrected(job, diagnosis, plan._replace(likely=True, sources=True, smooth=None), (), File(folder))
+        better = _write_corrected(job, diagnosis, plan, (), File(folder))
         new = motions.of(better)
         if not every:
             x, y = evenly(job.part, MAX_PREDICTED_POINTS)
@@ -279,7 +279,7 @@ def _simulate(
             simulated = HeightMap(x=x, y=y, z=beyond_pose(job, x, y, off), name="simulated error")
             return _Maps(None, None, simulated)
         _check_simulated(job, better, plan, motions)
-    old, error, field = motions.of(job), every[plan.map].error, found.fields[plan.map]
+    old, error, field = motions.of(job), every[plan.map].error, diagnosis.fields[plan.map]
 
     def change(x: Floats, y: Floats) -> Floats:
         """Return the height that the actual tool cuts in the corrected job minus that in the old job."""
@@ -299,23 +299,27 @@ def _simulate(
     return _Maps(before, predicted, simulated)
 
 
-def _check(job: Job, found: Diagnosis) -> None:
+def _check(job: Job, diagnosis: Diagnosis) -> None:
     """Raise unless the job uses the tool and the machine that were diagnosed, apart from their deviations."""
     tool, machine = job.tool, job.machine
-    if (tool.nose_radius, tool.included, tool.rake) != (found.tool.nose_radius, found.tool.included, found.tool.rake):
+    if (tool.nose_radius, tool.included, tool.rake) != (
+        diagnosis.tool.nose_radius,
+        diagnosis.tool.included,
+        diagnosis.tool.rake,
+    ):
         raise InputError(
             f"the job cuts with a nose radius {tool.nose_radius:g} mm, the measured parts were cut with "
-            f"{found.tool.nose_radius:g} mm or another edge: correct a job of the tool that was measured"
+            f"{diagnosis.tool.nose_radius:g} mm or another edge: correct a job of the tool that was measured"
         )
-    if machine.name != found.machine.name:
+    if machine.name != diagnosis.machine.name:
         raise InputError(
-            f"the job is for the machine {machine.name!r}, the measured parts were cut on {found.machine.name!r}: "
+            f"the job is for the machine {machine.name!r}, the measured parts were cut on {diagnosis.machine.name!r}: "
             "correct a job of the machine that was measured"
         )
 
 
 def _write_corrected(
-    job: Job, found: Diagnosis, plan: _Plan, ledger: Sequence[tuple[Measured, str]], out: File
+    job: Job, diagnosis: Diagnosis, plan: _Plan, ledger: Sequence[tuple[Measured, str]], out: File
 ) -> Job:  # fmt: skip
     """Return the corrected job, and write the files that it names."""
     earlier_entries = [
@@ -325,7 +329,9 @@ def _write_corrected(
     # The stated deviations were those of the last part; the correction contains them.
     better = replace(job, measurement=replace(job.measurement, corrected=corrected, cut_by=None), actual=Actual())
     if plan.sources:
-        tool, machine = (found.likely_tool, found.likely_machine) if plan.likely else (found.tool, found.machine)
+        tool, machine = (
+            (diagnosis.likely_tool, diagnosis.likely_machine) if plan.likely else (diagnosis.tool, diagnosis.machine)
+        )
         better = replace(
             better, tool=_write_tool(tool, job.tool, out), machine=_write_machine(machine, job.machine, out)
         )
@@ -413,46 +419,48 @@ def _sigmas_off(off: Floats, covariance: Floats) -> float:
     return float(np.sqrt(off @ np.linalg.solve(both, off)))
 
 
-def _check_sane(found: Diagnosis) -> None:
+def _check_sane(diagnosis: Diagnosis) -> None:
     """Raise if a diagnosis is implausible."""
-    for one in found:
+    for one in diagnosis:
         if one.determined and one.implausible:
             raise CorrectionError(f"nothing is corrected: {one.why}")
-    if found.explained_rms_nm > MAX_EXPLAINED_RATIO * found.measured_rms_nm + 1.0:
+    if diagnosis.explained_rms_nm > MAX_EXPLAINED_RATIO * diagnosis.measured_rms_nm + 1.0:
         raise CorrectionError(
-            f"nothing is corrected: the diagnosis attributes {found.explained_rms_nm:.3g} nm rms of a "
-            f"measured {found.measured_rms_nm:.3g} nm, the limit is {MAX_EXPLAINED_RATIO:g} times the measured error: "
-            "measure a test part, which separates the error sources"
+            f"nothing is corrected: the diagnosis attributes {diagnosis.explained_rms_nm:.3g} nm rms of a "
+            f"measured {diagnosis.measured_rms_nm:.3g} nm, the limit is {MAX_EXPLAINED_RATIO:g} times the measured "
+            "error: measure a test part, which separates the error sources"
         )
 
 
-def _choose_plan(job: Job, found: Diagnosis, is_same_part: Sequence[bool]) -> _Plan:
+def _choose_plan(job: Job, diagnosis: Diagnosis, is_same_part: Sequence[bool]) -> _Plan:
     """Return the first correction that is certain to help."""
-    plans = list(_plans(job, found, is_same_part))
+    plans = list(_plans(job, diagnosis, is_same_part))
     for plan in plans:
         if plan.proof.ok:
             return plan
-    raise CorrectionError(_refusal(found, plans[0], sum(is_same_part)))
+    raise CorrectionError(_refusal(diagnosis, plans[0], sum(is_same_part)))
 
 
-def _plans(job: Job, found: Diagnosis, is_same_part: Sequence[bool]) -> Iterator[_Plan]:
+def _plans(job: Job, diagnosis: Diagnosis, is_same_part: Sequence[bool]) -> Iterator[_Plan]:
     """Yield the corrections that may be written, the best first."""
     worth_nm = job.measurement.worth * NM
-    worth = any(one.verdict == "correct" and one.cause in PLANNED_SOURCES for one in found)
+    worth = any(one.verdict == "correct" and one.cause in PLANNED_SOURCES for one in diagnosis)
     if not any(is_same_part):
-        draws = found.on(job.part.design)
+        draws = diagnosis.effects_on(job.part.design)
         proof = prove(draws, np.zeros(draws.x.size), worth_nm=worth_nm)
         yield _Plan(likely=True, sources=True, smooth=None, map=0, draws=draws, proof=proof)
         return
     first = list(is_same_part).index(True)
-    draws = found.draws(first)
+    draws = diagnosis.draws(first)
     residuals = [
-        _without_outliers(one, cutoff_of(job)) for one, part in zip(found.residuals, is_same_part, strict=True) if part
+        _without_outliers(one, cutoff_of(job))
+        for one, part in zip(diagnosis.residuals, is_same_part, strict=True)
+        if part
     ]
     beyond = _draw_beyond(job, residuals, draws)
     # The residual of the diagnosis is smoothed to separate it from noise.
     residual_form = _smooth_addition(job, _join_maps(job, residuals)) if job.measurement.repeats else None
-    for sources, maps in ((True, found.remainders), (False, found.fields)):
+    for sources, maps in ((True, diagnosis.remainders), (False, diagnosis.fields)):
         if not sources and not worth:
             return
         form = _smooth_addition(
@@ -518,7 +526,7 @@ def _draw_beyond(job: Job, residuals: Sequence[HeightMap], draws: Draws) -> Floa
     return np.asarray(mean + weight @ off)
 
 
-def _refusal(found: Diagnosis, plan: _Plan, parts: int) -> str:
+def _refusal(diagnosis: Diagnosis, plan: _Plan, parts: int) -> str:
     """Return why nothing is corrected, and which measurement would decide it."""
     proof = plan.proof
     if proof.before_nm < MIN_ERROR_RATIO * proof.worth_nm:
@@ -537,13 +545,13 @@ def _refusal(found: Diagnosis, plan: _Plan, parts: int) -> str:
     )
     if plan.draws.unmeasured:
         return f"{why}. {plan.draws.unmeasured:.0%} of the part lies beyond the map: measure all of it"
-    scatter = found.repeatability_nm
+    scatter = diagnosis.repeatability_nm
     if scatter is not None and scatter > 1:
-        shared = math.sqrt(max(found.explained_rms_nm**2 - scatter**2, 0.0))
+        shared = math.sqrt(max(diagnosis.explained_rms_nm**2 - scatter**2, 0.0))
         more = math.ceil(4 * (scatter / shared) ** 2) - parts if shared > scatter / 4 else 0
         remedy = f"measure {more} more" if more > 0 else "find what moves from part to part"
         return f"{why}. The maps differ by {scatter:.3g} nm rms: {remedy}"
-    hidden = next((one for one in found if one.verdict != "correct" and one.rms_nm > 1), None)
+    hidden = next((one for one in diagnosis if one.verdict != "correct" and one.rms_nm > 1), None)
     return f"{why}. {hidden.why if hidden else 'Measure more points, or more parts'}"
 
 
@@ -663,7 +671,7 @@ MAX_NAME_LENGTH = 60
 
 
 def _sentences(
-    found: Diagnosis, plan: _Plan, names: Sequence[str], parts: Sequence[Measured]
+    diagnosis: Diagnosis, plan: _Plan, names: Sequence[str], parts: Sequence[Measured]
 ) -> tuple[str, ...]:  # fmt: skip
     """Return what is corrected, with what confidence, and the risk."""
     proof, sentences = plan.proof, []
@@ -677,7 +685,9 @@ def _sentences(
         f"none becomes worse by more than {max(proof.worst_nm, 0.0):.2g} nm: {proof.before_nm:.3g} nm rms before, "
         f"{proof.after_nm:.3g} nm after"
     )
-    stays = [one for one in found.contributions if one.rms_nm > max(proof.worth_nm, NAMED_SIGMAS * one.uncertainty_nm)]
+    stays = [
+        one for one in diagnosis.contributions if one.rms_nm > max(proof.worth_nm, NAMED_SIGMAS * one.uncertainty_nm)
+    ]
     if plan.likely and stays:
         shown = ", ".join(f"{one.name} ({one.rms_nm:.3g} nm rms on the measured parts)" for one in stays)
         sentences.append(f"not corrected on this part: {shown}; cut it, measure it and correct it by its own map")
@@ -691,9 +701,9 @@ def _sentences(
             "the surface does not show the clocking of the part: the correction uses the orientation of the map, to a "
             "few degrees, and is misplaced on the next part if that is measured or mounted at another angle"
         )
-    if found.repeatability_nm is not None:
+    if diagnosis.repeatability_nm is not None:
         sentences.append(
-            f"the maps differ by {found.repeatability_nm:.3g} nm rms; only their common error is corrected"
+            f"the maps differ by {diagnosis.repeatability_nm:.3g} nm rms; only their common error is corrected"
         )
     elif proof.at_stake_nm > 1:
         sentences.append(

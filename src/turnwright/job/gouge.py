@@ -71,7 +71,7 @@ def find_gouge(job: Job, whole: Prediction, motion: Motion, rounding_limit_nm: f
     if deviates or by_time or job.part.correction is not None or job.strategy.along != "z":
         return None
     flat = ALLOWED_DEPTH_MM + rounding_limit_nm * 1e-6
-    chord: float | None = getattr(job.servo(job.passes[-1]).lays_out, "chord", None)
+    chord: float | None = getattr(job.servo(job.passes[-1]).spiral_strategy, "chord", None)
     low = [one for one in _lowest(whole) if one[2] > flat]
     if not low:
         return None

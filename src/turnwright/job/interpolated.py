@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from turnwright.path import Motion
     from turnwright.progress import Progress
 
-__all__ = ["CHORD_TOL", "interpolated", "off_curves"]
+__all__ = ["CHORD_TOL", "chord_error", "interpolated"]
 
 CHORD_TOL = 1e-8
 """Distance between linear segments and the controller's curves that does not show in a map. [mm]"""
@@ -39,13 +39,13 @@ def interpolated(motion: Motion, machine: Machine, progress: Progress | None = N
     real = track(motion, machine, chord=MAX_CHORD, progress=progress)
     if machine.controller.interpolation == "linear":
         return real
-    off = off_curves(real)
+    off = chord_error(real)
     # The distance falls with the square of the number of segments.
     chord = max(CHORD_TOL, off * (real.time.size / MAX_SEGMENTS) ** 2)
     return real if chord >= min(off, MAX_CHORD) else track(motion, machine, chord=chord, progress=progress)
 
 
-def off_curves(motion: Motion) -> float:
+def chord_error(motion: Motion) -> float:
     """Return the largest distance between the linear segments of a motion and a smooth curve through them. [mm]."""
     time = only_read(motion.time)
     return max(float(bulge(time, only_read(one))) for letter, one in motion.axes.items() if letter not in ROTARY)

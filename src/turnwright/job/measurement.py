@@ -19,7 +19,7 @@ from turnwright.job.advice import open_questions
 from turnwright.job.contributions import pv_nm_of
 from turnwright.job.named import with_keys
 from turnwright.job.predicted_finish import across_feed, feed_of, finished
-from turnwright.job.seen import SeenTexture, design_as_seen, texture_as_seen
+from turnwright.job.seen import TextureComparison, design_as_seen, texture_as_seen
 from turnwright.job.verdict import Verdict, judge_form
 from turnwright.metrology import (
     EDGE,
@@ -152,12 +152,12 @@ class Measured:
     axis
         Axis of turning in the map, located by the turning marks where the surface does not determine the decentre.
         ``None`` otherwise.
-    seen_design_nm
+    instrument_effect_nm
         Rms of the change of the design by the instrument, which is subtracted from the heights. ``None`` if the job
         states no instrument, or its model cannot be applied to such a map. [nm]
     texture
         Measured texture and predicted cusps through that instrument, if it is stated and the map resolves them.
-    misplaced
+    mismatch
         Why the heights do not match this part at this pose, in a sentence; ``None`` if they do.
     """
 
@@ -174,9 +174,9 @@ class Measured:
     lenslets: Lenslets | None
     fingerprint: str
     axis: TurningCentre | None = None
-    seen_design_nm: float | None = None
-    texture: SeenTexture | None = None
-    misplaced: str | None = None
+    instrument_effect_nm: float | None = None
+    texture: TextureComparison | None = None
+    mismatch: str | None = None
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:
@@ -192,10 +192,10 @@ class Measured:
         if seen is None:
             return ()
         stated = f"seen through {seen.name or 'the stated instrument'} ({seen.summary})"
-        if self.seen_design_nm is None:
+        if self.instrument_effect_nm is None:
             return (f"{stated}: its model cannot be applied to these points, it needs an evenly spaced grid",)
         return (
-            f"{stated}: it changes the design by {self.seen_design_nm:.3g} nm rms, subtracted from the heights",
+            f"{stated}: it changes the design by {self.instrument_effect_nm:.3g} nm rms, subtracted from the heights",
             *([] if self.texture is None else [self.texture.sentence]),
         )
 
@@ -203,7 +203,7 @@ class Measured:
     def open_questions(self) -> tuple[str, ...]:
         """What the registration could not determine, and the keys of ``measurement`` that determine it."""
         questions = open_questions(self.registration, self.job.measurement, self.job.part.radius)
-        return questions if self.misplaced is None else (self.misplaced, *questions)
+        return questions if self.mismatch is None else (self.mismatch, *questions)
 
 
 def read_measurement(job: Job, file: str | PathLike[str], *, unit: str | None = None) -> HeightMap:
@@ -264,7 +264,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     )  # fmt: skip
     report("register", 1, 1)
     report("clean", 0, 1)
-    heights, seen_design_nm = _without_seen_design(job, heights, first.pose)
+    heights, instrument_effect_nm = _without_seen_design(job, heights, first.pose)
     outliers = 0
     if settings.spikes != "none":
         # The form error has no edges of the design, so only outliers stand out.
@@ -314,9 +314,9 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         roughness=rough,
         lenslets=lenslets(heights, part, pose=registration.pose) if has_lenslets(part.surface) else None,
         fingerprint=_fingerprint(error.z), axis=axis,
-        seen_design_nm=seen_design_nm, texture=texture_as_seen(job, registration.error, registration.pose),
+        instrument_effect_nm=instrument_effect_nm, texture=texture_as_seen(job, registration.error, registration.pose),
     )  # fmt: skip
-    measured = replace(measured, misplaced=_explain_mismatch(measured, raw))
+    measured = replace(measured, mismatch=_explain_mismatch(measured, raw))
     report("judge", 1, 1)
     return measured
 

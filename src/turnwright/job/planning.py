@@ -179,7 +179,7 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
     form, sq = job.tolerances.form_pv, job.tolerances.sq
     if form is None or sq is None:
         raise JobError("a plan needs tolerances.form_pv and tolerances.sq, the job does not state both: add them")
-    if not hasattr(job.strategy.lays_out, "chord"):
+    if not hasattr(job.strategy.spiral_strategy, "chord"):
         raise JobError(f"a plan needs a strategy with a chord, the {job.strategy.kind} has none: choose another kind")
     report = progress or (lambda _stage, _done, _total: None)
     controller = job.machine.controller
@@ -303,7 +303,9 @@ class _Search:
             self.machine = replace(machine, controller=replace(machine.controller, variable_speed=False))
         self.servos: Servos | None = None
         # Cubics follow the curvature of the path, so that steps can have a constant length.
-        self.evenly = machine.controller.interpolation == "hermite" and hasattr(job.strategy.lays_out, "arc_length")
+        self.evenly = machine.controller.interpolation == "hermite" and hasattr(
+            job.strategy.spiral_strategy, "arc_length"
+        )
         self.evenly &= not job.strategy.moves_fast_tool
         self.spacings: list[tuple[float, float]] = []  # (chord or arc length, measured error of the points) [mm]
 
@@ -428,7 +430,7 @@ class _Points:
 
 def _key(job: Job) -> tuple[str, str]:
     """Return the key that sets the cusp height, and its unit."""
-    return ("scallop", "mm") if hasattr(job.strategy.lays_out, "scallop") else ("feed", "mm/rev")
+    return ("scallop", "mm") if hasattr(job.strategy.spiral_strategy, "scallop") else ("feed", "mm/rev")
 
 
 def _fill_in(job: Job, across: float, ways: Mapping[str, float], speed: float | SpeedProfile | None = None) -> Job:
@@ -436,7 +438,9 @@ def _fill_in(job: Job, across: float, ways: Mapping[str, float], speed: float | 
     last, (key, _) = job.passes[-1], _key(job)
     freed: dict[str, Any] = dict.fromkeys(last.choices.keys() - {"lead_in"})
     several = isinstance(speed, SpeedProfile)
-    strategy = job.strategy.stating(**{key: across, **ways}, **{"spindle_speeds" if several else "spindle_rpm": speed})
+    strategy = job.strategy.with_fields(
+        **{key: across, **ways}, **{"spindle_speeds" if several else "spindle_rpm": speed}
+    )
     simulation = job.simulation
     if has_servos(job.actual_machine):  # the plan simulates them, so must a run
         simulation = replace(simulation, tracking=True)

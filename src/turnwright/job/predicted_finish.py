@@ -22,7 +22,7 @@ PLACES_PER_FEED = 8
 
 def feed_of(job: Job) -> float:
     """Return the feed that a job states for its finishing pass, or 0. [mm/rev]."""
-    return job.passes[-1].feed or getattr(job.strategy.lays_out, "feed", None) or 0.0
+    return job.passes[-1].feed or getattr(job.strategy.spiral_strategy, "feed", None) or 0.0
 
 
 def motion_of(job: Job) -> Motion:

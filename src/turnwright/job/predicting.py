@@ -11,7 +11,7 @@ from turnwright.errors import InputError
 from turnwright.generation import generate, generate_polar
 from turnwright.job.contributions import finish_nm, lines, require_servos, without_servos
 from turnwright.job.extremes import find_extremes
-from turnwright.job.interpolated import interpolated, off_curves
+from turnwright.job.interpolated import chord_error, interpolated
 from turnwright.job.pass_plan import Watch
 from turnwright.job.prediction import Prediction
 from turnwright.metrology import roughness
@@ -72,7 +72,7 @@ def predict(
     part, tool, machine = job.part, job.actual_tool, job.actual_machine
     motion, real = followed(job, motion, job.simulation.tracking if tracking is None else tracking, nominal, watch)
     straight = machine.controller.interpolation == "linear"
-    off = 0.0 if straight else max(off_curves(one) for one in (motion, real) if one is not None)
+    off = 0.0 if straight else max(chord_error(one) for one in (motion, real) if one is not None)
 
     def make(name: str, form: int | str, simulate: Callable[[Motion, Progress], HeightMap]) -> Prediction:
         with watch.stage(f"simulate {name}") as tell:
@@ -90,7 +90,7 @@ def predict(
         above = int(np.count_nonzero(error.z > part.stock)) if part.stock > 0 else 0
         with watch.stage("roughness"):
             finish = roughness(error, form=form)
-        return Prediction(name=name, error=error, roughness=finish, tracking=added, above_stock=above, off_curves=off)
+        return Prediction(name=name, error=error, roughness=finish, tracking=added, above_stock=above, chord_error=off)
 
     grid = job.simulation.whole_part
     radius, angle = np.linspace(0, part.radius, grid.radii), np.linspace(0, 2 * np.pi, grid.angles, endpoint=False)

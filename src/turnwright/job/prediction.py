@@ -37,7 +37,7 @@ class Prediction:
         Contribution of the servos: error with them minus error without; ``None`` if they were not simulated. [mm]
     above_stock
         Number of points where the deepest pass stays above the stated stock, so that nothing is cut.
-    off_curves
+    chord_error
         Distance between the simulated linear segments and the controller's curves. [mm]
     form
         Highest and lowest point of the whole part, which a grid hits only by chance; ``None`` for a patch.
@@ -50,7 +50,7 @@ class Prediction:
     roughness: Roughness
     tracking: HeightMap | None = None
     above_stock: int = 0
-    off_curves: float = 0.0
+    chord_error: float = 0.0
     form: Extremes | None = None
     finish_nm: float | None = None
 
@@ -66,10 +66,10 @@ class Prediction:
         if self.uncut:
             why = "no pass reaches them" + (", or only above the stock" if self.above_stock else "")
             remarks.append(f"{self.name}: {self.uncut:,} of {self.error.z.size:,} points are not cut: {why}")
-        if self.off_curves > CHORD_REPORT_RATIO * CHORD_TOL:
+        if self.chord_error > CHORD_REPORT_RATIO * CHORD_TOL:
             remarks.append(
-                f"{self.name}: simulated in linear segments within {self.off_curves * 1e6:.2g} nm of the curves of the "
-                "controller, memory allows no more segments"
+                f"{self.name}: simulated in linear segments within {self.chord_error * 1e6:.2g} nm of the curves of "
+                "the controller, memory allows no more segments"
             )
         return tuple(remarks)
 

@@ -112,7 +112,7 @@ class Result:
         In the order of cutting; the last one is the finishing pass.
     path, motion
         The finishing pass, thinned to a few ten thousand points for plots.
-    turns
+    revolutions
         Single revolutions of the finishing pass with all their points: at the rim, half-way and near the axis.
     least_clearance
         Smallest height of the edge above the surface over the finishing path: 0 in contact. [mm]
@@ -146,7 +146,7 @@ class Result:
     passes: tuple[Pass, ...]
     path: Path
     motion: Motion
-    turns: tuple[Motion, ...]
+    revolutions: tuple[Motion, ...]
     least_clearance: float
     program: ProgramFiles
     predictions: tuple[Prediction, ...]

@@ -115,7 +115,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     return Result(
         job=job, part=job.part, tool=job.tool, machine=job.machine,
         actual_tool=job.actual_tool, actual_machine=job.actual_machine, access=line.access,
-        passes=tuple(passes), path=plotted_path, motion=plotted_motion, turns=turns, least_clearance=least,
+        passes=tuple(passes), path=plotted_path, motion=plotted_motion, revolutions=turns, least_clearance=least,
         program=program, predictions=predictions, rounding_nm=difference, rounding_limit_nm=limit,
         chips=chips, entries=entries, warnings=tuple(dict.fromkeys(warnings)), timings=line.watch.timings,
         peak_memory_gb=_peak_memory(),
@@ -288,7 +288,7 @@ def _accepted_gouge(job: Job, path: Path) -> list[str]:
 
 def _widens(servo: Strategy) -> bool:
     """Whether the angle between points of a spiral grows without bound towards the axis."""
-    plan = servo.lays_out
+    plan = servo.spiral_strategy
     return isinstance(plan, SlowToolServo) and plan.arc_length is not None and plan.max_step is None
 
 

@@ -635,7 +635,7 @@ class Job(Table):
 
     def servo(self, cut: PassTable) -> Strategy:
         """Return the strategy of one pass, with the values that the pass replaces."""
-        servo = self.strategy.stating(**cut.choices).on(self.tool, self.machine)
+        servo = self.strategy.with_fields(**cut.choices).adapted_to(self.tool, self.machine)
         if servo.spindle_speeds is not None:
             require_variable(self.machine)
         return servo

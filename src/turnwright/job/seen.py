@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from turnwright.job.schema import Job
     from turnwright.pose import Pose
 
-__all__ = ["SeenTexture", "design_as_seen", "texture_as_seen"]
+__all__ = ["TextureComparison", "design_as_seen", "texture_as_seen"]
 
 MOST_POINTS = 20_000_000
 """Most points of the design on a grid fine enough for the instrument model."""
@@ -53,7 +53,7 @@ NM = 1e6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SeenTexture:
+class TextureComparison:
     """The texture in the middle of a map against the predicted one, with and without the instrument.
 
     Parameters
@@ -118,7 +118,7 @@ def design_as_seen(job: Job, heights: HeightMap, pose: Pose) -> Floats | None:
     return np.nan_to_num(seen[grid.rows, grid.columns])
 
 
-def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> SeenTexture | None:
+def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> TextureComparison | None:
     """Return the texture in the middle of a map against the prediction of the job.
 
     Parameters
@@ -132,7 +132,7 @@ def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> SeenTexture | Non
 
     Returns
     -------
-    SeenTexture or None
+    TextureComparison or None
         ``None`` if the job states no instrument or no feed, or the window holds too few heights.
     """
     feed, instrument = feed_of(job), job.measurement.instrument
@@ -170,7 +170,7 @@ def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> SeenTexture | Non
         texture = replace(window, z=np.where(valid, z, np.nan))
         return float(np.nanstd(texture.z - filter_map(texture, cutoff).z)) * NM
 
-    return SeenTexture(
+    return TextureComparison(
         side=(float(np.ptp(error.x[columns])), float(np.ptp(error.y[rows]))), cutoff=cutoff,
         measured_nm=sq_nm(window.z),
         predicted_nm=sq_nm((made - design)[grid.rows, grid.columns]),

@@ -97,7 +97,7 @@ def make_test_part(
     if isinstance(strategy, HybridToolServo):
         strategy = replace(strategy, base=None)  # the motion of the slide is specific to the part
     if strategy.spindle_rpm is None and strategy.spindle_speeds is None:
-        strategy = strategy.stating(spindle_rpm=_find_speed(job, progress))
+        strategy = strategy.with_fields(spindle_rpm=_find_speed(job, progress))
     flat = replace(part, surface=surface, radius=radius, name=f"{name}, test part", correction=None, blank=None)
     return replace(job, part=flat, strategy=strategy, simulation=SimulationTable(), tolerances=Tolerances())
 

@@ -87,7 +87,7 @@ def can_predict_window(job: Job) -> bool:
     or one with a tool height error, cuts off its azimuth.
     """
     plan = job.servo(job.passes[-1])
-    chord = getattr(plan.lays_out, "chord", None)
+    chord = getattr(plan.spiral_strategy, "chord", None)
     machines = (job.machine, job.actual_machine)
     upright = all(not one.rake and not one.offset[1] for one in (job.tool, job.actual_tool))
     return bool(
@@ -229,7 +229,7 @@ def _azimuths(job: Job, spiral: Spiral, reach: float) -> Ints:
     This needs the same azimuths in every revolution, with those of the map among them. Otherwise all points are
     returned, since scattered points take longer to place than evenly spaced ones.
     """
-    plan: Any = job.servo(job.passes[-1]).lays_out
+    plan: Any = job.servo(job.passes[-1]).spiral_strategy
     per_turn, angles = plan.points_per_rev, job.simulation.whole_part.angles
     even = per_turn is not None and per_turn % angles == 0
     keep = np.zeros(spiral.angle.size, dtype=np.bool_)

@@ -236,9 +236,12 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
         part=[draw.sag_map(result.part), draw.view(result.part)],
         access=_access_rows(result.access),
         access_map=draw.access_map(result.part, result.access.findings),
-        path=[draw.spiral(result.motion, result.turns[len(result.turns) // 2], feed), draw.contact(result.path)],
+        path=[
+            draw.spiral(result.motion, result.revolutions[len(result.revolutions) // 2], feed),
+            draw.contact(result.path),
+        ],
         spiral=[
-            *_spiral_rows(result.turns, result.limits, feed),
+            *_spiral_rows(result.revolutions, result.limits, feed),
             _Row("Nose compensation along", "the surface normal" if result.job.strategy.along == "normal" else "z"),
             _Row(
                 "Minimum clearance of the cutting edge",
@@ -250,7 +253,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
             for name in dict.fromkeys((result.passes[0].name, result.passes[-1].name))
         ],
         approach=[(name, _approach_facts(one)) for name, one in result.entries.items()],
-        axes=[draw.z_over_turns(result.turns), draw.axes_over_time(result.motion)],
+        axes=[draw.z_over_turns(result.revolutions), draw.axes_over_time(result.motion)],
         passes=[
             _Block(
                 title=cut.name,

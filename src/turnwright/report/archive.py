@@ -247,7 +247,7 @@ def _measured_numbers(measured: Measured) -> dict[str, object]:
             "uncertainty": terms.uncertainty.tolist(),
         },
         "roughness": measured.roughness,
-        "seen_design_nm": measured.seen_design_nm,
+        "instrument_effect_nm": measured.instrument_effect_nm,
         "texture": measured.texture,
         "base_form": _base_form(measured),
     }
@@ -408,7 +408,7 @@ def _write_h5(result: Result, job: str, numbers: str, file: Path) -> None:
         names = ("angle", "radius", "z", "sweep", "contact_x", "contact_y", "contact_z", "clearance")
         _store(archive.create_group("path"), {name: getattr(result.path, name) for name in names})
         _store_motion(archive.create_group("motion"), result.motion)
-        for number, turn in enumerate(result.turns, 1):
+        for number, turn in enumerate(result.revolutions, 1):
             _store_motion(archive.create_group(f"turns/{number}"), turn)
     write_whole(file, image.getbuffer())
 

@@ -138,7 +138,7 @@ def _distributions(study: ToleranceStudy) -> _Section:
         for kind, outcome in study.outcomes.items():
             column = name if kind == "as planned" else f"corrected {name}"
             limit = study.limits.get(name)
-            probability = "" if limit is None else _percent(outcome.each[name])
+            probability = "" if limit is None else _percent(outcome.probabilities[name])
             shown = [f"{one.value:.3g} ({_between(one)})" for one in study.percentiles(column).values()]
             rows.append([f"{_label(name)}, {kind}", *shown, "" if limit is None else f"{limit:.4g}", probability])
     measurement = study.job.measurement

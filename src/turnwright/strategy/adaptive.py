@@ -266,7 +266,7 @@ class AdaptiveToolServo(Strategy):
         """Whether a fast tool takes its own table: that of its two axes."""
         return self.x_motion == "split"
 
-    def on(self, tool: Tool, machine: Machine) -> Strategy:  # noqa: ARG002 - as its siblings
+    def adapted_to(self, tool: Tool, machine: Machine) -> Strategy:  # noqa: ARG002 - as its siblings
         """Return the plan for the machine's interpolation; a two-axis fast tool makes the height of a split motion."""
         interpolation: Any = machine.controller.interpolation  # an unsupported one raises an InputError
         servo = replace(self, interpolation=self.interpolation or interpolation)

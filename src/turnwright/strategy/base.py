@@ -87,15 +87,15 @@ class Strategy(Stated, ABC):
         return False
 
     @property
-    def lays_out(self) -> Strategy:
+    def spiral_strategy(self) -> Strategy:
         """The strategy that sets the spiral and its points: this one, or the plan of a fast tool."""
         return self
 
-    def on(self, tool: Tool, machine: Machine) -> Strategy:  # noqa: ARG002 - for those that need it
+    def adapted_to(self, tool: Tool, machine: Machine) -> Strategy:  # noqa: ARG002 - for those that need it
         """Return the strategy with the values that it takes from tool and machine where they are not set."""
         return self
 
-    def stating(self, **fields: Any) -> Strategy:
+    def with_fields(self, **fields: Any) -> Strategy:
         """Return the strategy with some fields replaced, its own or those of its plan, as a pass states them.
 
         Raises

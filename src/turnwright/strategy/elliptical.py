@@ -131,14 +131,14 @@ class Valleys:
         Azimuth of the part under the tip at that moment, cumulative like the angle. (n,) [rad]
     radius
         Distance of the tip from the axis there. (n,) [mm]
-    jump
+    slope_jump
         Slope discontinuity of Z without the swing. (n,) [mm/rad]
-    left
+    residual_jump
         Residual slope discontinuity of Z with the swing. (n,) [mm/rad]
-    stood
-        Whether the tool is at rest over the valley and ``left`` is below 1e-6 mm/rad. It is not at valleys that the
-        policy for short intervals skips, at the ends of the path, where the edge projects over the rim, and within
-        nanometres of a corner of three pieces. (n,)
+    is_at_rest
+        Whether the tool is at rest over the valley and ``residual_jump`` is below 1e-6 mm/rad. It is not at
+        valleys that the policy for short intervals skips, at the ends of the path, where the edge projects over the
+        rim, and within nanometres of a corner of three pieces. (n,)
     stroke
         Largest displacement of the swing along Y, above or below centre. [mm]
     """
@@ -146,16 +146,16 @@ class Valleys:
     angle: Floats
     azimuth: Floats
     radius: Floats
-    jump: Floats
-    left: Floats
-    stood: Bools
+    slope_jump: Floats
+    residual_jump: Floats
+    is_at_rest: Bools
     stroke: float
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        for name in ("angle", "azimuth", "radius", "jump", "left"):
+        for name in ("angle", "azimuth", "radius", "slope_jump", "residual_jump"):
             object.__setattr__(self, name, frozen(getattr(self, name), name))
-        self.stood.flags.writeable = False
+        self.is_at_rest.flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -263,14 +263,14 @@ class QuasiEllipticalToolServo(Strategy):
     def valleys(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Valleys:
         """Return the valleys of the path, with the residual slope discontinuity at each. See `spiral`."""
         base = self._make_slow_servo().spiral(part, tool)
-        course, crossings, stood = self._plan(base, part, tool, progress)
+        course, crossings, at_rest = self._plan(base, part, tool, progress)
         swung = course.spiral(base.angle)
         psi, rate = course.azimuth(crossings.at)
         residual_jump = np.abs(crossings.steep * (rate - crossings.rate))
         return Valleys(
             angle=self.sense * crossings.at, azimuth=self.sense * psi, radius=course.radius(crossings.at),
-            jump=crossings.steep * (1 - crossings.rate), left=residual_jump,
-            stood=stood & (residual_jump < RESIDUAL_JUMP_LIMIT), stroke=float(np.abs(swung.y).max()),  # type: ignore[arg-type]
+            slope_jump=crossings.steep * (1 - crossings.rate), residual_jump=residual_jump,
+            is_at_rest=at_rest & (residual_jump < RESIDUAL_JUMP_LIMIT), stroke=float(np.abs(swung.y).max()),  # type: ignore[arg-type]
         )  # fmt: skip
 
     def axes(self, path: Path) -> dict[str, Floats]:
@@ -313,14 +313,14 @@ class QuasiEllipticalToolServo(Strategy):
         for _ in range(PLAN_ITERATIONS):
             swung, stands = self._plan_swing(reader, course, stands)
             crossings = reader.crossings(swung, swung.sample_moments(crossings))
-            stood = _match_valleys(crossings, stands)
+            at_rest = _match_valleys(crossings, stands)
             # In the swung pose the edge may touch one lenslet more, or one less.
             new = self._select_valleys(crossings, course)
             bad = int(np.count_nonzero(~_match_valleys(new, stands)))
             if self.short != "slow" or not 0 < bad < worst:
                 break
             worst, stands = bad, new
-        return swung, crossings, stood
+        return swung, crossings, at_rest
 
     def _select_valleys(self, found: _Crossings, course: _Course) -> _Crossings:
         """Return the valleys at which the tool is to rest."""

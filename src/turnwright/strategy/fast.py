@@ -78,14 +78,14 @@ class OverPlan(Strategy):
         return True
 
     @property
-    def lays_out(self) -> Strategy:
+    def spiral_strategy(self) -> Strategy:
         """The strategy that sets spiral and points."""
-        return self.plan.lays_out
+        return self.plan.spiral_strategy
 
-    def stating(self, **stated: Any) -> Strategy:
+    def with_fields(self, **stated: Any) -> Strategy:
         """Return the strategy with some fields replaced, its own or those of its plan, as a pass states them."""
         own_fields = {one.name for one in fields(self)}
-        plan = self.plan.stating(**{name: value for name, value in stated.items() if name not in own_fields})
+        plan = self.plan.with_fields(**{name: value for name, value in stated.items() if name not in own_fields})
         return replace(self, plan=plan, **{name: value for name, value in stated.items() if name in own_fields})
 
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
@@ -146,9 +146,9 @@ class FastToolServo(OverPlan):
     kind = "fast tool servo"
     example = MappingProxyType({"feed": "8 um/rev", "points_per_rev": 3600, "spindle_speed": "100 rpm"})
 
-    def on(self, tool: Tool, machine: Machine) -> Strategy:
+    def adapted_to(self, tool: Tool, machine: Machine) -> Strategy:
         """Return the strategy with what its plan takes from tool and machine."""
-        return replace(self, plan=self.plan.on(tool, machine))
+        return replace(self, plan=self.plan.adapted_to(tool, machine))
 
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes at the points of a path: those of the plan, with Z at rest and the height on W. [mm]."""

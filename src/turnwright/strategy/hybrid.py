@@ -109,7 +109,7 @@ class HybridToolServo(OverPlan):
             "alone: set the slow part of the surface, or the limits of the fast tool"
         )
 
-    def on(self, tool: Tool, machine: Machine) -> Strategy:
+    def adapted_to(self, tool: Tool, machine: Machine) -> Strategy:
         """Return the strategy with the tool for its base, or without a base with the limits of the machine's W axis.
 
         Raises
@@ -117,7 +117,7 @@ class HybridToolServo(OverPlan):
         InputError
             If the strategy has no base and the machine no W axis.
         """
-        plan = self.plan.on(tool, machine)
+        plan = self.plan.adapted_to(tool, machine)
         if self.fast is not None:
             return replace(self, plan=plan)
         if self.base is not None:

@@ -17,7 +17,7 @@ from turnwright.studies.measures import MEASURES
 from turnwright.studies.sensitivity import Interval
 from turnwright.studies.store import Store
 from turnwright.studies.tiled_map import TiledMap
-from turnwright.studies.tiles import generate_tiled, planned_layout
+from turnwright.studies.tiles import generate_tiled, plan_tiles
 from turnwright.studies.tolerancing import Outcome, Sensitivity, Tightening, ToleranceStudy, tolerance
 from turnwright.studies.variation import Column, Grid, Study, study
 
@@ -48,7 +48,7 @@ __all__ = [
     "count_workers",
     "generate_tiled",
     "local",
-    "planned_layout",
+    "plan_tiles",
     "program_version",
     "require_reach",
     "run_cases",

@@ -417,7 +417,7 @@ def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store |
         job = bench.cuts[""].job
         diagnosis = bench.diagnose_test_parts(draw, data["seed"])
         # If `turnwright.correct` would write no correction, the part is cut as planned.
-        draws = diagnosis.on(job.part)
+        draws = diagnosis.effects_on(job.part)
         certain = prove(draws, np.zeros(draws.x.size), worth_nm=job.measurement.worth * NM).ok
         setup = residual_setup(real, job.tool, job.machine, diagnosis) if certain else real
         better, form = bench.measure(setup)

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from turnwright._arrays import Ints
     from turnwright.surface import Surface
 
-__all__ = ["generate_tiled", "planned_layout"]
+__all__ = ["generate_tiled", "plan_tiles"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +196,7 @@ def generate_tiled(
     if minus is not None and not callable(getattr(minus, "sag", None)):
         raise InputError(f"what is subtracted is a {type(minus).__name__}, it must be a surface: give one")
     place = resolve_place(store)
-    layout = planned_layout(place, pixel, radius=radius, x=x, y=y, tile=tile)
+    layout = plan_tiles(place, pixel, radius=radius, x=x, y=y, tile=tile)
     if executor is not None:
         require_reach(place, executor, arrays=True)
     ready = _ready(motion, tool, machine, layout)
@@ -228,7 +228,7 @@ def generate_tiled(
     return TiledMap(Files.open(place))
 
 
-def planned_layout(
+def plan_tiles(
     store: str | os.PathLike[str],
     pixel: float | tuple[float, float],
     *,

@@ -128,7 +128,7 @@ class Outcome:
     ----------
     probability
         Probability of meeting all tolerances of the job.
-    each
+    probabilities
         Probability of meeting each of them, by measure.
     sensitivities
         Effect of each group, the most important first.
@@ -140,7 +140,7 @@ class Outcome:
     """
 
     probability: Interval
-    each: Mapping[str, Interval]
+    probabilities: Mapping[str, Interval]
     sensitivities: tuple[Sensitivity, ...]
     explained_variance: tuple[float, float] | None
     advice: str
@@ -449,7 +449,7 @@ def _evaluate(
     sensitivities.sort(key=lambda one: -_importance(one))
     return Outcome(
         probability=probability,
-        each=MappingProxyType(
+        probabilities=MappingProxyType(
             {name: binomial_interval(int(one.sum()), one.size + failed) for name, one in keeps.items()}
         ),
         sensitivities=tuple(sensitivities),

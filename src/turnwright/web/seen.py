@@ -137,7 +137,7 @@ def _chips(job: Job, part: Part, x: Floats, y: Floats) -> _Quantity:
 
 def _stated_feed(servo: Strategy) -> float | None:
     """Return the feed of a pass, ``None`` if it varies. [mm/rev]."""
-    feed: float | None = getattr(servo.lays_out, "feed", None)
+    feed: float | None = getattr(servo.spiral_strategy, "feed", None)
     return feed
 
 
