@@ -132,7 +132,7 @@ def test_what_follows_from_a_changed_field_is_worked_out_anew():
         ("passes.rough.allowance", 0.0, "rough is none of the 1 entries"),
         ("machine.name", "nanoform", "selects another machine"),
         ("machine.loaded", None, "machine.loaded is not a field"),
-        ("machine.dialect", "nix", "dialect 'nix', Turnwright writes"),
+        ("machine.dialect", "nix", "dialect 'nix' is not known, Turnwright writes"),
         ("machine.interpolation", "nix", "offers linear"),
         ("strategy.feed", "8 um", r"strategy\.feed: '8 um' is a length"),
         ("strategy.feed", float("nan"), r"strategy\.feed: nan is not a number"),

@@ -64,6 +64,15 @@ def _existing(text: object, info: ValidationInfo) -> object:
 ExistingFile: TypeAlias = Annotated[File, BeforeValidator(_existing)]
 
 
+def _dialect(name: object, info: ValidationInfo) -> object:
+    """Return the name of a dialect unchanged, or the absolute path of its file."""
+    is_file = isinstance(name, str) and name.endswith(".toml")
+    return str(_existing(name, info)) if is_file else name
+
+
+DialectName: TypeAlias = Annotated[Text, BeforeValidator(_dialect)]
+
+
 def context_of(folder: str | PathLike[str]) -> dict[str, Any]:
     """Return the validation context of a job: the folder of its files, and their readers."""
     return {"folder": folder, "readers": READERS}
@@ -211,7 +220,7 @@ class MachineTable(MachineDeviations):
     file
         Your own machine file, in place of the name.
     dialect
-        Dialect of the controller, where it differs from that of the machine file.
+        Dialect of the controller, or a ``.toml`` file of one, where it differs from that of the machine file.
     interpolation
         Interpolation between the points, where the controller offers several; that of the machine by default.
     plausible
@@ -220,7 +229,7 @@ class MachineTable(MachineDeviations):
 
     name: Text | None = None
     file: ExistingFile | None = None
-    dialect: Text | None = None
+    dialect: DialectName | None = None
     interpolation: Text | None = None
     plausible: ErrorSizes = field(default_factory=dict)
 

@@ -63,7 +63,7 @@ class Machine(Stated, Value):
     block_rate_hz
         Program blocks per second that the controller executes, coordinated over all axes. [1/s]
     dialect
-        Name of the program dialect.
+        Name of the program dialect, or the path of its ``.toml`` file; in a machine file relative to its folder.
     convention
         Signs and zero of the controller's axes.
     controller
@@ -223,6 +223,7 @@ def _read(name: str | Path, above: tuple[str | Path, ...]) -> dict[str, Any]:
         response = axis.get("response") if isinstance(axis, dict) else None
         if isinstance(response, dict) and isinstance(response.get("file"), str):
             response["file"] = str(folder / response["file"])
+    _place_dialects(table, folder)
     base = table.get("base")
     if base is None:
         return table
@@ -235,6 +236,21 @@ def _read(name: str | Path, above: tuple[str | Path, ...]) -> dict[str, Any]:
         )
     del table["base"]
     return _merge(_read(base if base in names else folder / base, (*above, name)), table)
+
+
+def _place_dialects(table: dict[str, Any], folder: Path) -> None:
+    """Make the names of dialect files relative to the folder of the machine file."""
+    controller = table.get("controller")
+    others = controller.get("other_interpolations") if isinstance(controller, dict) else None
+    if isinstance(others, dict):
+        others |= {key: _placed(name, folder) for key, name in others.items()}
+    if "dialect" in table:
+        table["dialect"] = _placed(table["dialect"], folder)
+
+
+def _placed(name: Any, folder: Path) -> Any:
+    """Return the name of a dialect unchanged, or the path of its file."""
+    return str(folder / name) if isinstance(name, str) and name.endswith(".toml") else name
 
 
 def _merge(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:

@@ -10,9 +10,10 @@ from turnwright.post.approach import (
     entry_shares,
     entry_words,
 )
+from turnwright.post.checking import DialectCheck, check_dialect
+from turnwright.post.dialect import Dialect, dialect_of
 from turnwright.post.header import ProgramHeader, ProgramInfo, ProgramPass, ProgramWarning, after_stop, inspect_nc
 from turnwright.post.reader import read_nc
-from turnwright.post.registry import dialect_of
 from turnwright.post.sync import FastToolFiles, read_fast_tool, write_fast_tool
 from turnwright.post.table import read_table
 from turnwright.post.writer import FASTEST_PLUNGE, ProgramFiles, write_nc
@@ -23,6 +24,8 @@ __all__ = [
     "MOST_CLEARANCE",
     "PLUNGE_FEED",
     "Approach",
+    "Dialect",
+    "DialectCheck",
     "FastToolFiles",
     "ProgramFiles",
     "ProgramHeader",
@@ -31,6 +34,7 @@ __all__ = [
     "ProgramWarning",
     "after_stop",
     "approach_to",
+    "check_dialect",
     "dialect_of",
     "entry_path",
     "entry_shares",

@@ -1,25 +1,56 @@
-"""Program dialects of controllers, as data."""
+"""Program dialects of controllers: each is a file of words, in ``turnwright/dialects`` or in the shop's own folder."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from string import Formatter
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from turnwright._faults import read_table
+from turnwright._io import bytes_of, read_toml
+from turnwright._tables import Sources, Stated
+from turnwright.errors import InputError, ProgramError, shown
+from turnwright.units import Count, Flag, Text, Time, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
-__all__ = ["Dialect"]
+    from turnwright.machine import Machine
+
+__all__ = ["Dialect", "dialect_of"]
+
+AXES = frozenset("CXYZ")
+"""Axes that a lathe program can have."""
+
+MAX_DECIMALS = 9
+"""Most decimals of a word."""
+
+MIN_LINES = 100
+"""Least number of lines in one file."""
+
+FEED_FORM = re.compile(r"(\.\d)?[fg]")
+"""Forms of a feed in a line of a dialect."""
+
+PLACEHOLDERS = MappingProxyType({
+    "call": frozenset({"file"}), "feed_move": frozenset({"words", "feed", "note"}), "rapid_move": frozenset({"words"}),
+})  # fmt: skip
+"""What stands in braces in the lines of a dialect, by field."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Dialect:
-    """The program format of one controller: to add a controller, add a module with one instance.
+class Dialect(Stated):
+    """The program format of one controller. To add a controller, write a ``.toml`` file of these fields.
 
     Parameters
     ----------
     name
-        Name that `Machine.dialect` refers to.
+        Name in the header of a program, of letters, digits, - and _.
     decimals
         Decimals by axis letter, in the order of the words in a block; a motion without Y has no Y word.
     wrapped
@@ -35,46 +66,122 @@ class Dialect:
         Text before the words of every cutting block.
     setup
         Lines before the first move.
+    cut_begin, cut_resume
+        Lines before the first block of a cut, and before that of a plunge or of a cut that continues in another file.
+    cut_end
+        Lines that end a cut and select feed moves.
+    feed_move
+        Lines of a feed move outside the cut, with ``{words}``, ``{feed}`` and ``{note}``.
+    feed_unit
+        Unit of ``{feed}``: "mm/min" or "mm/s".
+    rapid_move
+        Lines of a rapid move with ``{words}``, after which feed moves continue.
     call
-        Format of a call of the sub-program ``{file}``; empty where there is none.
+        Call of the sub-program ``{file}``; empty where there is none.
     always_call
         Whether every pass is a sub-program, or only those of a program too long for one file.
+    program_end, call_end
+        Last line of the program, and of a sub-program.
     max_lines
         Largest number of lines in one file.
-    sources
-        Source of each value; assumed values are marked.
     velocities
         Whether each word ends with the velocity of the axis at the end of the block, ``X1.5:20``, in mm/s or deg/s.
-        The moves between the cuts are then plain words after LINEAR and RAPID, with F in mm/s.
     comment
         Text that begins a comment, before its bracket; empty where the bracket does.
     longest_block
         Longest block time. [s]
+    sources
+        Source of each value, by field; assumed values are marked.
+
+    Raises
+    ------
+    InputError
+        If a number of decimals is out of range, a line has other placeholders, or two fields contradict each other.
     """
 
-    name: str
-    decimals: Mapping[str, int]
-    wrapped: bool
+    name: Text
+    decimals: Mapping[str, Annotated[int, plain()]]
+    wrapped: Flag
     feed: Literal["seconds", "inverse minutes", "milliseconds"]
-    feed_decimals: int
-    feed_every_block: bool
-    block: str
-    setup: tuple[str, ...]
-    call: str
-    always_call: bool
-    max_lines: int
-    sources: Mapping[str, str]
-    velocities: bool = False
-    comment: str = ""
-    longest_block: float = 1e4
+    feed_decimals: Annotated[int, plain()]
+    feed_every_block: Flag
+    block: Text = ""
+    setup: tuple[Text, ...]
+    cut_begin: tuple[Text, ...] = ("G93",)
+    cut_resume: tuple[Text, ...] = ("G93 G1",)
+    cut_end: tuple[Text, ...] = ("G94",)
+    feed_move: tuple[Text, ...] = ("G1 {words} F{feed:g}{note}",)
+    feed_unit: Literal["mm/min", "mm/s"] = "mm/min"
+    rapid_move: tuple[Text, ...] = ("G0 {words}",)
+    call: Text = ""
+    always_call: Flag = False
+    program_end: Text = "M30"
+    call_end: Text = "M99"
+    max_lines: Count
+    velocities: Flag = False
+    comment: Text = ""
+    longest_block: Time = 1e4
+    sources: Annotated[Mapping[str, str], Sources] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "decimals", MappingProxyType(dict(self.decimals)))
         object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
+        if not self.name.replace("-", "").replace("_", "").isalnum() or not self.name.isascii():
+            raise InputError(f"name is {shown(self.name)}, letters, digits, - and _ are allowed: change it")
+        if not {"C", "X", "Z"} <= set(self.decimals) <= AXES:
+            raise InputError(
+                f"decimals has {shown(', '.join(self.decimals))}, it needs C, X and Z and can have Y: name these axes"
+            )
+        places = {f"decimals.{letter}": count for letter, count in self.decimals.items()}
+        for place, count in (places | {"feed_decimals": self.feed_decimals}).items():
+            if not 0 <= count <= MAX_DECIMALS:
+                raise InputError(f"{place} is {count}, the limits are 0 and {MAX_DECIMALS}: correct it")
+        if self.max_lines < MIN_LINES:
+            raise InputError(f"max_lines is {self.max_lines}, it must be at least {MIN_LINES}: increase it")
+        if self.velocities != (self.feed == "milliseconds"):
+            raise InputError(
+                f"feed is {self.feed!r} with velocities {str(self.velocities).lower()}: milliseconds go with velocities"
+            )
+        if self.always_call and not self.call:
+            raise InputError("always_call is true and call is empty: state the call of a sub-program")
+        for place in ("block", "setup", "cut_begin", "cut_resume", "cut_end", "feed_move", "rapid_move", "call",
+                      "program_end", "call_end", "comment"):  # fmt: skip
+            value = getattr(self, place)
+            for line in (value,) if isinstance(value, str) else value:
+                _check_line(place, line)
 
-    def letters(self, axes: Mapping[str, object]) -> tuple[str, ...]:
-        """Return the axis letters of a motion in the order in which this dialect writes them."""
-        return tuple(letter for letter in self.decimals if letter in axes)
+    @staticmethod
+    def known() -> tuple[str, ...]:
+        """Return the names of the dialects that come with Turnwright."""
+        return tuple(_supplied())
+
+    @classmethod
+    def load(cls, name: str) -> Dialect:
+        """Return a dialect that comes with Turnwright, or one described in a file.
+
+        Parameters
+        ----------
+        name
+            "generic", "nanotech", "pmac", or the path of a ``.toml`` file of the fields.
+
+        Raises
+        ------
+        InputError
+            If there is no such dialect, or its file is wrong; the message names the key.
+
+        >>> Dialect.load("nanotech").decimals["C"]
+        5
+        """
+        supplied = _supplied()
+        if name in supplied:
+            return supplied[name]
+        if not name.endswith(".toml"):
+            raise InputError(
+                f"dialect {shown(name)} is not known, Turnwright writes {', '.join(supplied)}: name one of these, or a "
+                ".toml file of a dialect"
+            )
+        what = f"dialect file {name!r}"
+        return read_table(cls, read_toml(bytes_of(Path(name), "dialect file"), what), what)
 
     @property
     def interpolation(self) -> str:
@@ -82,31 +189,73 @@ class Dialect:
         return "hermite" if self.velocities else "linear"
 
     @property
-    def feed_unit(self) -> int:
-        """Number of the meaning of F in the kernels."""
+    def time_code(self) -> int:
+        """Number of the meaning of the block time in the kernels."""
         return ("seconds", "inverse minutes", "milliseconds").index(self.feed)
 
-    def begin(self) -> list[str]:
-        """Return the lines before the first block of a cut."""
-        return ["DWELL10"] if self.velocities else ["G93"]
-
-    def plunge(self) -> list[str]:
-        """Return the lines before the first block of a plunge, which has the form of a cut."""
-        return ["DWELL10"] if self.velocities else ["G93 G1"]
-
-    def end(self) -> list[str]:
-        """Return the lines that end a cut and select feed moves in mm per minute."""
-        return ["LINEAR"] if self.velocities else ["G94"]
+    def letters(self, axes: Mapping[str, object]) -> tuple[str, ...]:
+        """Return the axis letters of a motion in the order in which this dialect writes them."""
+        return tuple(letter for letter in self.decimals if letter in axes)
 
     def straight(self, words: str, feed: float, note: str = "") -> list[str]:
-        """Return the lines of a feed move outside the cut, ``feed`` in mm/min."""
+        """Return the lines of a feed move outside the cut, ``feed`` in mm/s."""
+        feed = 60 * feed if self.feed_unit == "mm/min" else feed
         note = f" ({note})" if note else ""
-        return [f"F{feed / 60:.4f}", f"{words}{note}"] if self.velocities else [f"G1 {words} F{feed:g}{note}"]
+        return [line.format(words=words, feed=feed, note=note) for line in self.feed_move]
 
     def rapid(self, words: str) -> list[str]:
         """Return the lines of a rapid move, after which feed moves continue."""
-        return ["RAPID", words, "LINEAR"] if self.velocities else [f"G0 {words}"]
+        return [line.format(words=words) for line in self.rapid_move]
 
     def commented(self, rows: Sequence[str]) -> list[str]:
         """Return lines with the text that begins a comment before their brackets."""
         return [row.replace("(", f"{self.comment}(", 1) if self.comment else row for row in rows]
+
+
+def _check_line(place: str, line: str) -> None:
+    """Raise unless a line of a dialect is printable ASCII and has the placeholders of its field."""
+    if not line.isascii() or not (line.isprintable() or not line):
+        raise InputError(f"{place} has the line {shown(line)}, printable ASCII is allowed: correct it")
+    allowed = PLACEHOLDERS.get(place)
+    if allowed is None:
+        return
+    try:
+        parts = [(name, form, kind) for _, name, form, kind in Formatter().parse(line) if name is not None]
+    except ValueError as error:
+        raise InputError(f"{place} has the line {shown(line)}, its braces cannot be read: close them") from error
+    for name, form, kind in parts:
+        if name not in allowed or kind or not (FEED_FORM.fullmatch(form or "") if name == "feed" else not form):
+            raise InputError(
+                f"{place} has {shown(name)} in braces, {', '.join(sorted(allowed))} can be, the feed with a form such "
+                "as {feed:.4f}: correct it"
+            )
+
+
+def dialect_of(machine: Machine) -> Dialect:
+    """Return the program dialect of a machine's controller.
+
+    Raises
+    ------
+    ProgramError
+        If there is no such dialect, its file is wrong, or its programs need another interpolation than the
+        controller's.
+    """
+    try:
+        dialect = Dialect.load(machine.dialect)
+    except InputError as error:
+        raise ProgramError(f"machine {machine.name}: {error}") from error
+    interpolation = machine.controller.interpolation
+    if dialect.velocities and interpolation != "hermite":
+        raise ProgramError(
+            f"the dialect {dialect.name} has velocities and needs the interpolation hermite, the controller of "
+            f"{machine.name} has {interpolation}: choose another dialect, or the interpolation hermite"
+        )
+    return dialect
+
+
+@cache
+def _supplied() -> Mapping[str, Dialect]:
+    """Return the dialects that come with Turnwright, by name."""
+    files = sorted((resources.files("turnwright") / "dialects").iterdir(), key=lambda file: file.name)
+    tables = {file.name: read_toml(file.read_bytes(), file.name) for file in files if file.name.endswith(".toml")}
+    return MappingProxyType({Path(name).stem: read_table(Dialect, one, name) for name, one in tables.items()})

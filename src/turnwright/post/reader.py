@@ -18,6 +18,7 @@ import numpy as np
 from turnwright._kernels import text as kernel
 from turnwright.errors import InputError, ProgramError
 from turnwright.path import Motion
+from turnwright.post.dialect import dialect_of
 from turnwright.post.digest import hashed_rows
 from turnwright.post.header import (
     BOM,
@@ -31,7 +32,6 @@ from turnwright.post.header import (
     read_info,
 )
 from turnwright.post.macro import Macros
-from turnwright.post.registry import dialect_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -339,7 +339,7 @@ class _Reader:
         self.block_delete, self.pool, self.progress = block_delete, pool, progress
         self.state: Ints = np.zeros(6, dtype=np.int64)
         self.state[[LINEAR, FEED_MODE]] = 1, 94
-        self.state[FEED_UNIT] = dialect.feed_unit
+        self.state[FEED_UNIT] = dialect.time_code
         self.height = 9 if dialect.velocities else 5
         self.speeds: dict[str, float] = {}  # velocities of the current block
         self.real: Floats = np.full(5, np.nan)  # C, X, Y, Z and F

@@ -18,9 +18,9 @@ from turnwright._validate import positive
 from turnwright.errors import ProgramError
 from turnwright.path import Motion
 from turnwright.post.approach import PLUNGE_FEED, entry_path, entry_shares
+from turnwright.post.dialect import dialect_of
 from turnwright.post.header import NO_HASH, convention_line, inspect_nc, plain, require_regular, software
 from turnwright.post.reader import read_nc
-from turnwright.post.registry import dialect_of
 from turnwright.post.writer import CHUNK_POINTS, ProgramFiles, _disk_error, _velocity, write_nc
 
 if TYPE_CHECKING:

@@ -33,6 +33,7 @@ from turnwright.post.approach import (
     approach_to,
     link_seconds,
 )
+from turnwright.post.dialect import dialect_of
 from turnwright.post.digest import hashed_rows
 from turnwright.post.header import (
     ENTRY,
@@ -43,7 +44,6 @@ from turnwright.post.header import (
     language,
     lines,
 )
-from turnwright.post.registry import dialect_of
 from turnwright.progress import Progress, cores
 
 if TYPE_CHECKING:
@@ -445,10 +445,10 @@ class _Job:
                     self._text(file, [f"( PASS: {one.name} )", *self._approach(one)])
                     if one.approach.plunge is not None:
                         self._text(file, [*self._plunge_begins(one), *self._plunge(one), f"( PASS: {one.name} )"])
-                    self._text(file, self.dialect.begin())
+                    self._text(file, [*self.dialect.cut_begin])
                     self.entries[index] = self._entry(one, self._cut(one, [(file, 1, one.motion.time.size)]))
                     self._text(file, self._retract(one))
-                self._text(file, ["M30"])
+                self._text(file, [self.dialect.program_end])
                 file.seek(0)
                 file.write("\n".join(self.dialect.commented(self._head())).encode())
             else:
@@ -458,7 +458,7 @@ class _Job:
                     subs += names
                     main += [f"( PASS {index + 1} OF {len(passes)} )"]
                     main += [self.dialect.call.format(file=name) for name in names]
-                self._text(file, [*self._head(), *main, "M30"])
+                self._text(file, [*self._head(), *main, self.dialect.program_end])
         return subs
 
     def _head(self) -> list[str]:
@@ -501,16 +501,16 @@ class _Job:
         start, dialect = one.approach.start, self.dialect
         others = " ".join(one.word(letter, start[letter]) for letter in ("X", "Y") if letter in one.letters)
         return [
-            *dialect.end(),
-            *dialect.straight(one.word("Z", one.approach.clear), TRAVERSE_FEED * 60, "CLEAR OF THE PART"),
-            *dialect.straight(others, TRAVERSE_FEED * 60),
+            *dialect.cut_end,
+            *dialect.straight(one.word("Z", one.approach.clear), TRAVERSE_FEED, "CLEAR OF THE PART"),
+            *dialect.straight(others, TRAVERSE_FEED),
             *dialect.rapid(one.word("C", start["C"])),
-            *dialect.straight(one.word("Z", start["Z"]), DOWN_FEED * 60, "ABOVE THE MATERIAL"),
+            *dialect.straight(one.word("Z", start["Z"]), DOWN_FEED, "ABOVE THE MATERIAL"),
         ]
 
     def _plunge_begins(self, one: _Pass) -> list[str]:
         """Return the lines before a plunge, or a continued one; they separate its blocks from those of the cut."""
-        return [f"( PASS: {one.name}{ENTRY} )", *self.dialect.plunge()]
+        return [f"( PASS: {one.name}{ENTRY} )", *self.dialect.cut_resume]
 
     def _plunge(self, one: _Pass) -> list[str]:
         """Return the blocks of a plunge."""
@@ -527,7 +527,7 @@ class _Job:
 
     def _retract(self, one: _Pass) -> list[str]:
         clear = one.word("Z", one.approach.clear)
-        return [*self.dialect.end(), *self.dialect.straight(clear, DOWN_FEED * 60, "CLEAR OF THE PART")]
+        return [*self.dialect.cut_end, *self.dialect.straight(clear, DOWN_FEED, "CLEAR OF THE PART")]
 
     def _sub_programs(self, one: _Pass) -> tuple[list[str], str]:
         """Write one pass into numbered files; return their names and the hash."""
@@ -550,9 +550,9 @@ class _Job:
                         # The plunge ends in this file, or ended with the file before, and the cut begins.
                         begins = first <= 1
                         self._text(file, [f"( PASS: {one.name} )"] if begins and plunge else [])
-                        self._text(file, self.dialect.begin() if begins else ["G93 G1"])
+                        self._text(file, [*(self.dialect.cut_begin if begins else self.dialect.cut_resume)])
                         yield file, max(first, 1), min(last, points)
-                    self._text(file, [*(self._retract(one) if k == len(names) - 1 else []), "M99"])
+                    self._text(file, [*(self._retract(one) if k == len(names) - 1 else []), self.dialect.call_end])
 
         return names, self._cut(one, files())
 
@@ -618,7 +618,7 @@ class _Job:
 
     def _chunks(self, one: _Pass, start: int, stop: int, state: Ints) -> Iterator[_Chunk]:
         """Yield the chunks of a file with their feeds, which must be chosen in order in one thread."""
-        unit, every, most = self.dialect.feed_unit, self.dialect.feed_every_block, self.dialect.feed_decimals
+        unit, every, most = self.dialect.time_code, self.dialect.feed_every_block, self.dialect.feed_decimals
         state[0] = min(state[0], start)
         for begin in range(start, stop, CHUNK_POINTS):
             end = min(begin + CHUNK_POINTS, stop)

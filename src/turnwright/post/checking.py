@@ -1,0 +1,138 @@
+"""A dialect checked: test programs are written in it and read back."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from turnwright.errors import ProgramError
+from turnwright.machine import Axis, Controller, Machine
+from turnwright.path import Motion
+from turnwright.post.dialect import Dialect
+from turnwright.post.reader import read_nc
+from turnwright.post.writer import write_nc
+
+__all__ = ["DialectCheck", "check_dialect"]
+
+POINTS = 1500
+"""Points of a test pass."""
+
+POINTS_PER_REV = 90
+"""Points per revolution of a test pass."""
+
+TIME_RATIO = 1e-3
+"""Largest relative difference of the time of a pass that is read back."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DialectCheck:
+    """Differences between test programs in a dialect and the motions that they were written from.
+
+    Parameters
+    ----------
+    dialect
+        The dialect.
+    differences
+        Largest difference by axis letter, in mm or deg; within half a unit of the last decimal.
+    time_ratio
+        Largest relative difference of the time of a pass.
+    programs
+        Number of programs: both senses of rotation, with and without Y, in one file and with sub-programs.
+    lines
+        First lines of a cut, as written.
+    """
+
+    dialect: Dialect
+    differences: Mapping[str, float]
+    time_ratio: float
+    programs: int
+    lines: tuple[str, ...]
+
+
+def check_dialect(name: str) -> DialectCheck:
+    """Write test programs of two passes in a dialect, read them back and compare them.
+
+    The motion has no symmetry: a wrong sign, letter, order or unit changes it.
+
+    Parameters
+    ----------
+    name
+        A dialect that comes with Turnwright, or the path of its ``.toml`` file.
+
+    Raises
+    ------
+    ProgramError
+        If there is no such dialect, its file is wrong, a program cannot be read back, or differs by more than half a
+        unit of the last decimal.
+    """
+    dialect = Dialect.load(name)
+    machine = Machine(
+        name="test lathe", axes=dict.fromkeys("CXYZ", Axis()), spindle_rpm=1000, block_rate_hz=1000, dialect=name,
+        controller=Controller(interpolation=dialect.interpolation),
+    )  # fmt: skip
+    differences: dict[str, float] = {}
+    time_ratio, programs = 0.0, 0
+    lines: tuple[str, ...] = ()
+    with tempfile.TemporaryDirectory() as folder:
+        for sense in (1, -1):
+            for axes in ("CXZ", "CXYZ") if "Y" in dialect.decimals else ("CXZ",):
+                for max_lines in (None, 400) if dialect.call else (None,):
+                    passes = {
+                        "rough": _motion(machine, sense, axes, 0.01),
+                        "finish": _motion(machine, sense, axes, 0.0),
+                    }
+                    path = Path(folder) / f"test{programs}.nc"
+                    done = write_nc(passes, machine, path, max_lines=max_lines, depth={"rough": 0.02, "finish": None})
+                    programs += 1
+                    for one, motion in passes.items():
+                        again = read_nc(path, machine, name=one)
+                        time_ratio = max(time_ratio, _compare(dialect, one, again, motion, differences))
+                    lines = lines or _first_lines(done.files[-1], dialect)
+    return DialectCheck(dialect=dialect, differences=differences, time_ratio=time_ratio, programs=programs, lines=lines)
+
+
+def _motion(machine: Machine, sense: int, axes: str, height: float) -> Motion:
+    turned = 2 * np.pi * np.arange(POINTS) / POINTS_PER_REV
+    angle, radius = sense * (turned + 0.3), np.linspace(5.0, -0.01, POINTS)
+    values = {
+        "C": angle, "X": radius, "Y": 0.02 * np.sin(2 * turned + 0.1),
+        "Z": height - 0.03 * radius + 0.004 * np.cos(angle) + 0.002 * np.sin(3 * angle) + 0.01 * radius**2,
+    }  # fmt: skip
+    return Motion(time=turned / (2 * np.pi) / 0.5, axes={letter: values[letter] for letter in axes}, machine=machine)
+
+
+def _compare(dialect: Dialect, name: str, again: Motion, motion: Motion, differences: dict[str, float]) -> float:
+    """Add to the differences, and return that of the time; raise if one is too large."""
+    if again.time.size != motion.time.size or set(again.axes) != set(motion.axes):
+        raise ProgramError(
+            f"dialect {dialect.name}: pass {name} has {motion.time.size} points of {', '.join(motion.axes)} and reads "
+            f"back as {again.time.size} of {', '.join(again.axes)}: correct the lines of the dialect"
+        )
+    for letter, values in motion.axes.items():
+        unit = np.rad2deg(1.0) if letter == "C" else 1.0
+        off = float(np.abs(again.axes[letter] - values).max()) * unit
+        differences[letter] = max(differences.get(letter, 0.0), off)
+        limit = 0.5 * 10.0 ** -dialect.decimals[letter]
+        if off > limit * 1.001 + 1e-9:
+            raise ProgramError(
+                f"dialect {dialect.name}: {letter} of pass {name} differs by {off:.3g} after reading back, the limit "
+                f"is {limit:g}, half of its last decimal: correct the words or their order"
+            )
+    ratio = abs(float(np.ptp(again.time) / np.ptp(motion.time)) - 1)
+    if ratio > TIME_RATIO:
+        raise ProgramError(
+            f"dialect {dialect.name}: pass {name} takes {np.ptp(motion.time):.4g} s, read back "
+            f"{np.ptp(again.time):.4g} s: correct the meaning of feed, or its decimals"
+        )
+    return ratio
+
+
+def _first_lines(file: Path, dialect: Dialect) -> tuple[str, ...]:
+    rows = file.read_text().splitlines()
+    count = len(dialect.cut_begin)
+    begins = [k for k in range(len(rows)) if rows[k : k + count] == [*dialect.cut_begin]]
+    return tuple(rows[begins[-1] :][:4]) if begins else ()
