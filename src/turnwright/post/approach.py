@@ -302,7 +302,6 @@ def _closed(turned: Floats, values: Floats) -> CubicSpline:
 
 
 def _subdivided(turned: Floats, each: int) -> Floats:
-    """Return angles with each step divided into equal parts."""
     steps = turned.size - 1
     return np.interp(np.arange(each * steps + 1) / each, np.arange(steps + 1), turned)
 

@@ -14,7 +14,7 @@ __all__ = ["Dialect"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dialect:
-    """The program format of one controller: to add a controller, add a module with one instance.
+    """The program format of one controller: to add a controller, add an instance to `DIALECTS`.
 
     Parameters
     ----------
@@ -57,13 +57,13 @@ class Dialect:
     wrapped: bool
     feed: Literal["seconds", "inverse minutes", "milliseconds"]
     feed_decimals: int
-    feed_every_block: bool
-    block: str
     setup: tuple[str, ...]
-    call: str
-    always_call: bool
-    max_lines: int
     sources: Mapping[str, str]
+    feed_every_block: bool = False
+    block: str = ""
+    call: str = ""
+    always_call: bool = False
+    max_lines: int = 1_000_000
     velocities: bool = False
     comment: str = ""
     longest_block: float = 1e4

@@ -11,13 +11,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._kernels import text as kernel
 from turnwright.errors import ProgramError
 from turnwright.post.approach import entry_words
+from turnwright.post.convention import convention_line, reading
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from os import PathLike
 
+    from turnwright._arrays import Floats, Ints
     from turnwright.machine import Machine
     from turnwright.post.approach import Approach
     from turnwright.post.dialect import Dialect
@@ -86,6 +89,16 @@ class ProgramPass:
     hash: str
 
 
+def hashed_rows(units: Ints, duration: Floats) -> memoryview:
+    """Return the bytes to hash for points, see `ProgramPass`.
+
+    ``units`` are the words without their decimal points, as written (n, k); ``duration`` that of each block. (n,) [s]
+    """
+    packed = np.empty((units.shape[0], units.shape[1] + 1), dtype=np.uint32)
+    kernel.pack(units, duration.view(np.int64), packed)
+    return packed.astype("<u4", copy=False).data.cast("B")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProgramInfo:
     """Contents of a program's header.
@@ -121,15 +134,6 @@ def comments(key: str, text: str) -> list[str]:
     return [f"( {key}: {part} )" for part in textwrap.wrap(plain(text), 100)]
 
 
-def convention_line(machine: Machine) -> str:
-    """Return the machine's convention as one line that can be compared."""
-    convention = machine.convention
-    return (
-        f"X SIDE {convention.x_side:+d}, C SENSE {convention.c_sense:+d}, Z SIGN {convention.z_sign:+d}, "
-        f"CLOCKING {np.rad2deg(convention.clocking) + 0.0:.9f} DEG"
-    )
-
-
 def language(machine: Machine, dialect: Dialect) -> list[str]:
     """Return the comments on dialect and convention, which define the meaning of the numbers; every file has them."""
     return [f"( DIALECT: {dialect.name} )", f"( CONVENTION: {convention_line(machine)} )"]
@@ -144,7 +148,6 @@ def software() -> str:
 
 
 def _feed_line(dialect: Dialect) -> str:
-    """Return the comment on the unit of the block time."""
     if dialect.velocities:
         return (
             "( FEED: PVT IS THE MILLISECONDS OF A BLOCK, AFTER A COLON STANDS THE VELOCITY AT ITS END, MM/S OR DEG/S; "
@@ -286,10 +289,8 @@ def inspect_nc(path: str | PathLike[str]) -> ProgramInfo:
         If the file cannot be opened or was not written by Turnwright.
     """
     path = Path(path)
-    try:
+    with reading(path):
         info = read_info(path)
-    except OSError as error:
-        raise ProgramError(f"{path} cannot be read ({error.strerror}): check its name and place") from error
     if info is None:
         raise ProgramError(
             f"{path} has no Turnwright header, its first line must be {SIGNATURE!r}: read it with read_nc"

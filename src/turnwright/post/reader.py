@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._kernels import text as kernel
-from turnwright.errors import InputError, ProgramError
-from turnwright.path import Motion
-from turnwright.post.digest import hashed_rows
+from turnwright.errors import ProgramError
+from turnwright.post.convention import axis_signs, convention_line, motion_of, reading
 from turnwright.post.header import (
     BOM,
     ENTRY,
@@ -27,7 +26,7 @@ from turnwright.post.header import (
     ProgramInfo,
     ProgramPass,
     ProgramWarning,
-    convention_line,
+    hashed_rows,
     read_info,
 )
 from turnwright.post.macro import Macros
@@ -41,6 +40,7 @@ if TYPE_CHECKING:
 
     from turnwright._arrays import Floats, Ints
     from turnwright.machine import Machine
+    from turnwright.path import Motion
     from turnwright.post.dialect import Dialect
     from turnwright.progress import Progress
 
@@ -172,7 +172,7 @@ def read_nc(
     """
     path = Path(path)
     dialect = dialect_of(machine)
-    try:
+    with reading(path):
         info = read_info(path)
         part = read_info(path, SUB_SIGNATURE)
         if part is not None:
@@ -185,9 +185,6 @@ def read_nc(
             )  # fmt: skip
             reader.run()
             cut, digest = reader.finish()
-    except OSError as error:
-        where = error.filename or path
-        raise ProgramError(f"{where} cannot be read ({error.strerror}): check its name and place") from error
     for warning in reader.warnings:
         warnings.warn(warning, ProgramWarning, stacklevel=2)
     if header_pass is not None and digest != header_pass.hash:
@@ -221,18 +218,15 @@ def _pass_in_header(
 
 
 def _short(text: str) -> str:
-    """Return text shortened for a message."""
     return text if len(text) <= MAX_QUOTED else f"{text[:MAX_QUOTED]}..."
 
 
 def _listed(names: Sequence[str]) -> str:
-    """Return a list of names shortened for a message."""
     more = [f"{len(names) - 4} more"] if len(names) > 5 else []
     return ", ".join([_short(name) for name in names[: 4 if more else 5]] + more) or "none"
 
 
 def _require_language(path: Path, info: ProgramInfo, machine: Machine, dialect: Dialect) -> None:
-    """Raise unless dialect and convention in a header are those of the machine."""
     if not info.dialect or not info.convention:
         raise ProgramError(f"{path} has a header without dialect or convention, it is truncated: {COPY_AGAIN}")
     if info.dialect != dialect.name:
@@ -264,8 +258,6 @@ class _Cut:
 
 
 def _motion(path: Path, cut: _Cut, header_pass: ProgramPass | None, machine: Machine) -> Motion:
-    """Return a cut in Turnwright's convention."""
-    convention = machine.convention
     dialect = dialect_of(machine)
     rows = cut.rows[:, : cut.points]
     within_one_turn = bool(rows[0].min() >= 0 and rows[0].max() <= 360)
@@ -289,18 +281,11 @@ def _motion(path: Path, cut: _Cut, header_pass: ProgramPass | None, machine: Mac
         )
     time = rows[4]
     kernel.clock(time)
-    axes["C"] *= convention.c_sense * (np.pi / 180)
-    axes["C"] -= convention.c_sense * convention.clocking
-    axes["X"] *= convention.x_side
-    axes["Z"] *= convention.z_sign
     velocity = None
     if rows.shape[0] > 5:
-        signs = {"C": convention.c_sense * (np.pi / 180), "X": convention.x_side, "Y": 1, "Z": convention.z_sign}
-        velocity = {letter: rows[5 + AXES.index(letter)] * signs[letter] for letter in axes}
-    try:
-        return Motion(time=time, axes=axes, machine=machine, velocity=velocity)
-    except InputError as error:
-        raise ProgramError(f"{path} does not hold a motion: {error}") from error
+        factors = {letter: sign * (np.pi / 180 if letter == "C" else 1) for letter, sign in axis_signs(machine).items()}
+        velocity = {letter: rows[5 + AXES.index(letter)] * factors[letter] for letter in axes}
+    return motion_of(path, axes, time, machine, velocity)
 
 
 def _pass_name(text: str) -> tuple[str, int] | None:
@@ -373,7 +358,6 @@ class _Reader:
 
     # ------------------------------------------------------------------ files
     def run(self) -> None:
-        """Follow the main program to its end."""
         self.total = self.path.stat().st_size
         if self.total < BUFFER_BYTES:
             head = self.path.read_bytes().decode("latin-1")
@@ -414,7 +398,6 @@ class _Reader:
         return self.selected, self.selected_digest
 
     def _file(self, path: Path) -> None:
-        """Follow one file."""
         if path in self.stack or len(self.stack) >= MAX_CALL_DEPTH:
             raise ProgramError(
                 f"{path} is called by itself or more than {MAX_CALL_DEPTH} calls deep: give every pass its own "
@@ -460,7 +443,6 @@ class _Reader:
         self.stack.pop()
 
     def _require_ends(self, path: Path, loops: list[int]) -> None:
-        """Raise unless each loop within which a file ends has its END further on."""
         if not loops:
             return
         tail = path.read_bytes().upper().rpartition(b"WHILE")[2].decode("latin-1")
@@ -471,7 +453,6 @@ class _Reader:
             del self.loops[label]
 
     def _warn_of_missing_end(self, path: Path, loops: list[int]) -> None:
-        """Note that a file has no end code, and whether it ends within a line or a loop."""
         with path.open("rb") as file:
             file.seek(-min(path.stat().st_size, MAX_LINE_BYTES), 2)
             last = file.read().rpartition(b"\n")[2].decode("latin-1")
@@ -485,7 +466,6 @@ class _Reader:
         )
 
     def _warn_of_blocks_after_end(self, path: Path, position: int) -> None:
-        """Note the number of blocks that move axes after the end code of a file."""
         blocks = 0
         with path.open("rb") as file:
             file.seek(position)
@@ -526,7 +506,6 @@ class _Reader:
         yield buffer, data, carried + 1
 
     def _error(self, what: str, remedy: str) -> ProgramError:
-        """Return an error with file and line."""
         where = self.stack[-1] if self.stack else self.path
         return ProgramError(f"{where} line {int(self.state[LINES]) or 1} {what}: {remedy}")
 
@@ -575,7 +554,6 @@ class _Reader:
             self.digest.update(hashed_rows(units, part[4]))
 
     def _open(self, *, timed: bool) -> None:
-        """Begin a cut at the current position."""
         self.cuts += 1
         # As many points as the header states, limited by the length of the text, plus one, so that the array is not
         # enlarged when full.
@@ -632,7 +610,6 @@ class _Reader:
 
     # ------------------------------------------------------------------ lines
     def _line(self, text: str) -> None:
-        """Follow one line of any kind."""
         if "\x00" in text:
             raise self._error("holds binary data", "give a program in plain text")
         if "\r" in text.rstrip():  # a line end for some controllers, a blank for others
@@ -677,7 +654,6 @@ class _Reader:
                 return
 
     def _bare(self, bare: str) -> None:
-        """Follow a block without comments."""
         if bare.startswith("%"):
             bare = self._tape_mark(bare)
         if not bare:
@@ -800,7 +776,6 @@ class _Reader:
         return words
 
     def _words(self, bare: str) -> None:
-        """Follow a block of words."""
         words = self._parsed(bare)
         codes = [value for letter, value in words if letter == "G"]
         for letter, value in words:
@@ -884,7 +859,6 @@ class _Reader:
         self.state[FEED_MODE] = mode
 
     def _block(self, codes: list[float], values: dict[str, float]) -> None:
-        """Follow the axis words of a block."""
         axes = {letter: values[letter] for letter in AXES if letter in values}
         if MACHINE_G & set(codes):
             self._close()
@@ -928,7 +902,6 @@ class _Reader:
             self.real[k] = np.nan
 
     def _coordinates(self, codes: list[float], axes: dict[str, float], *, feed: bool) -> None:
-        """Follow a block that changes the coordinates."""
         if shifts := SHIFT_G & set(codes):
             if any(axes.values()) or (axes and 50 in shifts) or any(self._is_set(letter) for letter in axes):
                 raise self._error(

@@ -18,7 +18,8 @@ from turnwright._validate import positive
 from turnwright.errors import ProgramError
 from turnwright.path import Motion
 from turnwright.post.approach import PLUNGE_FEED, entry_path, entry_shares
-from turnwright.post.header import NO_HASH, convention_line, inspect_nc, plain, require_regular, software
+from turnwright.post.convention import convention_line, in_part_axes, reading, short_steps
+from turnwright.post.header import NO_HASH, inspect_nc, plain, require_regular, software
 from turnwright.post.reader import read_nc
 from turnwright.post.registry import dialect_of
 from turnwright.post.writer import CHUNK_POINTS, ProgramFiles, _disk_error, _velocity, write_nc
@@ -259,7 +260,6 @@ def _stream(motion: Motion, rate_hz: float | None) -> tuple[Ints, Ints, float]:
 
 
 def _fast_axes(motion: Motion) -> list[str]:
-    """Return the letters of the fast tool's axes, in the order of their columns."""
     return [letter for letter in AXIS_COLUMNS if letter in motion.axes]
 
 
@@ -387,10 +387,8 @@ def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Pro
 
 def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> Floats:
     """Return the time of the program at each row of a table by position."""
-    convention = machine.convention
-    step = np.diff(table[:, 1])
-    degrees = np.concatenate([[0.0], np.cumsum(step - 360 * np.rint(step / 360))]) + table[0, 1]
-    c = convention.c_sense * (np.deg2rad(degrees) - convention.clocking)
+    c = np.concatenate([[0.0], np.cumsum(short_steps(table[:, 1]))]) + table[0, 1]
+    in_part_axes({"C": c}, machine)
     c += 2 * np.pi * np.rint((motion.axes["C"][0] - c[0]) / (2 * np.pi))
     if not (np.diff(c) * motion.sense > 0).all():
         raise ProgramError(f"{file} turns C in another sense than its program: write both again")
@@ -401,7 +399,7 @@ def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> Floa
             f"{np.rad2deg(motion.axes['C'][0]):.3f} deg, as its number of entry rows was edited: write both again"
         )
     time: Floats = np.interp(motion.sense * c, ahead, motion.time)
-    x = np.interp(motion.sense * c, ahead, motion.axes["X"]) * convention.x_side
+    x = np.interp(motion.sense * c, ahead, motion.axes["X"]) * machine.convention.x_side
     off = np.abs(x - table[:, 0])
     worst = int(np.argmax(off))
     if off[worst] > RADIUS_TOL_MM or abs(c[-1] - motion.axes["C"][-1]) > END_TOL_RAD:
@@ -415,11 +413,9 @@ def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> Floa
 
 def _read(file: Path) -> tuple[dict[str, str], list[str], Floats]:
     """Return the header fields of a table, the names of its columns, and its rows."""
-    try:
+    with reading(file):
         require_regular(file)
         data = file.read_bytes()
-    except OSError as error:
-        raise ProgramError(f"{file} cannot be read ({error.strerror}): check its name and place") from error
     text = data[: 1 << 14].decode("latin-1")
     fields = dict(re.findall(r"^# ([A-Z0-9 ]+): (.*)$", text, re.MULTILINE))
     needed = ("BY", "CONVENTION", "ROWS", "PROGRAM", "SHA256")

@@ -33,13 +33,14 @@ from turnwright.post.approach import (
     approach_to,
     link_seconds,
 )
-from turnwright.post.digest import hashed_rows
+from turnwright.post.convention import axis_signs
 from turnwright.post.header import (
     ENTRY,
     NO_HASH,
     SUB_SIGNATURE,
     ProgramHeader,
     ProgramPass,
+    hashed_rows,
     language,
     lines,
 )
@@ -99,8 +100,6 @@ class ProgramFiles:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Pass:
-    """A motion with the settings for writing its words."""
-
     name: str
     motion: Motion
     letters: tuple[str, ...]
@@ -125,7 +124,6 @@ class _Pass:
         return float(units / 10.0**places)
 
     def word(self, letter: str, value: float) -> str:
-        """Return one word of the approach."""
         places = self.dialect.decimals[letter]
         units = self.units(letter, value)
         if letter == "C" and self.dialect.wrapped:
@@ -198,7 +196,7 @@ def write_nc(
 
     Sources
     -------
-    The sources of the dialects are in their modules. Oracle of the formatting: Python's decimal module.
+    The sources of the dialects are in `DIALECTS`. Oracle of the formatting: Python's decimal module.
 
     Examples
     --------
@@ -261,7 +259,6 @@ def write_nc(
 
 
 def _disk_error(path: Path, error: OSError) -> ProgramError:
-    """Return the error for a failure of the file system."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return ProgramError(
             f"the disk is full while writing {path}, nothing was changed there: free some space, or write elsewhere"
@@ -283,7 +280,6 @@ def _approaches(
     plunge_feed: float,
     entry_heights: Floats | Mapping[str, Floats | None] | None,
 ) -> dict[str, Approach]:
-    """Return the approaches to all passes by name."""
     approaches = {}
     depths = dict.fromkeys(motions, depth) if depth is None or isinstance(depth, int | float) else depth
     around = entry_heights if isinstance(entry_heights, Mapping) else dict.fromkeys(motions, entry_heights)
@@ -301,15 +297,11 @@ def _approaches(
 def _passes(
     motions: Mapping[str, Motion], machine: Machine, dialect: Dialect, approaches: Mapping[str, Approach]
 ) -> list[_Pass]:
-    """Return the passes with their settings, or raise where they cannot be written."""
     if not motions:
         raise ProgramError("a program has 0 passes, it needs at least 1: give a motion")
     convention = machine.convention
     factors = {
-        "C": float(np.rad2deg(convention.c_sense)),
-        "X": float(convention.x_side),
-        "Y": 1.0,
-        "Z": float(convention.z_sign),
+        letter: float(np.rad2deg(sign) if letter == "C" else sign) for letter, sign in axis_signs(machine).items()
     }
     clocking = float(np.rad2deg(convention.clocking))
     shifts = {"C": clocking, "X": 0.0, "Y": 0.0, "Z": 0.0}
@@ -368,7 +360,6 @@ def _require_sizes(
     name: str, numbers: Mapping[str, Floats], factors: Mapping[str, float], shifts: Mapping[str, float], what: str,
     remedy: str,
 ) -> None:  # fmt: skip
-    """Raise if a scaled and shifted number of an axis is too large for a word."""
     for letter, values in numbers.items():
         largest = max(abs(values.min()), abs(values.max())) * abs(factors[letter]) + abs(shifts.get(letter, 0.0))
         if largest > MAX_POSITION:
@@ -400,8 +391,6 @@ def _file_part(name: str) -> str:
 
 
 class _Job:
-    """One program being written into a temporary folder."""
-
     def __init__(
         self,
         folder: Path,
@@ -466,7 +455,6 @@ class _Job:
         return lines(self.header, self.machine, self.dialect, self.entries, approaches, self.begins, self.links_s)
 
     def summary(self, written: list[str]) -> ProgramFiles:
-        """Return a summary of the program, with the final paths."""
         return ProgramFiles(
             files=tuple(self.path.parent / name for name in [self.path.name, *written]),
             lines=self.lines,
@@ -497,7 +485,6 @@ class _Job:
         self.bytes += len(data)
 
     def _approach(self, one: _Pass) -> list[str]:
-        """Return the lines of the approach, down to the start of the plunge, with C at rest."""
         start, dialect = one.approach.start, self.dialect
         others = " ".join(one.word(letter, start[letter]) for letter in ("X", "Y") if letter in one.letters)
         return [
@@ -513,7 +500,6 @@ class _Job:
         return [f"( PASS: {one.name}{ENTRY} )", *self.dialect.plunge()]
 
     def _plunge(self, one: _Pass) -> list[str]:
-        """Return the blocks of a plunge."""
         motion = one.approach.plunge
         if motion is None:
             return []
@@ -640,7 +626,6 @@ class _Job:
 
 
 def _step_error(one: _Pass, index: int) -> ProgramError:
-    """Return the error for a block that turns C too little or too far."""
     places = one.dialect.decimals["C"]
     angle = one.motion.axes["C"]
     step = abs(one.units("C", float(angle[index])) - one.units("C", float(angle[index - 1]))) / 10.0**places
