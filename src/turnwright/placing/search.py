@@ -172,8 +172,7 @@ def _find_contacts(contact: Contact, window: _Window, tips: Tips, line: Ints | N
     edge, size = contact.edge, tips.angle.size
     spans_part = line is not None and window.top > -np.inf
     lines = _lay_out_lines(contact, window, tips, line, spans_part=spans_part)
-    x, y = np.empty(lines.u.shape), np.empty(lines.u.shape)
-    kernel.places(edge, *lines.tips, lines.u, x, y)
+    x, y = contact.at_distance(lines.tips, lines.u)
     heights = evaluate_heights(contact, x, y)
     breaks = find_breaks(contact, lines.tips, lines.u, x, y, heights)
     candidates, direct = _find_candidates(

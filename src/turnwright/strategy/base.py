@@ -6,14 +6,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin
 
 import numpy as np
 
 from turnwright._tables import Stated, forget_adapters, types_of, written, written_by
+from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.path import Spiral
 from turnwright.speed_profile import SpeedProfile
+from turnwright.strategy.sampling import sample_turns
+from turnwright.units import unit
 
 if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
@@ -26,18 +29,10 @@ if TYPE_CHECKING:
     from turnwright.progress import Progress
     from turnwright.tool import Tool
 
-__all__ = ["STRATEGIES", "Strategy", "sample_turns"]
+__all__ = ["STRATEGIES", "Strategy"]
 
 STRATEGIES: dict[str, type[Strategy]] = {}
 """The strategies by the ``kind`` that a job file states; each class is added when its module is imported."""
-
-
-def sample_turns(turned: float, turns: int, per_turn: int) -> Floats:
-    """Return sample points of single revolutions, evenly over a cut, as revolutions from its first point. (n,)."""
-    last_start = max(turned - 1, 0.0)
-    first = np.round(np.linspace(0, last_start, max(min(turns, int(last_start) + 1), 1)))
-    at = first[:, None] + np.arange(per_turn + 1) / per_turn
-    return np.unique(np.append(at[at < turned], turned))
 
 
 class Strategy(Stated, ABC):
@@ -173,8 +168,23 @@ class Strategy(Stated, ABC):
         rates = {"C": np.ones(path.angle.size), "X": path.radius_rate, "Z": path.z_rate}
         return rates if path.y_rate is None else {**rates, "Y": path.y_rate}
 
-    def _check_speed(self) -> None:
-        """Raise if both a single spindle speed and a speed profile are set."""
+    def _check_fields(self) -> None:
+        """Raise unless numbers are finite, sizes above 0, thicknesses at least 0, choices known, the speed unique."""
+        check_numbers(self)
+        for name, stated in types_of(type(self)).items():
+            value = getattr(self, name)
+            kinds = [kind for kind in (stated, *get_args(stated)) if kind is not type(None)]
+            choices = next((get_args(kind) for kind in kinds if get_origin(kind) is Literal), ())
+            if choices and value not in choices and (value is not None or type(None) not in get_args(stated)):
+                listed = " or ".join(f'"{choice}"' if isinstance(choice, str) else str(choice) for choice in choices)
+                raise InputError(f"{name} is {value!r}, it must be {listed}")
+            limits = [one for kind in kinds for one in getattr(kind, "__metadata__", ()) if isinstance(one, unit)]
+            for limit in limits if value is not None else ():
+                symbol = limit.units[0].replace("rpm", "rev/min")
+                if limit.above == 0:
+                    positive(value, name, symbol)
+                if value < limit.least:
+                    raise InputError(f"{name} is {value:g} {symbol}, it must be at least {limit.least:g} {symbol}")
         if self.spindle_rpm is not None and self.spindle_speeds is not None:
             raise InputError("spindle_speed and spindle_speeds are both given, only one can be right: remove one")
 

@@ -38,30 +38,30 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, TypedDict
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import numpy as np
 
 from turnwright._arrays import frozen
-from turnwright._validate import check_numbers, positive
+from turnwright._validate import check_numbers
 from turnwright.errors import InputError, LimitError
 from turnwright.path import Spiral
-from turnwright.placing import follow, touch
+from turnwright.placing import Tips, follow, touch_down
 from turnwright.speed_profile import Speeds
 from turnwright.strategy.base import Strategy
+from turnwright.strategy.sampling import TURN
 from turnwright.strategy.slow import SlowToolServo
 from turnwright.units import Count, Feed, Flag, Size, Speed, Step, Thickness, unit
 
 if TYPE_CHECKING:
     from turnwright._arrays import Bools, Floats, Ints
+    from turnwright.edge import Edge
     from turnwright.part import Part
     from turnwright.path import Path
     from turnwright.progress import Progress
     from turnwright.tool import Tool
 
 __all__ = ["QuasiEllipticalToolServo", "Valleys"]
-
-TURN = 2 * math.pi
 
 SAMPLES_PER_FEATURE = 8
 """Samples of the path per feature size in which valleys are detected."""
@@ -225,20 +225,15 @@ class QuasiEllipticalToolServo(Strategy):
     lead_in: Thickness | None = None
 
     def __post_init__(self) -> None:
-        check_numbers(self)
-        self._check_speed()
+        self._check_fields()
         self._make_slow_servo()
-        if self.short not in ("merge", "skip", "slow"):
-            raise InputError(f'short is {self.short!r}, it must be "merge", "skip" or "slow"')
         needed, other = ("y_acceleration", "shortest") if self.short == "slow" else ("shortest", "y_acceleration")
         if getattr(self, needed) is None or getattr(self, other) is not None:
             raise InputError(f'short="{self.short}" takes {needed} and not {other}: set {needed} alone')
         if self.short == "slow" and self.spindle_rpm is None:
             raise InputError('short="slow" needs spindle_rpm, none is set: set the spindle speed')
-        positive(getattr(self, needed), needed, "mm/s^2" if self.short == "slow" else "mm")
 
     def _make_slow_servo(self) -> SlowToolServo:
-        """Return the servo without the swing."""
         return SlowToolServo(
             feed=self.feed, spindle_rpm=self.spindle_rpm, points_per_rev=self.points_per_rev,
             arc_length=self.arc_length, max_step=self.max_step, inside_out=self.inside_out, sense=self.sense,
@@ -295,7 +290,7 @@ class QuasiEllipticalToolServo(Strategy):
             longest=MAX_SWING_FEATURES * part.surface.feature_size,
             moment=edges, line=edges, rate=np.ones(2), bend=np.zeros(2),
         )  # fmt: skip
-        reader = _Reader(base, part, tool)
+        reader = _Reader(base, part, tool.cutting_edge(base.sense))
         step = part.surface.feature_size / SAMPLES_PER_FEATURE
         turn = max(math.ceil(TURN * float(np.abs(base.radius).max()) / step), MIN_SAMPLES_PER_REV)
         count = math.ceil((end - begin) / TURN * turn)
@@ -323,7 +318,6 @@ class QuasiEllipticalToolServo(Strategy):
         return swung, crossings, stood
 
     def _select_valleys(self, found: _Crossings, course: _Course) -> _Crossings:
-        """Return the valleys at which the tool is to rest."""
         # The tool cannot rest at a grazed valley, nor at the ends of the path, where half a swing does not fit.
         room = course.half(found.line)
         stands = found.select(
@@ -434,7 +428,6 @@ class _Crossings(NamedTuple):
     sweep_after: Floats
 
     def select(self, which: Ints | Bools) -> _Crossings:
-        """Return some of the crossings."""
         return _Crossings(*(values[which] for values in self))
 
 
@@ -450,7 +443,6 @@ class _Side(NamedTuple):
     piece: Ints
 
     def select(self, which: Ints | Bools) -> _Side:
-        """Return some of the ends."""
         return _Side(*(values[which] for values in self))  # type: ignore[arg-type]
 
 
@@ -501,7 +493,6 @@ class _Course(NamedTuple):
         return 0.5 * (low + high)
 
     def spiral(self, angle: Floats) -> Spiral:
-        """Return the position of the tip at some spindle angles, with its derivatives."""
         at = self.sense * angle
         psi, rate = self.azimuth(at)
         radius, swing = self.radius(at), self.sense * (psi - at)
@@ -524,34 +515,21 @@ class _Course(NamedTuple):
         return np.unique(self.find_meeting(fixed, np.zeros(1), self.moment[k], self.moment[k + 1]))
 
 
-class _Pose(TypedDict):
-    """Position of the tool, as `touch` takes it. Each (n,)."""
-
-    angle: Floats
-    radius: Floats
-    y: Floats
-
-
 class _Reader:
-    """Finder of the valleys in the path of a tip."""
-
-    def __init__(self, base: Spiral, part: Part, tool: Tool) -> None:
-        self.surface = part.surface
-        self.tool = tool
-        self.sense = base.sense
+    def __init__(self, base: Spiral, part: Part, edge: Edge) -> None:
+        self.surface, self.edge, self.sense = part.surface, edge, base.sense
         # The rim that `place` uses for all tips.
-        self.rim = max(part.radius, float(np.abs(base.radius + tool.offset[0]).max()))
+        self.rim = max(part.radius, float(np.abs(base.radius + edge.dx).max()))
 
-    def _pose(self, course: _Course, at: Floats, psi: Floats) -> _Pose:
+    def _tips(self, course: _Course, at: Floats, psi: Floats) -> Tips:
         swing = self.sense * (psi - at)
         radius = course.radius(at)
-        return {"angle": self.sense * at, "radius": radius * np.cos(swing), "y": radius * np.sin(swing)}
+        return Tips(self.sense * at, radius * np.cos(swing), radius * np.sin(swing))
 
     def _touch_course(self, course: _Course, at: Floats) -> _Side:
         """Return the contacts of the edge at some moments of a course."""
         psi = course.azimuth(at)[0]
-        pose = self._pose(course, at, psi)
-        top = touch(self.surface, self.tool, **pose, sense=self.sense, rim=self.rim)
+        top = touch_down(self.surface, self.edge, self._tips(course, at, psi), self.rim)
         piece = self.surface.piece(top.x, top.y)
         assert piece is not None  # noqa: S101 - only called for a surface in pieces
         return _Side(at, psi, top.z, top.sweep, top.x, top.y, piece)
@@ -579,8 +557,7 @@ class _Reader:
             heights, by_azimuth, by_moment = np.empty((3, 2, at.size))
             for side, way in enumerate((-1, 1)):
                 there = psi + way * offset
-                pose = self._pose(course, at, there)
-                near = follow(self.surface, self.tool, **pose, sweep=sweeps[side], sense=self.sense)
+                near = follow(self.surface, self.edge, self._tips(course, at, there), sweeps[side])
                 by_azimuth[side], by_moment[side] = self._find_slopes(course, at, there, near.x, near.y)
                 heights[side] = near.z - way * offset * by_azimuth[side]
                 sweeps[side] = np.where(np.isfinite(near.z), near.sweep, sweeps[side])

@@ -13,7 +13,7 @@ from turnwright._arrays import rounding
 from turnwright._validate import whole as whole_number
 from turnwright.errors import InputError
 from turnwright.machine import Axis
-from turnwright.placing import touch
+from turnwright.placing import Tips, touch_down
 from turnwright.strategy.fast import OverPlan
 from turnwright.strategy.split import find_smoothest
 from turnwright.surface import Surface
@@ -170,7 +170,8 @@ class HybridToolServo(OverPlan):
             z, rate = find_smoothest(turned, tip, self.fast, omega)  # type: ignore[arg-type]
             return z, path.sense * rate
         rim = float(np.abs(path.radius).max())
-        at = touch(self.base, self.tool, angle=path.angle, radius=path.radius, y=path.y, sense=path.sense, rim=rim)
+        tips = Tips.at(path.angle, path.radius, path.y)
+        at = touch_down(self.base, self.tool.cutting_edge(path.sense), tips, rim)
         fast_height = tip - at.z
         z = at.z + (fast_height.min() + fast_height.max()) / 2
         zx, zy = self.base.gradient(at.x, at.y)

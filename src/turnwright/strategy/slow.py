@@ -11,19 +11,29 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from turnwright._kernels import chord as kernel
-from turnwright._validate import check_numbers, positive, whole as whole_number
-from turnwright.errors import GougeError, InputError, LimitError
+from turnwright._validate import whole as whole_number
+from turnwright.errors import GougeError, InputError
 from turnwright.path import Spiral
-from turnwright.placing import tip_height
+from turnwright.placing import Tips, touch_down
 from turnwright.progress import require_memory
 from turnwright.speed_profile import Speeds
-from turnwright.strategy.base import Strategy, sample_turns
+from turnwright.strategy.base import Strategy
+from turnwright.strategy.sampling import (
+    REFINEMENT_RATIO,
+    TURN,
+    WIDEST_STEP,
+    check_count,
+    check_interval,
+    check_samples,
+    sample_turns,
+)
 from turnwright.units import Count, Feed, Flag, Size, Speed, Step, Thickness
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from turnwright._arrays import Floats
+    from turnwright.edge import Edge
     from turnwright.part import Part
     from turnwright.path import Path
     from turnwright.progress import Progress
@@ -31,22 +41,11 @@ if TYPE_CHECKING:
 
 __all__ = ["SlowToolServo"]
 
-TURN = 2 * math.pi
-
-MAX_POINTS = 300_000_000
-"""Most points of a spiral. More are a wrong unit: no controller takes such a program, and no memory holds it."""
-
 BYTES_PER_POINT = 160
 """Memory for a point of a path with its contact and motion, 20 numbers."""
 
 BYTES_PER_SAMPLE = 24
 """Memory for a sample of a path from which the points are selected."""
-
-MAX_SAMPLES = 1 << 24
-"""Most samples of a piece of a path by chord; a rougher path does not fit into memory."""
-
-WIDEST_STEP = TURN / 12
-"""Largest angle between two points by chord, so that the direction of each move of C is unambiguous. [rad]"""
 
 SAMPLING_FACTOR = 36
 """A path is sampled finely enough where its possible bulge between samples is below the tolerance over this factor. The
@@ -57,12 +56,6 @@ CUBIC_FACTOR = 300
 
 MAX_CUBIC_PARTS = 8
 """Most parts of an interval that a cubic interpolates, so that at least two samples per program point are placed."""
-
-REFINEMENT_RATIO = 8
-"""If more than one in this many intervals of a path is not smooth, the whole path is sampled more closely."""
-
-MIN_INTERVAL_RAD = 1e-9
-"""A path that is not straight over this angle has a jump. [rad]"""
 
 BLOCK_SAMPLES = 1 << 17
 """Samples of the path from which points are selected together."""
@@ -159,13 +152,7 @@ class SlowToolServo(Strategy):
     overrun: Thickness = 0.0
 
     def __post_init__(self) -> None:
-        check_numbers(self)
-        self._check_speed()
-        positive(self.feed, "feed", "mm/rev")
-        for name, unit in (("spindle_rpm", "rev/min"), ("arc_length", "mm"), ("max_step", "rad"), ("chord", "mm")):
-            value = getattr(self, name)
-            if value is not None:
-                positive(value, name, unit)
+        self._check_fields()
         ways = [name for name in ("points_per_rev", "arc_length", "chord") if getattr(self, name) is not None]
         if len(ways) != 1:
             raise InputError(
@@ -181,16 +168,6 @@ class SlowToolServo(Strategy):
                 )
             if self.max_step > TURN / 8:
                 raise InputError(f"max_step is {math.degrees(self.max_step):g} deg, the limit is 45 deg")
-        if self.sense not in (-1, 1):
-            raise InputError(f"sense is {self.sense!r}, it must be 1 or -1")
-        self._check_ends()
-
-    def _check_ends(self) -> None:
-        """Raise if the spiral would begin inside the clear aperture, or end far from the axis."""
-        if self.lead_in is not None and self.lead_in < 0:
-            raise InputError(
-                f"lead_in is {self.lead_in:g} mm, it must be at least 0 mm (the edge of the clear aperture)"
-            )
         if not 0 <= self.overrun <= self.feed:
             raise InputError(
                 f"overrun is {self.overrun:g} mm, the limits are 0 mm and one feed, {self.feed:g} mm: a quarter of a "
@@ -209,16 +186,17 @@ class SlowToolServo(Strategy):
         LimitError
             If there are more points than any controller takes.
         """
-        self._require_overlap(tool)
+        edge = tool.cutting_edge(self.sense)
+        self._require_overlap(edge)
         if self.points_per_rev is not None:
-            last = self._find_last_point(part, tool, self.points_per_rev)
+            last = self._find_last_point(part, edge, self.points_per_rev)
             if progress is not None:
                 progress(0, last + 1)
-            spiral = self._select_points(_number_points(last), last, self.points_per_rev, tool)
+            spiral = self._select_points(_number_points(last), last, self.points_per_rev, edge)
         else:
-            end, start = self._find_ends(part, tool)
+            end, start = self._find_ends(part, edge)
             if self.chord is not None:
-                turned = self._set_points_by_chord(part, tool, end, start, progress)
+                turned = self._set_points_by_chord(part, edge, end, start, progress)
             else:
                 turned = self._set_points_by_arc(end, start, progress)
             angle = turned if self.inside_out else turned[-1] - turned[::-1]
@@ -231,60 +209,58 @@ class SlowToolServo(Strategy):
         """Return some of the points of `spiral`; with ``points_per_rev``, without computing all of them."""
         if self.points_per_rev is None:
             return super(SlowToolServo, self).glimpse(part, tool, turns=turns, per_turn=per_turn)
-        last = self._find_last_point(part, tool, self.points_per_rev)
+        edge = tool.cutting_edge(self.sense)
+        last = self._find_last_point(part, edge, self.points_per_rev)
         wanted = sample_turns(last / self.points_per_rev, turns, per_turn)
-        return self._select_points(np.unique(np.round(wanted * self.points_per_rev)), last, self.points_per_rev, tool)
+        return self._select_points(np.unique(np.round(wanted * self.points_per_rev)), last, self.points_per_rev, edge)
 
     def extent(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> tuple[int, Spiral]:
         """Return the size of `spiral` and its ends; with ``points_per_rev``, without computing the other points."""
         if self.points_per_rev is None:
             return super(SlowToolServo, self).extent(part, tool, progress=progress)
-        self._require_overlap(tool)
-        last = self._find_last_point(part, tool, self.points_per_rev)
+        edge = tool.cutting_edge(self.sense)
+        self._require_overlap(edge)
+        last = self._find_last_point(part, edge, self.points_per_rev)
         turn = np.arange(min(self.points_per_rev, last) + 1.0)
         at = np.unique(np.append(last - turn, 0) if self.inside_out else np.append(turn, last))
-        return last + 1, self._select_points(at, last, self.points_per_rev, tool)
+        return last + 1, self._select_points(at, last, self.points_per_rev, edge)
 
-    def _require_overlap(self, tool: Tool) -> None:
-        """Raise unless neighbouring revolutions overlap."""
-        low, high = tool.arc
-        width = tool.actual_radius * (math.sin(high) - math.sin(low))
+    def _require_overlap(self, edge: Edge) -> None:
+        width = edge.radius * (math.sin(edge.high) - math.sin(edge.low))
         if self.feed >= width:
             raise GougeError(
                 f"feed {self.feed:g} mm per rev is at least the width of the edge {width:.4g} mm, so cuts do not "
                 "overlap: use a smaller feed, or a tool with a larger nose_radius or included angle"
             )
 
-    def _find_last_point(self, part: Part, tool: Tool, per_turn: int) -> int:
-        """Return the index of the last point for a constant number of points per revolution."""
-        end, start = self._find_ends(part, tool)
+    def _find_last_point(self, part: Part, edge: Edge, per_turn: int) -> int:
+        end, start = self._find_ends(part, edge)
         return _count_steps((start - end) / self.feed * per_turn)
 
-    def _select_points(self, at: Floats, last: int, per_turn: int, tool: Tool) -> Spiral:
-        """Return points of `spiral` by their indices. (n,)."""
+    def _select_points(self, at: Floats, last: int, per_turn: int, edge: Edge) -> Spiral:
         step = TURN / per_turn
         turned = (at if self.inside_out else last - at) * step
-        return Spiral(angle=self.sense * (at * step), radius=self._inner_end(tool) + self.feed / TURN * turned)
+        return Spiral(angle=self.sense * (at * step), radius=self._inner_end(edge) + self.feed / TURN * turned)
 
-    def _inner_end(self, tool: Tool) -> float:
+    def _inner_end(self, edge: Edge) -> float:
         """Return the commanded radius of the inner end. [mm]."""
-        return -tool.offset[0] - self.overrun
+        return -edge.dx - self.overrun
 
-    def _find_ends(self, part: Part, tool: Tool) -> tuple[float, float]:
+    def _find_ends(self, part: Part, edge: Edge) -> tuple[float, float]:
         """Return the commanded radii of the inner end and of the outer end, before the steps are made equal. [mm]."""
-        return self._inner_end(tool), part.radius + self._find_lead_in(part, tool)
+        return self._inner_end(edge), part.radius + self._find_lead_in(part, edge)
 
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes at the points of a path: C the azimuth [rad], X the radius, Z the height [mm]."""
         return {"C": path.angle, "X": path.radius, "Z": path.z}
 
-    def _find_lead_in(self, part: Part, tool: Tool) -> float:
+    def _find_lead_in(self, part: Part, edge: Edge) -> float:
         """Return the distance outside the clear aperture at which the tip starts. [mm]."""
         azimuth = np.linspace(0, TURN, RIM_AZIMUTHS, endpoint=False)
         cosine, sine = np.cos(azimuth), np.sin(azimuth)
         zx, zy = part.surface.gradient(part.radius * cosine, part.radius * sine)
-        sweep = np.clip(np.arctan(zx * cosine + zy * sine), *tool.arc)
-        needed = max(0.0, float(np.max(-tool.actual_radius * np.sin(sweep))) - tool.offset[0])
+        sweep = np.clip(np.arctan(zx * cosine + zy * sine), edge.low, edge.high)
+        needed = max(0.0, float(np.max(-edge.radius * np.sin(sweep))) - edge.dx)
         if self.lead_in is None:
             return needed + self.feed / 2
         # The outermost revolution cuts as far inward as its neighbours: a lead-in shorter by a feed still cuts the rim.
@@ -314,7 +290,7 @@ class SlowToolServo(Strategy):
         return np.concatenate([inside, _invert_spiral_length(outside) - inner])
 
     def _set_points_by_chord(
-        self, part: Part, tool: Tool, end: float, start: float, progress: Progress | None
+        self, part: Part, edge: Edge, end: float, start: float, progress: Progress | None
     ) -> Floats:
         """Return the angles turned from the inner end of the fewest points for the chord. (n,) [rad]."""
         pitch = self.feed / TURN
@@ -328,14 +304,8 @@ class SlowToolServo(Strategy):
 
         def height(turned: Floats) -> Floats:
             angle = turned if self.inside_out else total - turned
-            return tip_height(
-                part.surface,
-                tool,
-                angle=self.sense * angle,
-                radius=end + pitch * turned,
-                sense=self.sense,
-                rim=max(part.radius, pitch * total - self.overrun),
-            )
+            tips = Tips.at(self.sense * angle, end + pitch * turned)
+            return touch_down(part.surface, edge, tips, max(part.radius, pitch * total - self.overrun)).z
 
         pieces = [np.zeros(1)]
         # The last two steps of a block may be short, as they end at its border, and would limit the block rate of the
@@ -358,34 +328,16 @@ class SlowToolServo(Strategy):
             pieces.append(piece[0, keep[1:count]])
             if progress is not None:
                 progress(round(float(turned[-1]) / TURN), round(total / TURN))
-        _check_count(sum(part.size for part in pieces))
-        _require_room(sum(part.size for part in pieces))
+        count = sum(part.size for part in pieces)
+        check_count(count, "the feed and of the chord")
+        _require_room(count)
         return np.concatenate(pieces)
 
 
-def _check_count(count: float) -> None:
-    """Raise if a spiral has more points than any controller takes."""
-    if count > MAX_POINTS:
-        raise LimitError(
-            f"the spiral has {count:.3g} points, the limit is {MAX_POINTS:.0e}: check the units of the feed and of "
-            "the step"
-        )
-
-
 def _require_room(count: float, bytes_each: int = BYTES_PER_POINT) -> None:
-    """Raise if there is too little memory for a path of this many points and its motion."""
     require_memory(
         bytes_each * count, f"a path of {count:.3g} points", "take a larger feed, fewer points, or another computer"
     )
-
-
-def _check_samples(count: int, tolerance: float) -> None:
-    """Raise if the samples of a rough path do not fit into memory."""
-    if count > MAX_SAMPLES:
-        raise LimitError(
-            f"a piece of the path takes {count:.3g} samples for a chord of {tolerance:g} mm, the limit is "
-            f"{MAX_SAMPLES:.3g}: allow a larger chord, or set points_per_rev or arc_length"
-        )
 
 
 def _number_points(count: float, bytes_each: int = BYTES_PER_POINT) -> Floats:
@@ -397,7 +349,7 @@ def _number_points(count: float, bytes_each: int = BYTES_PER_POINT) -> Floats:
 
 def _count_steps(steps: float) -> int:
     """Return the number of steps, rounded up (except for rounding errors)."""
-    _check_count(steps)
+    check_count(steps, "the feed and of the step")
     return max(math.ceil(steps - 1e-6), 0)
 
 
@@ -447,10 +399,10 @@ def _sample_with_cubics(
         smooth = (doubt <= tolerance / CUBIC_FACTOR) & (parts <= MAX_CUBIC_PARTS)
         if np.count_nonzero(~smooth) <= max(smooth.size // REFINEMENT_RATIO, 4):
             break
-        _check_samples(2 * turned.size, tolerance)
+        check_samples(2 * turned.size, tolerance)
         turned = np.linspace(turned[0], turned[-1], 2 * smooth.size + 1)
     most = max(2, math.ceil(parts[smooth].max(initial=0.0)))
-    _check_samples(smooth.size * most, tolerance)
+    check_samples(smooth.size * most, tolerance)
     fine = np.repeat(z[:-1, None], most, axis=1)
     for number, first in enumerate((-1, -2, 0)):
         rows = np.flatnonzero(smooth & (side == number))
@@ -487,18 +439,13 @@ def _refine_samples(
         coarse = np.flatnonzero(bulge > tolerance / SAMPLING_FACTOR)
         if coarse.size == 0:
             return turned, z, np.maximum(np.append(bulge, 0.0), np.append(0.0, bulge)) + 2 * doubt
-        if step[coarse].min() < MIN_INTERVAL_RAD:
-            where = turned[coarse[np.argmin(step[coarse])]] / TURN
-            raise InputError(
-                f"the path jumps {where:.3f} turns from the inner end, so no points keep the chord tolerance of "
-                f"{tolerance:g} mm: set points_per_rev or arc_length, or use a tool with a smaller included angle"
-            )
+        check_interval(step[coarse], turned[coarse], tolerance)
         # The bulge of a smooth path falls with the square of the step, that of a slope discontinuity with the step: the
         # latter takes some more iterations.
         parts = np.clip(np.ceil(np.sqrt(bulge[coarse] / tolerance * SAMPLING_FACTOR)), 2, 8).astype(np.int64)
         which = np.repeat(np.arange(coarse.size), parts - 1)
         rank = np.arange(which.size) - np.repeat(np.cumsum(parts - 1) - (parts - 1), parts - 1) + 1
-        _check_samples(turned.size + which.size, tolerance)
+        check_samples(turned.size + which.size, tolerance)
         new = turned[coarse[which]] + step[coarse[which]] * (rank / parts[which])
         at = coarse[which] + 1
         turned, z = np.insert(turned, at, new), np.insert(z, at, height(new))

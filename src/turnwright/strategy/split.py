@@ -30,14 +30,13 @@ import numpy as np
 
 from turnwright._kernels import split as kernel
 from turnwright.errors import LimitError
+from turnwright.strategy.sampling import TURN
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats, Ints
     from turnwright.machine import Axis
 
 __all__ = ["find_smoothest"]
-
-TURN = 2 * math.pi
 
 CELLS_PER_REV = (64, 256)
 """Cells of the spline per revolution; the second number is used only if the first cannot keep the limits."""
@@ -208,7 +207,6 @@ def _set_up_limits(
 
 
 def _solve_banded(band: Floats, right: Floats) -> Floats:
-    """Solve a system with lower diagonals."""
     from scipy.linalg import solveh_banded  # noqa: PLC0415 - costly to import
 
     solved: Floats = solveh_banded(band, right, lower=True, check_finite=False)
