@@ -116,7 +116,6 @@ def _array(path: Path, stream: IO[bytes], size: int) -> np.ndarray[Any, Any]:
 
 
 def _numbers(path: Path, name: str, array: np.ndarray[Any, Any]) -> Floats:
-    """Return a copy of an array as float64."""
     if array.dtype.kind not in "iuf" or not 1 <= array.ndim <= 2 or not array.size:
         raise MapError(
             f"{path} holds {name} as {array.dtype} of shape {array.shape}, it must be numbers in 1 or 2 dimensions"
@@ -136,7 +135,6 @@ def _from_meshes(path: Path, z: Floats, x: Floats, y: Floats) -> tuple[Floats, F
 def _ascending(
     path: Path, names: tuple[str, str], z: Floats, column: Floats, row: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the grid with ascending axes."""
     if column.ndim != 1 or row.ndim != 1 or z.shape != (row.size, column.size):
         raise MapError(
             f"{path} holds z of shape {z.shape} with {names[0]} {column.shape} and {names[1]} {row.shape}: rows of z "

@@ -84,7 +84,6 @@ def _surface(path: Path, file: h5py.File) -> h5py.Dataset:
 
 
 def _text(value: Any) -> str:
-    """Return the text of an attribute."""
     entry = np.ravel(np.asarray(value, dtype=object))[0]
     return (entry.decode("utf-8", "replace") if isinstance(entry, bytes) else str(entry))[:MAX_TEXT_CHARACTERS]
 
@@ -104,7 +103,6 @@ def _converter(surface: h5py.Dataset, name: str) -> tuple[str, str, Floats] | No
 
 
 def _height_unit(path: Path, surface: h5py.Dataset) -> float:
-    """Return the height of one stored unit [mm]."""
     unit = _unit(surface)
     converter = _converter(surface, "Z Converter")
     if not unit and converter is not None:
@@ -140,7 +138,6 @@ def _pixel(path: Path, surface: h5py.Dataset) -> tuple[float, float] | None:
 
 
 def _metadata(file: h5py.File) -> dict[str, str]:
-    """Return the attributes that are texts or numbers."""
     import h5py  # noqa: PLC0415
 
     metadata: dict[str, str] = {}

@@ -117,7 +117,6 @@ def _unit(raw: bytes) -> str:
 
 
 def _pixel(path: Path, field: dict[str, Any], axis: str) -> float:
-    """Return the size of a pixel [mm]."""
     unit = _unit(field[f"unit {axis}"])
     size: float = field[f"step {axis}"] * to_mm(unit, f"{path} states its {axis} in")
     return size

@@ -129,7 +129,6 @@ def read(path: Path, data: bytes) -> HeightMap:
 
 
 def _intensity_bytes(path: Path, field: dict[str, int]) -> int:
-    """Return the number of bytes of camera pictures before the phase."""
     picture = 2 * field["intensity columns"] * field["intensity rows"]
     # Some files state 0 buckets and hold one.
     for buckets in (field["intensity buckets"], 1):

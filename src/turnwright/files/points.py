@@ -78,8 +78,6 @@ PIXELS = frozenset({"px", "pixel", "pixels"})
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """The format of a table."""
-
     first: int  # first line, from 0
     separator: str | None  # None: white space
     comma: bool  # decimal commas
@@ -160,7 +158,6 @@ def read_slice(
 
 
 def _numeric_columns(lines: list[str], layout: _Layout) -> list[int]:
-    """Return the columns that hold numbers in the first rows."""
     rows = [_cells(line, layout.separator, layout.columns) for line in lines[layout.first :] if line.strip()]
     kind = COMMA if layout.comma else NUMBER
     return [
@@ -202,7 +199,6 @@ def _slice_columns(
 
 
 def _column_of(path: Path, names: list[str], listed: str, numeric: list[int], what: str, column: str) -> int:
-    """Return the column that is requested by name or number."""
     spelled = column.strip().lower()
     matches = [at for at, name in enumerate(names) if spelled in (name.lower(), _split_cell(name)[0])]
     if not matches and column.isdigit() and 1 <= int(column) <= len(names):
@@ -226,7 +222,6 @@ def _allows(name: str, what: str) -> bool:
 
 
 def _body(text: str, layout: _Layout) -> str:
-    """Return the text from the first row of the table on."""
     begin = 0
     for _ in range(layout.first):
         begin = text.index("\n", begin) + 1
@@ -254,7 +249,6 @@ def _read_with_axes(
     stated: dict[str, set[str]],
     units: tuple[str | None, str | None, str | None],
 ) -> HeightMap:
-    """Read a table with x in its first row and y in its first column."""
     number, cells = x_row
     unit, lateral_unit, default_unit = units
     axis_units = {axis: _unit(path, {}, stated, axis, lateral_unit, default_unit) for axis in "xy"}

@@ -125,7 +125,6 @@ def contents(path: Path) -> bytes:
 
 
 def _reader_of(path: Path, data: bytes) -> tuple[Callable[[Path, bytes], HeightMap], str]:
-    """Return the reader of a file and the name of its format."""
     suffix = path.suffix.lower()
     for begins, reader, kind in SIGNATURES:
         if data.startswith(begins):
@@ -140,7 +139,6 @@ def _reader_of(path: Path, data: bytes) -> tuple[Callable[[Path, bytes], HeightM
 
 
 def _reader_of_archive(path: Path, data: bytes) -> tuple[Callable[[Path, bytes], HeightMap], str]:
-    """Return the reader of a zip archive, by its contents, and the name of its format."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             names = archive.namelist()

@@ -73,7 +73,6 @@ def read(path: Path, text: str) -> HeightMap:
 
 
 def _split(path: Path, text: str) -> tuple[list[str], str]:
-    """Return the lines of description and the text below them."""
     head: list[str] = []
     begin = 0
     while len(head) < MAX_DESCRIPTION_LINES:
@@ -112,7 +111,6 @@ def _integer(path: Path, head: list[str], line: int, index: int) -> int:
 
 
 def _phases(path: Path, body: str, intensity: list[int], shape: tuple[int, int]) -> Floats:
-    """Return the phase counts, (rows, columns)."""
     blocks = body.split("#")
     # A file without intensities may omit their block.
     pictures = min(intensity) > 0 or (len(blocks) > 1 and not blocks[0].strip())

@@ -129,7 +129,6 @@ class Axes:
 
 
 def _check_axes(axes: Any) -> Any:
-    """Raise unless every axis of a table is named by a letter and has quantities of the right dimension."""
     problems: dict[tuple[str | int, ...], Exception | str] = {}
     for letter, limits in axes.items() if isinstance(axes, Mapping) else ():
         if len(letter) != 1 or not letter.isupper():

@@ -238,7 +238,6 @@ def _read(name: str | Path, above: tuple[str | Path, ...]) -> dict[str, Any]:
 
 
 def _merge(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
-    """Return nested tables with those of another merged over them."""
     merged = dict(base)
     for key, value in table.items():
         below = base.get(key)

@@ -312,7 +312,6 @@ class AnyResponse:
 
 
 def _read_response(table: Any) -> Any:
-    """Return the response that a table describes."""
     if isinstance(table, SecondOrder | TransferFunction | FrequencyResponse):
         return table
     if isinstance(table, Mapping) and table.keys() == {"file"}:

@@ -235,7 +235,6 @@ def find_limit_demands(
 
 
 def _check_travel(letter: str, top: Mapping[str, float], machine: Machine) -> list[str]:
-    """Return a finding if the machine lacks the axis, and one for each end of travel that is exceeded."""
     axis = machine.axes.get(letter)
     if axis is None:
         return [f"the motion needs axis {letter}, {machine.name} does not have it: choose another machine"]
@@ -393,5 +392,4 @@ def _find_peaks(time: Floats, position: Floats, velocity: Floats | None) -> _Axi
 
 
 def _length_unit(letter: str) -> str:
-    """Return the unit of an axis position."""
     return "rad" if letter in ROTARY else "mm"

@@ -90,8 +90,6 @@ def slow_to_limits(course: Course, machine: Machine) -> Course:
 
 
 class _RampedCourse(NamedTuple):
-    """A course with a ramp at each end."""
-
     course: Course
     inner: slice  # points of the original course at full speed
     speed_factor: float  # by which the limits allow the ramps to be scaled, at most 1
