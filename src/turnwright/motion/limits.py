@@ -134,22 +134,14 @@ class Limits:
 def check_limits(motion: Motion, machine: Machine) -> Limits:
     """Compare the demands of a motion with the limits of a machine.
 
-    A controller with interpolation "hermite" (PVT) interpolates each block by a cubic in time, from the positions and
-    velocities at both ends. The velocities are those of the motion, or those that `track` uses. Speed, acceleration,
-    jerk and travel are then the extremes of the cubics. The jerk is the third derivative of each cubic; it does not
-    show the steps of the acceleration between blocks.
-
-    For any other motion, and for a fast tool, speed, acceleration and jerk are divided differences over one, two and
-    three neighbouring blocks. A controller that rounds the corners demands less of the slides.
-
-    Positions rounded to :math:`q` add up to :math:`2q/t^2` to the acceleration and :math:`4q/t^3` to the jerk (three
-    times as much with cubics), where :math:`t` is the block time: 2 mm/s² and 4000 mm/s³ for 1 nm at 1000 blocks/s.
-    With a fast tool the blocks of the lathe are those of `Motion.lathe`.
+    Speed, acceleration and jerk are divided differences over one, two and three neighbouring blocks; for a controller
+    with interpolation "hermite" (PVT) they, and the travel, are the extremes of the cubics in each block. Positions
+    rounded to :math:`q` add up to :math:`2q/t^2` to the acceleration and :math:`4q/t^3` to the jerk, where :math:`t` is
+    the block time. With a fast tool the blocks of the lathe are those of `Motion.lathe`.
 
     The highest frequency of an axis is the lowest one above which the motion has less power than a sine of amplitude
     ``bandwidth_residual`` (10 nm by default). The power is that of any two revolutions, after removal of their mean,
-    under a Hann window. Between the points the motion is a cubic spline. For a pure sine of n periods per revolution
-    the result is n + 1/2; for one of 1 um amplitude it is at most n + 2 if n is not an integer.
+    under a Hann window. Between the points the motion is a cubic spline.
 
     Parameters
     ----------

@@ -1,18 +1,11 @@
 r"""Placing the tool: bring the real edge into contact with the surface, exactly.
 
-Along Z the tip moves straight down until the edge touches. The contact is the tangent where that is unique
-(`placing.tangent`), otherwise the exact maximum (`placing.search`), which is free of gouges by construction. The
-clearance of the whole edge is evaluated independently of the contact as a check. Along the normal, the contact point
-stays at the position that the spiral gives, and the tip is displaced,
+Along Z the contact is the tangent where that is unique (`placing.tangent`), otherwise the exact maximum
+(`placing.search`). Along the normal the edge can gouge elsewhere. The clearance of the whole edge is evaluated
+independently of the contact as a check.
 
-.. math:: \rho' = \rho - u(s), \qquad z' = f(\rho, \theta) - e(s), \qquad e'(s)/u'(s) = f_\rho
-
-with s the place on the nose whose tangent is that of the surface; for a perfect nose u = R sin s and
-e = R (1 - cos s). The edge can gouge elsewhere, so the clearance of the whole edge is computed by the dilation at the
-new tip.
-
-The derivative of the tip's height along the spiral is computed too. The contact is the place on the edge that gives the
-greatest height, so to first order its own movement along the edge has no effect [Danskin1967]_:
+The derivative of the tip's height along the spiral is computed too. The contact gives the greatest height, so to first
+order its own movement along the edge has no effect [Danskin1967]_:
 
 .. math:: \frac{dZ}{d\theta} = \nabla f(\mathbf p) \cdot \frac{\partial \mathbf p}{\partial\theta}, \qquad
    \mathbf p = \begin{pmatrix} (\rho + u)\cos\theta - (y + v)\sin\theta \\

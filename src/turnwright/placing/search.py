@@ -1,20 +1,10 @@
-r"""The exact maximum: the height at which the real edge touches a surface with many tangents, or none.
-
-For the commanded tip at distance :math:`\rho` from the axis at azimuth :math:`\theta`, moving along Z only,
-
-.. math:: Z(\rho, \theta) = \max_u \; [\, f(\rho + u, \theta) - e(u) \,]
-
-a grey-scale dilation of the surface by the edge, free of gouges by construction for any surface and edge.
+"""The exact maximum: the height at which the real edge touches a surface with many tangents, or none.
 
 f - e is sampled along the edge at steps well below the surface's `feature_size`. Every sampled maximum that may be the
 greatest within the sampling error is refined, on both sides of each slope discontinuity or step, and the greatest is
 taken. Points that share an azimuth share one sampled line, which costs a few evaluations per point. The arc is
 sufficient where the surface is nowhere steeper than the flanks. Where it is steeper, or has a step, the window of each
 point is widened until no summit of the surface rises above its ends, also across the axis.
-
-*The rim.* At the outermost revolution the nose projects beyond the part. A surface whose tangent is unique as far as
-the arc reaches is continued that far. Any other surface is ignored outside the rim, where its formula may diverge, step
-or end. The rule is the same for all tips, so that neighbours agree, and neither rule lifts a tip off the part.
 
 Sources
 -------

@@ -1,9 +1,7 @@
-r"""The unique tangent: a surface that curves up less than the edge everywhere is touched at one place.
+"""The unique tangent: a surface that curves up less than the edge everywhere is touched at one place.
 
-There the height f - e of surface above edge is strictly concave. It has one maximum, the tangent solution, which
-Newton's method finds from the tip. The curvature is checked beforehand on a grid over the whole part, and again at
-every point that Newton's method visits, so at the density of the program itself. The unknown is the distance from the
-tip for a perfect nose in the radial plane, and the sweep for any other edge.
+The curvature is checked beforehand on a grid over the whole part, and again at every point that Newton's method visits.
+The unknown is the distance from the tip for a perfect nose in the radial plane, and the sweep for any other edge.
 
 Sources
 -------

@@ -127,13 +127,7 @@ def approach_to(
     name: str,
     heights: Floats | None = None,
 ) -> Approach:
-    """Return the approach to a pass.
-
-    The tool moves straight down from the clear plane, with C at rest, to 0.1 mm above the material. Then C turns at the
-    speed of the pass and the tool follows the heights of one revolution at the radius where the pass begins, plus a
-    falling offset. The offset falls per revolution by at most the feed of the pass (or 1 um), and in no block faster
-    than ``plunge_feed``. Where the heights are extrapolated, their possible error counts too, and C turns slower if
-    necessary, down to one revolution per minute.
+    """Return the approach to a pass, see `write_nc`.
 
     Parameters
     ----------

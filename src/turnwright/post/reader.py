@@ -129,13 +129,8 @@ def read_nc(
 
     The motion begins where the first cutting block begins and has one point more than there are blocks. A cutting
     block is a straight feed move (G1) that turns C; moves before, between and after the cuts are followed but not
-    returned. Time begins at 0. C is cumulative. It is taken as written where the machine's dialect is cumulative or a C
-    word is outside 0 to 360; otherwise it may roll over and takes the short way. A program with Turnwright's header is
-    checked against it.
-
-    Where a program sets coordinates (G92), the motion stays in the initial coordinates; at the start, where no position
-    is known, the coordinates set are the initial ones. F is valid within its mode: F of G94 is not valid under G93, and
-    under G94 after G93 it must be given again, since controllers differ. The time of dwells (G4) is not counted.
+    returned. Time begins at 0, C is cumulative, and the coordinates are those in which the program begins. The time of
+    dwells (G4) is not counted. A program with Turnwright's header is checked against it.
 
     Parameters
     ----------

@@ -104,19 +104,11 @@ def write_fast_tool(
 ) -> FastToolFiles:
     """Write the lathe program without W, see `write_nc` and `Motion.lathe`, and a table of W for the fast tool.
 
-    A fast tool with a second axis U, which adds to X, has one more column.
-
-    The table is a text file, part.fast.csv for part.nc. By position it has a row of radius, angle and height for every
-    point of the motion: radius and angle are X and C (within one turn) of the program, with the same decimals, so that
-    the controller of the tool reads both from the scales of the lathe; between two rows heights are linear in the
-    angle. For a plunge, the table begins with the revolution at the radius where the cut begins, which is valid for
-    every turn of the plunge. By time it has one height every 1/``rate_hz`` s, linear in between; the first one belongs
-    to the first point of the cut, where the approach of the program ends. Heights add to Z, out of the part, whatever
-    the convention of the lathe, and U to the distance from the axis; the last decimal is 0.1 nm. The header describes
-    this and has the hashes of the rows and of the program.
-
-    The table is written to a temporary file before the program and moved into place after it; if writing fails,
-    nothing changes.
+    The table is a text file, part.fast.csv for part.nc, and its header describes it. By position it has a row of
+    radius, angle (those of the program) and height for every point of the motion, after the revolution of a plunge;
+    between two rows heights are linear in the angle. By time it has one height every 1/``rate_hz`` s from the first
+    point of the cut on, linear in between. Heights add to Z, out of the part, whatever the convention of the lathe. A
+    second axis U, which adds to the distance from the axis, has one more column. If writing fails, nothing changes.
 
     Parameters
     ----------

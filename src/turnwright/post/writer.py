@@ -152,16 +152,13 @@ def write_nc(
 
     Positions and block times are fixed-point numbers, rounded to the last decimal of the dialect. Every pass begins
     with an approach from ``clearance`` above its highest point and ends with a retract to that height. From 0.1 mm
-    above the material the tool plunges while C turns: at the radius where the pass begins, it follows the heights of
-    one revolution plus a falling offset. The offset falls per revolution by at most the feed of the pass (or 1 um), and
-    in no block faster than ``plunge_feed``. `run` computes these heights exactly, from part and tool. Without
-    ``entry_heights`` they are extrapolated from the first three revolutions of the motion; C then turns slower than in
-    the pass, down to one revolution per minute, so that the extrapolation error keeps the plunge feed too. A cumulative
-    C begins within one turn of 0 and continues from pass to pass, so that the spindle never unwinds.
+    above the material the tool plunges while C turns, at the radius where the pass begins, by at most the feed of the
+    pass (or 1 um) per revolution and in no block faster than ``plunge_feed``. Without ``entry_heights`` the heights of
+    this revolution are extrapolated from the motion, and C turns slower where necessary. A cumulative C begins within
+    one turn of 0 and continues from pass to pass, so that the spindle never unwinds.
 
-    All files are written to a temporary folder and moved into place, the main program last, when the program is
-    complete; if writing fails, the target folder is unchanged. Sub-programs of an earlier program of the same name that
-    this one does not call are removed.
+    If writing fails, the target folder is unchanged. Sub-programs of an earlier program of the same name that this one
+    does not call are removed.
 
     Parameters
     ----------

@@ -124,24 +124,13 @@ PREVIEW_REVS = 16
 class AdaptiveToolServo(Strategy):
     r"""Adaptive tool servo: every cusp as high as the scallop allows, as few points as the chord allows.
 
-    *Feed.* On each of many spokes, the next tip is placed where its edge meets the edge of the previous revolution
-    exactly ``scallop`` above the surface, measured along z above the real surface at that place. A revolution begins
-    where the previous one ends, so every step starts from the spiral's own previous revolution. A cubic spline in the
-    cumulative angle through all tips gives a radius with two continuous derivatives everywhere. The tip starts at rest
-    on the axis and takes half a revolution to its steady advance, so that passes on both sides of the axis are nowhere
-    further apart than the others. The spiral ends with the revolution after which no point inside the clear aperture is
-    higher than the scallop. Spokes that reach the rim before the last one blend into a constant step and come to rest,
-    so slowly that the jerk of X is little higher than inside.
+    Neighbouring edges meet exactly ``scallop`` above the surface, and each point is the furthest from the previous one
+    for which the interpolation of the controller keeps within ``chord`` of the exact height of the tip *at the radius
+    where it then is*. With linear interpolation the points may be off the path by the chord (`Path.lift`).
 
-    *Points along the path.* Each point is the furthest from the previous one for which the interpolation of the
-    controller keeps within ``chord`` of the exact height of the tip *at the radius where it then is*. With linear
-    interpolation the points may be up to the chord above or below the path (`Path.lift`), so that the lines pass on
-    both sides of it: steps are longer by up to :math:`\sqrt 2`.
-
-    The scallop is kept on surfaces without slope discontinuities; over those of a lens array no smooth radius can keep
-    it. Where the contact changes from one piece to another, the step of the previous piece is continued, so that cusps
-    in a sharp valley or at a ridge are those of a constant feed of that step. On the pieces themselves the scallop is
-    kept.
+    The scallop is kept on surfaces without slope discontinuities. Where the contact changes from one piece of a lens
+    array to another, the step of the previous piece is continued, so that cusps in a sharp valley or at a ridge are
+    those of a constant feed of that step.
 
     Parameters
     ----------

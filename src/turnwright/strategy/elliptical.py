@@ -10,21 +10,15 @@ while the rake plane still contains the radial line of azimuth :math:`\theta`. Z
 
 *Valleys.* The height of the tip is the greatest of the heights at which the edge would touch each lenslet alone,
 :math:`Z = \max_i Z_i(\rho, \psi, \theta)`. It has a slope discontinuity where the edge leaves one lenslet and touches
-the next, :math:`D = Z_j - Z_i = 0`. A nose of finite radius touches at a distance from its tip, so this is not where
-the tip passes the border of two cells. The valley also moves: while the tip is at rest on the part, the rake plane
-turns and the radius changes, and the azimuth :math:`\Psi(\theta)` of the valley changes at the rate
-:math:`q = -D_\theta/D_\psi`, some hundredths of the spindle speed. A tip at rest relative to the part would leave a
-slope discontinuity of :math:`D_\theta` in Z, hundreds of nanometres per radian; therefore the tip is at rest relative
-to the moving valley.
+the next, :math:`D = Z_j - Z_i = 0`. While the tip is at rest on the part, the azimuth :math:`\Psi(\theta)` of the
+valley changes at the rate :math:`q = -D_\theta/D_\psi`; the tip is at rest relative to the moving valley.
 
 *The swing.* With passing moments :math:`t_k` and valleys :math:`\Psi_k(\theta)`, expanded to their second derivative,
 
 .. math:: \psi = (1 - \sigma)\,\Psi_k + \sigma\,\Psi_{k+1}, \qquad \sigma = s - \frac{\sin 2\pi s}{2\pi}, \qquad
    s = \frac{\theta - t_k}{t_{k+1} - t_k} .
 
-The first and second derivatives of :math:`\sigma` vanish at both ends, so that :math:`\psi - \Psi_k` passes zero with
-the third power: D has no slope there, and Z no slope discontinuity. No drift accumulates, since every valley is passed
-at its own moment.
+The first and second derivatives of :math:`\sigma` vanish at both ends, so that Z has no slope discontinuity.
 
 Sources
 -------

@@ -35,17 +35,10 @@ __all__ = ["HybridToolServo"]
 class HybridToolServo(OverPlan):
     r"""Hybrid tool servo: a fast tool on the axis W, carried by the slide Z; W and Z add up to the path.
 
-    The tool is placed once, on the whole surface, and the motion is split afterwards. Separate nose radius compensation
-    on a base and on its lenses, with the heights added, would have an error of about :math:`R s_1 s_2` for the slopes
-    :math:`s_1` and :math:`s_2` of both along the radius: tens of nanometres. The motion is split in one of two ways.
-
-    *By design*: Z follows the tip on the ``base`` alone, as if there were no lenses, and W is the difference, with the
-    middle of its range at 0.
-
-    *Computed*, with the limits of the ``fast`` axis: Z is the motion of least jerk that keeps W within its travel, and
-    within its speed and acceleration if the plan has a spindle speed. Where no limit is active, Z takes the part that
-    is slower than a revolution, see `turnwright.strategy.split`. The split ignores the bandwidth: a motion too fast for
-    the slide is on W in either case. `check_limits` checks the bandwidth of W and Z.
+    The tool is placed once, on the whole surface, and the motion is split afterwards. *By design*, Z follows the tip on
+    the ``base`` alone, and W is the difference, with the middle of its range at 0. *Computed*, with the limits of the
+    ``fast`` axis, Z is the motion of least jerk that keeps W within its travel, and within its speed and acceleration
+    if the plan has a spindle speed. `check_limits` checks the bandwidth of W and Z.
 
     Parameters
     ----------

@@ -68,18 +68,15 @@ RIM_AZIMUTHS = 3600
 class SlowToolServo(Strategy):
     r"""Slow tool servo (slow slide servo): C turns steadily, X advances by the feed per turn, Z follows the surface.
 
-    The tip runs along an Archimedean spiral between the rim and the axis. Its inner end is exact: the commanded radius
-    there is ``-tool.offset[0]``, at which the real tip is on the axis, less the overrun. Its outer end is the radius of
-    the clear aperture plus the lead-in, moved outward by less than one step if this makes every step equal.
-
-    The points are set in one of four ways:
+    The tip runs along an Archimedean spiral between the rim and the axis. The inner end is exact; the outer end is
+    moved outward by less than one step if this makes every step equal. The points are set in one of four ways:
 
     * ``points_per_rev``: constant angle, the same azimuths in every revolution, starting at azimuth 0.
     * ``arc_length``: constant length along the spiral. Near the centre the angle between points grows without bound.
     * ``arc_length`` and ``max_step``: constant arc length outside. Inside, where the angle would exceed ``max_step``,
       constant angle (the largest fraction of a revolution that does not).
     * ``chord``: the fewest points for which straight lines in machine axes between them keep within ``chord`` of the
-      exact path. X and C are linear along the spiral, so the error is that of Z alone.
+      exact path.
 
     Parameters
     ----------
@@ -109,10 +106,8 @@ class SlowToolServo(Strategy):
         rim, the distance by which the edge touches inside its tip. A value that is set is used exactly; an error is
         raised if it would leave a band uncut. [mm]
     overrun
-        Distance beyond the axis at which the tip ends, or starts. An Archimedean spiral that ends on the axis leaves up
-        to 1.5 feeds between its innermost passes, so that a cusp within a feed of the axis is up to 2.25 times as high
-        as the others. With an overrun of a quarter of a feed no gap is wider than a feed. It is 0 by default, since the
-        part moves against the back of the edge beyond the axis. [mm]
+        Distance beyond the axis at which the tip ends, or starts. A quarter of a feed keeps the cusp at the axis as low
+        as the others. It is 0 by default, since the part moves against the back of the edge beyond the axis. [mm]
 
     Raises
     ------
@@ -122,8 +117,7 @@ class SlowToolServo(Strategy):
     Sources
     -------
     [Li2018]_ section 2 (spiral, constant angle and constant arc), [Troutman2016]_ section 6.3 (chord). Erratum to
-    Troutman's Eq. 6.5: its curvature of the arc diverges at the centre; the height of the arc between two points a
-    step :math:`\Delta\theta` apart is :math:`z_{\theta\theta}\Delta\theta^2/8`, so the step is
+    Troutman's Eq. 6.5: its curvature of the arc diverges at the centre; the step is
     :math:`\sqrt{8\,\mathrm{chord} / \max|z_{\theta\theta}|}`, with the tip's own height, not the surface's.
 
     >>> servo = SlowToolServo(feed=0.025, points_per_rev=3600, lead_in=0.0)

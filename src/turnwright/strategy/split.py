@@ -6,12 +6,6 @@ With h(t) the height of both together over the angle t turned, in radians, the s
     \mathrm{low} \le h - Z \le \mathrm{high}, \;
     \omega\,|h' - Z'| \le \mathrm{speed}, \; \omega^2\,|h'' - Z''| \le \mathrm{acceleration}
 
-The first term is the jerk of the slide, which excites vibration and determines the following error of a servo with
-feed-forward. The second term makes the minimum unique: where no limit is active, the slide takes the fraction
-:math:`1/(1 + n^6)` of the harmonic n of a revolution, so nearly all of the slower motion and nothing of the faster
-motion. The fast tool thus makes the motion that repeats in every revolution, about the middle of its stroke, and the
-slide takes only what exceeds the limits of the tool.
-
 This is a strictly convex quadratic program in the coefficients of a cubic spline over even cells. Its matrices have
 three lower diagonals besides the main one, so a step of the interior-point method takes linear time.
 
