@@ -13,7 +13,8 @@ import math
 import re
 import struct
 import zipfile
-from typing import IO, TYPE_CHECKING, Any
+from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 
@@ -21,9 +22,6 @@ from turnwright._arrays import Floats
 from turnwright.errors import MapError, shown
 from turnwright.files.base import MAX_POINTS, finite_or_missing, grid_map, inflated, require_bytes, require_points
 from turnwright.heightmap import HeightMap
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 __all__ = ["SIGNATURE", "packed", "read_bare", "read_named"]
 

@@ -6,17 +6,14 @@ import math
 import struct
 import zipfile
 import zlib
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright.errors import MapError
 from turnwright.heightmap import HeightMap
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
 
 __all__ = [
     "DAMAGE",

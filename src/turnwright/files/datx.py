@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import io
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,13 +21,10 @@ from turnwright._arrays import Floats
 from turnwright.errors import MapError
 from turnwright.files.base import grid_map, inflated, require_points
 from turnwright.files.units import to_mm
+from turnwright.heightmap import HeightMap
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import h5py
-
-    from turnwright.heightmap import HeightMap
 
 __all__ = ["SIGNATURE", "read"]
 

@@ -14,18 +14,15 @@ from __future__ import annotations
 import math
 import struct
 import zlib
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from turnwright.errors import MapError
 from turnwright.files.base import grid_map, inflated, require_bytes, require_points, words
 from turnwright.files.units import to_mm
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from turnwright.heightmap import HeightMap
+from turnwright.heightmap import HeightMap
 
 __all__ = ["SIGNATURES", "read"]
 

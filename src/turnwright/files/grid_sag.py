@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -21,11 +21,7 @@ from turnwright.errors import MapError
 from turnwright.files.base import even_axes, grid_map, require_bytes, require_points
 from turnwright.files.numbers import table
 from turnwright.files.units import to_mm
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from turnwright.heightmap import HeightMap
+from turnwright.heightmap import HeightMap
 
 __all__ = ["is_grid_sag", "packed", "read"]
 

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from turnwright._io import answer_parent, read_isolated
 from turnwright.errors import MapError
 from turnwright.files import arrays, datx
 from turnwright.files.base import DAMAGE
-
-if TYPE_CHECKING:
-    from turnwright.heightmap import HeightMap
+from turnwright.heightmap import HeightMap
 
 __all__ = ["read_datx"]
 

@@ -16,17 +16,14 @@ from __future__ import annotations
 import math
 import struct
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from turnwright.errors import MapError
 from turnwright.files.base import grid_map, require_bytes, require_points, words
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from turnwright.heightmap import HeightMap
+from turnwright.heightmap import HeightMap
 
 __all__ = ["COUNTS", "MISSING", "SIGNATURES", "fringe_scale", "read"]
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,9 +22,6 @@ from turnwright.files.lattice import on_lattice
 from turnwright.files.numbers import table
 from turnwright.files.units import SPELLINGS, to_mm
 from turnwright.heightmap import HeightMap
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 __all__ = ["read", "read_slice"]
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Callable
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,12 +26,7 @@ from turnwright.files import (
 )
 from turnwright.files.base import DAMAGE, MAX_FILE_BYTES, require_heights
 from turnwright.files.numbers import text_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from os import PathLike
-
-    from turnwright.heightmap import HeightMap
+from turnwright.heightmap import HeightMap
 
 __all__ = ["contents", "read_map"]
 

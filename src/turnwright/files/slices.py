@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +16,6 @@ from turnwright.files.numbers import text_of
 from turnwright.files.points import read_slice
 from turnwright.files.read import contents, read_map
 from turnwright.profile import Profile
-
-if TYPE_CHECKING:
-    from os import PathLike
 
 __all__ = ["read_profile"]
 

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from turnwright._io import write_whole
 from turnwright.errors import MapError
 from turnwright.files import arrays, grid_sag, x3p
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from turnwright.heightmap import HeightMap
+from turnwright.heightmap import HeightMap
 
 __all__ = ["write_map"]
 

@@ -14,6 +14,7 @@ import io
 import zipfile
 from datetime import datetime
 from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,8 +24,6 @@ from turnwright.files.base import even_axes, grid_map, inflated, require_points
 from turnwright.heightmap import HeightMap
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import x3pio
 
 __all__ = ["packed", "read"]

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import shlex
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -22,11 +22,7 @@ from turnwright.errors import MapError
 from turnwright.files.base import grid_map, require_bytes, require_points
 from turnwright.files.metropro import MISSING, Fringes, fringe_scale
 from turnwright.files.numbers import numbers, table
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from turnwright.heightmap import HeightMap
+from turnwright.heightmap import HeightMap
 
 __all__ = ["PHASES", "POINTS", "read"]
 

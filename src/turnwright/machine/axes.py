@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from turnwright._arrays import Floats
 from turnwright._tables import Stated, refuse
@@ -17,7 +18,6 @@ from turnwright.machine.responses import AnyResponse, Response
 from turnwright.units import Frequency, Time, parse, unit
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
     from pydantic import GetCoreSchemaHandler
     from pydantic_core import CoreSchema
 

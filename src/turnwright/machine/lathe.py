@@ -7,9 +7,10 @@ from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from turnwright._arrays import Floats, Value, frozen
 from turnwright._faults import read_table
@@ -20,9 +21,6 @@ from turnwright.errors import InputError, shown
 from turnwright.machine.axes import Axes, Axis
 from turnwright.machine.controller import Controller, Convention
 from turnwright.units import Number, Slope, Text
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 __all__ = ["Machine"]
 

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright.errors import LimitError
-from turnwright.machine import FAST
+from turnwright.machine import FAST, Machine
 from turnwright.motion.limits import TURN, Course, find_speed_factor
 from turnwright.motion.pvt import find_fastest_course, reach_stated_speed, slow_to_limits
 from turnwright.path import Motion, Path
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from turnwright._arrays import Floats
-    from turnwright.machine import Machine
-    from turnwright.speed_profile import SpeedProfile
+from turnwright.speed_profile import SpeedProfile
 
 __all__ = ["drive", "require_variable"]
 

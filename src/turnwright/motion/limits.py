@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import only_read
+from turnwright._arrays import Floats, Ints, only_read
 from turnwright._kernels import limits as limits_kernel, tracking as tracking_kernel
-from turnwright.machine import FAST, ROTARY, Axis
+from turnwright.machine import FAST, ROTARY, Axis, Machine
 from turnwright.path import Motion, block_points
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from turnwright._arrays import Floats, Ints
-    from turnwright.machine import Machine
 
 __all__ = [
     "LIMIT_TOL",

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from turnwright._arrays import Floats, Ints
 from turnwright.errors import LimitError
-from turnwright.machine import ROTARY
+from turnwright.machine import ROTARY, Machine
 from turnwright.motion.limits import (
     LIMIT_TOL,
     TURN,
@@ -21,12 +23,6 @@ from turnwright.motion.limits import (
     find_speed_factor,
 )
 from turnwright.path import LINEARITY_TOL_MM, LINEARITY_TOL_RAD, Motion
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from turnwright._arrays import Floats, Ints
-    from turnwright.machine import Machine
 
 __all__ = ["find_fastest_course", "reach_stated_speed", "slow_to_limits"]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -10,18 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright.errors import LimitError, ProgramError
-from turnwright.machine import FAST
+from turnwright.machine import FAST, Machine
 from turnwright.motion import from_rest_to_rest
 from turnwright.path import Motion
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from scipy.interpolate import CubicSpline
-
-    from turnwright._arrays import Floats
-    from turnwright.machine import Machine
 
 __all__ = [
     "DOWN_FEED",

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright.errors import InputError, ProgramError
+from turnwright.machine import Machine
 from turnwright.path import Motion
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
-    from turnwright._arrays import Floats
-    from turnwright.machine import Machine
 
 __all__ = ["axis_signs", "convention_line", "in_part_axes", "motion_of", "reading", "short_steps"]
 

@@ -4,26 +4,21 @@ from __future__ import annotations
 
 import re
 import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._arrays import Floats, Ints
 from turnwright._kernels import text as kernel
 from turnwright.errors import ProgramError
-from turnwright.post.approach import entry_words
+from turnwright.machine import Machine
+from turnwright.post.approach import Approach, entry_words
 from turnwright.post.convention import convention_line, reading
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from os import PathLike
-
-    from turnwright._arrays import Floats, Ints
-    from turnwright.machine import Machine
-    from turnwright.post.approach import Approach
-    from turnwright.post.dialect import Dialect
+from turnwright.post.dialect import Dialect
 
 __all__ = ["ProgramHeader", "ProgramInfo", "ProgramPass", "ProgramWarning", "inspect_nc"]
 

@@ -6,18 +6,24 @@ import hashlib
 import mmap
 import re
 import warnings
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import pairwise
+from os import PathLike
 from pathlib import Path
 from string import ascii_lowercase, ascii_uppercase
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from turnwright._arrays import Floats, Ints
 from turnwright._kernels import text as kernel
 from turnwright.errors import ProgramError
+from turnwright.machine import Machine
+from turnwright.path import Motion
 from turnwright.post.convention import axis_signs, convention_line, motion_of, reading
+from turnwright.post.dialect import Dialect
 from turnwright.post.header import (
     BOM,
     ENTRY,
@@ -31,18 +37,7 @@ from turnwright.post.header import (
 )
 from turnwright.post.macro import Macros
 from turnwright.post.registry import dialect_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
-    from turnwright._arrays import Floats, Ints
-    from turnwright.machine import Machine
-    from turnwright.path import Motion
-    from turnwright.post.dialect import Dialect
-    from turnwright.progress import Progress
+from turnwright.progress import Progress
 
 __all__ = ["read_nc"]
 

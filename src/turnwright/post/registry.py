@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from turnwright.errors import ProgramError
+from turnwright.machine import Machine
 from turnwright.post.dialect import Dialect
-
-if TYPE_CHECKING:
-    from turnwright.machine import Machine
 
 __all__ = ["DIALECTS", "dialect_of"]
 

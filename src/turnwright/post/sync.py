@@ -6,34 +6,28 @@ import hashlib
 import math
 import os
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import BinaryIO, Literal
 
 import numpy as np
 
-from turnwright._arrays import rows_of_numbers
+from turnwright._arrays import Floats, Ints, rows_of_numbers
 from turnwright._kernels import table as table_kernel, text as text_kernel
 from turnwright._validate import positive
 from turnwright.errors import ProgramError
+from turnwright.machine import Machine
 from turnwright.path import Motion
 from turnwright.post.approach import PLUNGE_FEED, entry_path, entry_shares
 from turnwright.post.convention import convention_line, in_part_axes, reading, short_steps
-from turnwright.post.header import NO_HASH, inspect_nc, plain, require_regular, software
+from turnwright.post.dialect import Dialect
+from turnwright.post.header import NO_HASH, ProgramHeader, inspect_nc, plain, require_regular, software
 from turnwright.post.reader import read_nc
 from turnwright.post.registry import dialect_of
 from turnwright.post.writer import CHUNK_POINTS, ProgramFiles, _disk_error, _velocity, write_nc
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from os import PathLike
-    from typing import BinaryIO
-
-    from turnwright._arrays import Floats, Ints
-    from turnwright.machine import Machine
-    from turnwright.post.dialect import Dialect
-    from turnwright.post.header import ProgramHeader
-    from turnwright.progress import Progress
+from turnwright.progress import Progress
 
 __all__ = ["FastToolFiles", "read_fast_tool", "write_fast_tool"]
 

@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import io
 import warnings
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import rows_of_numbers
+from turnwright._arrays import Floats, rows_of_numbers
 from turnwright.errors import ProgramError
+from turnwright.machine import Machine
+from turnwright.path import Motion
 from turnwright.post.convention import motion_of, reading, short_steps
 from turnwright.post.header import ProgramWarning, require_regular
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from turnwright._arrays import Floats
-    from turnwright.machine import Machine
-    from turnwright.path import Motion
 
 __all__ = ["read_table"]
 

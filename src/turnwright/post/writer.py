@@ -9,20 +9,21 @@ import re
 import shutil
 import tempfile
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from io import BytesIO
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, TypeAlias
+from typing import BinaryIO, TypeAlias
 
 import numpy as np
 
 from turnwright._arrays import Floats, Ints
 from turnwright._kernels import text as text_kernel, tracking as tracking_kernel
 from turnwright.errors import ProgramError
-from turnwright.machine import FAST
+from turnwright.machine import FAST, Machine
 from turnwright.path import Motion
 from turnwright.post.approach import (
     DOWN_FEED,
@@ -34,6 +35,7 @@ from turnwright.post.approach import (
     link_seconds,
 )
 from turnwright.post.convention import axis_signs
+from turnwright.post.dialect import Dialect
 from turnwright.post.header import (
     ENTRY,
     NO_HASH,
@@ -46,13 +48,6 @@ from turnwright.post.header import (
 )
 from turnwright.post.registry import dialect_of
 from turnwright.progress import Progress, cores
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from os import PathLike
-
-    from turnwright.machine import Machine
-    from turnwright.post.dialect import Dialect
 
 __all__ = ["ProgramFiles", "write_nc"]
 

@@ -6,14 +6,19 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from turnwright._arrays import Bools, Floats, Ints
 from turnwright._kernels import adaptive as kernel
+from turnwright.edge import Edge
 from turnwright.errors import GougeError, InputError
-from turnwright.path import Spiral
+from turnwright.machine import Machine
+from turnwright.part import Part
+from turnwright.path import Path, Spiral
 from turnwright.placing import Tips, touch_down
+from turnwright.progress import Progress
 from turnwright.speed_profile import Speeds
 from turnwright.strategy.base import Strategy
 from turnwright.strategy.fast import FastToolServo
@@ -25,16 +30,8 @@ from turnwright.strategy.sampling import (
     check_interval,
     check_samples,
 )
+from turnwright.tool import Tool
 from turnwright.units import Flag, Size, Speed
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Bools, Floats, Ints
-    from turnwright.edge import Edge
-    from turnwright.machine import Machine
-    from turnwright.part import Part
-    from turnwright.path import Path
-    from turnwright.progress import Progress
-    from turnwright.tool import Tool
 
 __all__ = ["AdaptiveToolServo"]
 

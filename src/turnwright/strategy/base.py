@@ -10,24 +10,22 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright._tables import Stated, forget_adapters, types_of, written, written_by
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
-from turnwright.path import Spiral
+from turnwright.machine import Machine
+from turnwright.part import Part
+from turnwright.path import Path, Spiral
+from turnwright.progress import Progress
 from turnwright.speed_profile import SpeedProfile
 from turnwright.strategy.sampling import sample_turns
+from turnwright.tool import Tool
 from turnwright.units import unit
 
 if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
     from pydantic_core import CoreSchema
-
-    from turnwright._arrays import Floats
-    from turnwright.machine import Machine
-    from turnwright.part import Part
-    from turnwright.path import Path
-    from turnwright.progress import Progress
-    from turnwright.tool import Tool
 
 __all__ = ["STRATEGIES", "Strategy"]
 

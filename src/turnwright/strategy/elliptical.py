@@ -32,28 +32,24 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import frozen
+from turnwright._arrays import Bools, Floats, Ints, frozen
 from turnwright._validate import check_numbers
+from turnwright.edge import Edge
 from turnwright.errors import InputError, LimitError
-from turnwright.path import Spiral
+from turnwright.part import Part
+from turnwright.path import Path, Spiral
 from turnwright.placing import Tips, follow, touch_down
+from turnwright.progress import Progress
 from turnwright.speed_profile import Speeds
 from turnwright.strategy.base import Strategy
 from turnwright.strategy.sampling import TURN
 from turnwright.strategy.slow import SlowToolServo
+from turnwright.tool import Tool
 from turnwright.units import Count, Feed, Flag, Size, Speed, Step, Thickness, unit
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Bools, Floats, Ints
-    from turnwright.edge import Edge
-    from turnwright.part import Part
-    from turnwright.path import Path
-    from turnwright.progress import Progress
-    from turnwright.tool import Tool
 
 __all__ = ["QuasiEllipticalToolServo", "Valleys"]
 

@@ -4,24 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright._tables import Merged
 from turnwright._validate import check_numbers
 from turnwright.errors import InputError
+from turnwright.machine import Machine
+from turnwright.part import Part
+from turnwright.path import Path, Spiral
+from turnwright.progress import Progress
+from turnwright.speed_profile import SpeedProfile
 from turnwright.strategy.base import Strategy
 from turnwright.strategy.slow import SlowToolServo
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Floats
-    from turnwright.machine import Machine
-    from turnwright.part import Part
-    from turnwright.path import Path, Spiral
-    from turnwright.progress import Progress
-    from turnwright.speed_profile import SpeedProfile
-    from turnwright.tool import Tool
+from turnwright.tool import Tool
 
 __all__ = ["FastToolServo", "OverPlan"]
 

@@ -5,28 +5,24 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 import numpy as np
 
-from turnwright._arrays import rounding
+from turnwright._arrays import Floats, rounding
 from turnwright._validate import whole as whole_number
 from turnwright.errors import InputError
-from turnwright.machine import Axis
+from turnwright.machine import Axis, Machine
+from turnwright.part import Part
+from turnwright.path import Path, Spiral
 from turnwright.placing import Tips, touch_down
+from turnwright.progress import Progress
+from turnwright.strategy.base import Strategy
 from turnwright.strategy.fast import OverPlan
 from turnwright.strategy.split import find_smoothest
 from turnwright.surface import Surface
 from turnwright.tool import Tool
 from turnwright.units import Count
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Floats
-    from turnwright.machine import Machine
-    from turnwright.part import Part
-    from turnwright.path import Path, Spiral
-    from turnwright.progress import Progress
-    from turnwright.strategy.base import Strategy
 
 __all__ = ["HybridToolServo"]
 

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright._kernels import chord as kernel
 from turnwright._validate import whole as whole_number
+from turnwright.edge import Edge
 from turnwright.errors import GougeError, InputError
-from turnwright.path import Spiral
+from turnwright.part import Part
+from turnwright.path import Path, Spiral
 from turnwright.placing import Tips, touch_down
-from turnwright.progress import require_memory
+from turnwright.progress import Progress, require_memory
 from turnwright.speed_profile import Speeds
 from turnwright.strategy.base import Strategy
 from turnwright.strategy.sampling import (
@@ -27,17 +31,8 @@ from turnwright.strategy.sampling import (
     check_samples,
     sample_turns,
 )
+from turnwright.tool import Tool
 from turnwright.units import Count, Feed, Flag, Size, Speed, Step, Thickness
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from turnwright._arrays import Floats
-    from turnwright.edge import Edge
-    from turnwright.part import Part
-    from turnwright.path import Path
-    from turnwright.progress import Progress
-    from turnwright.tool import Tool
 
 __all__ = ["SlowToolServo"]
 

@@ -18,17 +18,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from turnwright._arrays import Floats, Ints
 from turnwright._kernels import split as kernel
 from turnwright.errors import LimitError
+from turnwright.machine import Axis
 from turnwright.strategy.sampling import TURN
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Floats, Ints
-    from turnwright.machine import Axis
 
 __all__ = ["find_smoothest"]
 
