@@ -12,15 +12,17 @@ from __future__ import annotations
 
 import io
 import math
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from turnwright._arrays import Floats
+from turnwright._io import answer_parent, read_isolated
 from turnwright.errors import MapError
-from turnwright.files.base import grid_map, inflated, require_points
-from turnwright.files.units import to_mm
+from turnwright.files import arrays
+from turnwright.files.base import DAMAGE, grid_map, inflated, require_points, to_mm
 from turnwright.heightmap import HeightMap
 
 if TYPE_CHECKING:
@@ -38,7 +40,17 @@ MAX_TEXT_CHARACTERS = 500
 
 
 def read(path: Path, data: bytes) -> HeightMap:
-    """Read a datx file."""
+    """Read a datx file in a separate process."""
+    return arrays.read_named(path, read_isolated(__name__, path, refusal=MapError, data=data))
+
+
+def main() -> int:
+    """Read a datx file from standard input and write its map to standard output."""
+    path = Path(sys.argv[1])
+    return answer_parent(lambda: arrays.packed(_read(path, sys.stdin.buffer.read())), refusal=MapError, damage=DAMAGE)
+
+
+def _read(path: Path, data: bytes) -> HeightMap:
     import h5py  # noqa: PLC0415 - costly to import
 
     with h5py.File(io.BytesIO(data), "r") as file:

@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files.base import grid_map, inflated, require_bytes, require_points, words
-from turnwright.files.units import to_mm
+from turnwright.files.base import grid_map, inflated, require_bytes, require_points, to_mm, words
 from turnwright.heightmap import HeightMap
 
 __all__ = ["SIGNATURES", "read"]

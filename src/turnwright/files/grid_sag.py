@@ -18,9 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files.base import even_axes, grid_map, require_bytes, require_points
+from turnwright.files.base import even_axes, grid_map, require_bytes, require_points, to_mm
 from turnwright.files.numbers import table
-from turnwright.files.units import to_mm
 from turnwright.heightmap import HeightMap
 
 __all__ = ["is_grid_sag", "packed", "read"]

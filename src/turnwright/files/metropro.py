@@ -70,6 +70,14 @@ class Fringes(NamedTuple):
     obliquity: float
     resolution: int
 
+    @property
+    def metadata(self) -> dict[str, str]:
+        return {
+            "wavelength": f"{self.wavelength * 1e9:.6g} nm",
+            "scale factor": f"{self.scale:g}",
+            "obliquity factor": f"{self.obliquity:g}",
+        }
+
 
 def fringe_scale(path: Path, fringes: Fringes) -> float:
     """Return the height of one count [mm]."""
@@ -98,11 +106,8 @@ def read(path: Path, data: bytes) -> HeightMap:
     begin = field["header size"] + _intensity_bytes(path, field)
     require_bytes(path, begin + 4 * columns * rows, len(data))
     counts = np.frombuffer(data, ">i4", columns * rows, begin).reshape(rows, columns)[::-1]
-    scale = fringe_scale(
-        path,
-        Fringes(field["scale factor"], field["wavelength"], field["obliquity factor"], field["phase resolution"]),
-    )
-    heights = counts * scale
+    fringes = Fringes(field["scale factor"], field["wavelength"], field["obliquity factor"], field["phase resolution"])
+    heights = counts * fringe_scale(path, fringes)
     heights[counts >= MISSING] = np.nan
     size = 1e3 * field["pixel size"]
     return grid_map(
@@ -111,11 +116,8 @@ def read(path: Path, data: bytes) -> HeightMap:
         (size, size) if size != 0 else None,
         metadata={
             "format": "Zygo MetroPro .dat",
-            "wavelength": f"{field['wavelength'] * 1e9:.6g} nm",
-            "scale factor": f"{field['scale factor']:g}",
-            "obliquity factor": f"{field['obliquity factor']:g}",
-            "magnification": f"{field['magnification']:g}",
-            "numerical aperture": f"{field['numerical aperture']:g}",
+            **fringes.metadata,
+            **{name: f"{field[name]:g}" for name in ("magnification", "numerical aperture")},
             "timestamp": datetime.fromtimestamp(field["timestamp"], UTC).isoformat() if field["timestamp"] > 0 else "",
             **{
                 name: words(field[name])

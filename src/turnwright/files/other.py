@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files.base import grid_map, require_points
-from turnwright.files.units import to_mm
+from turnwright.files.base import grid_map, require_points, to_mm
 from turnwright.heightmap import HeightMap
 
 __all__ = ["DISPUTED", "SUFFIXES", "read", "refuse"]

@@ -17,10 +17,9 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright.errors import MapError
-from turnwright.files.base import finite_or_missing, grid_map, require_points
+from turnwright.files.base import SPELLINGS, finite_or_missing, grid_map, require_points, to_mm
 from turnwright.files.lattice import on_lattice
 from turnwright.files.numbers import table
-from turnwright.files.units import SPELLINGS, to_mm
 from turnwright.heightmap import HeightMap
 
 __all__ = ["read", "read_slice"]
@@ -96,7 +95,7 @@ def read(path: Path, text: str, unit: str | None, lateral_unit: str | None) -> H
     above = lines[: layout.first]
     names = _names(above, layout)
     chosen = _columns(path, names, layout.columns, _numeric_columns(lines, layout))
-    body = _body(text, layout)
+    body = _below(text, layout.first)
     metadata = {
         "format": "text",
         "description": "\n".join(line for line in above if line.strip())[:MAX_DESCRIPTION_CHARACTERS],
@@ -121,16 +120,8 @@ def read_slice(
 ) -> tuple[Floats, Floats, str]:
     """Return distances and heights of a text's rows in mm, missing ones nan, and its description. Each (n,).
 
-    Parameters
-    ----------
-    path
-        Path of the file, for messages.
-    text
-        Rows of numbers below a line of names.
-    columns
-        Names or numbers (from 1) of the columns of distance and height; ``None`` to detect them.
-    unit, lateral_unit
-        Units of the heights, and of the distances if different, where the text has none.
+    ``columns`` are names or numbers (from 1) of the columns of distance and height, ``None`` to detect them; the units
+    are those of the heights, and of the distances if different, where the text has none.
     """
     lines = _first_lines(text)
     layout = _layout(path, lines)
@@ -146,7 +137,7 @@ def read_slice(
         if scale is None:
             raise MapError(f"{path} is in pixels, a profile needs lengths: export it calibrated")
         scales.append(scale)
-    distance, height = (_table(path, _body(text, layout), layout, chosen) * scales).T
+    distance, height = (_table(path, _below(text, layout.first), layout, chosen) * scales).T
     has_place = np.isfinite(distance)
     if (np.isfinite(height) & ~has_place).any():
         raise MapError(f"{path} has heights without a distance: complete or remove them")
@@ -218,11 +209,9 @@ def _allows(name: str, what: str) -> bool:
     return not (NO_LENGTH.fullmatch(plain) or other.fullmatch(plain))
 
 
-def _body(text: str, layout: _Layout) -> str:
-    begin = 0
-    for _ in range(layout.first):
-        begin = text.index("\n", begin) + 1
-    return text[begin:]
+def _below(text: str, lines: int) -> str:
+    """Return the text below some lines."""
+    return "".join(text.split("\n", lines)[lines:])
 
 
 def _x_row(lines: list[str], layout: _Layout) -> tuple[int, list[str]] | None:
@@ -254,10 +243,7 @@ def _read_with_axes(
     if len(scales) < len(axis_units):
         raise MapError(f"{path} is in pixels, x, y and z must be lengths: give their units")
     x = np.array([float(cell.replace(",", ".") if layout.comma else cell) for cell in cells])
-    begin = 0
-    for _ in range(number + 1):
-        begin = text.find("\n", begin) + 1 or len(text)
-    rows = _table(path, text[begin:], replace(layout, first=number + 1), None)
+    rows = _table(path, _below(text, number + 1), replace(layout, first=number + 1), None)
     y, z = rows[:, 0], rows[:, 1:]
     require_points(path, x.size, y.size)
     if x.size != z.shape[1]:
@@ -308,14 +294,8 @@ def _as_map(
 # ------------------------------------------------------------------ format of the table
 def _first_lines(text: str) -> list[str]:
     """Return the lines among which a table must begin."""
-    lines: list[str] = []
-    begin = 0
-    while begin < len(text) and len(lines) < MAX_DESCRIPTION_LINES + 20:
-        end = text.find("\n", begin)
-        end = len(text) if end < 0 else end
-        lines.append(text[begin:end].rstrip("\r"))
-        begin = end + 1
-    return lines
+    count = MAX_DESCRIPTION_LINES + 20
+    return [line.rstrip("\r") for line in text.split("\n", count)[:count]]
 
 
 def _layout(path: Path, lines: list[str]) -> _Layout:

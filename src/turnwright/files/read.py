@@ -16,7 +16,6 @@ from turnwright.files import (
     datx,
     digital_surf,
     grid_sag,
-    isolated,
     metropro,
     other,
     points,
@@ -168,7 +167,7 @@ def _read_text(path: Path, data: bytes, unit: str | None = None, lateral_unit: s
 
 SIGNATURES = (
     (metropro.SIGNATURES, metropro.read, "Zygo MetroPro"),
-    (datx.SIGNATURE, isolated.read_datx, "Zygo .datx"),
+    (datx.SIGNATURE, datx.read, "Zygo .datx"),
     (digital_surf.SIGNATURES, digital_surf.read, "Digital Surf"),
     (arrays.SIGNATURE, arrays.read_bare, "NumPy .npy"),
 )

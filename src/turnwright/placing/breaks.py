@@ -75,9 +75,8 @@ class _SurfaceKey:
 def find_extremes(surface: Surface, radius: float, *, radial: bool) -> SurfaceExtremes:
     """Return the extremes of a surface, sampled along diameters.
 
-    The samples are a quarter of the feature size apart, or further where that is more than `MAX_GRID_SAMPLES`. With
-    ``radial`` the edge lies in the radial plane and only slopes along the radius count; otherwise the edge passes the
-    axis at a distance and slopes in every direction count.
+    With ``radial`` the edge lies in the radial plane and only slopes along the radius count; otherwise the edge passes
+    the axis at a distance and slopes in every direction count.
     """
     return _find_extremes_cached(_SurfaceKey(surface), radius, radial=radial)
 

@@ -126,22 +126,9 @@ def approach_to(
 ) -> Approach:
     """Return the approach to a pass, see `write_nc`.
 
-    Parameters
-    ----------
-    motion
-        The pass.
-    clearance
-        Height of the clear plane above the highest point of the pass. [mm]
-    depth
-        Height of the material above the path at the radius where the pass begins; ``None`` where it begins clear of
-        the material. [mm]
-    plunge_feed
-        Largest plunge feed. [mm/s]
-    name
-        Name of the pass, for messages.
-    heights
-        Z of the lathe at the radius where the pass begins, at the angles of `entry_path`; shifted so that they begin
-        at the first point of the pass. By default extrapolated from its first revolutions. (n,) [mm]
+    ``depth`` is the height of the material above the path where the pass begins, ``None`` where it is clear of it [mm];
+    ``heights`` are Z of the lathe at the angles of `entry_path`, shifted so that they begin at the first point of the
+    pass. (n,) [mm]
     """
     clear = float(motion.axes["Z"].max()) + clearance
     first = {letter: float(values[0]) for letter, values in motion.axes.items()}
@@ -226,17 +213,9 @@ def _fastest(motion: Motion) -> float:
 def entry_path(motion: Motion) -> tuple[Floats, dict[str, Floats]]:
     """Return the path of one revolution at the first point of a pass, where the heights of its plunge are needed.
 
-    Parameters
-    ----------
-    motion
-        The pass.
-
-    Returns
-    -------
-    turned, axes
-        Angles from the first point, 0 to one full turn, as dense as the points of the pass, or 16 times as dense with
-        velocities (n,) [rad]; and every axis but C at the radius of the first point, by letter, extrapolated from the
-        first revolutions (n,) [mm].
+    Angles from the first point, 0 to one full turn, as dense as the points of the pass, or 16 times as dense with
+    velocities (n,) [rad]; and every axis but C at the radius of the first point, by letter, extrapolated from the first
+    revolutions (n,) [mm].
     """
     turned, _, axes, _ = _first_turn(motion)
     if motion.velocity is None:
@@ -259,22 +238,11 @@ def _require_heights(heights: Floats, angle: Floats, what: str) -> None:
 
 
 def entry_shares(motion: Motion, heights: Floats) -> tuple[Floats, dict[str, Floats]]:
-    """Split the heights of a plunge between lathe and fast tool.
+    """Split the heights of a plunge, Z and W together, between lathe and fast tool.
 
-    The lathe moves as in the first revolutions of the pass, the fast tool adds the difference.
-
-    Parameters
-    ----------
-    motion
-        The pass, with W.
-    heights
-        Z and W together, at the angles of `entry_path`. (n,) [mm]
-
-    Returns
-    -------
-    lathe, fast
-        Z at the angles of `entry_path` of the lathe's motion, (m,) [mm]; the fast tool's axes by letter at those of
-        the whole motion. Each (n,) [mm]
+    The lathe moves as in the first revolutions of the pass, the fast tool adds the difference. Returned are Z at the
+    angles of `entry_path` of the lathe's motion, (m,) [mm], and the fast tool's axes by letter at those of the whole
+    motion. Each (n,) [mm]
     """
     angle, axes = entry_path(motion)
     _require_heights(heights, angle, "the pass")
@@ -358,16 +326,11 @@ def _one_term_less(motion: Motion, z: Floats) -> Floats:
 def _first_turn(motion: Motion, *, most: int = 3) -> tuple[Floats, Floats, dict[str, Floats], float]:
     """Return the path of one revolution at the radius of the first point of a pass.
 
-    The radius of a pass changes over its first revolution. The other axes at the radius of the first point are
-    extrapolated by a parabola through the first three revolutions, or through ``most`` if that is fewer. After one full
-    turn the extrapolation error is known from the first point. It grows as the product of the distances from the three
-    radii and is subtracted in proportion all around, so that the turn closes without a step.
-
-    Returns
-    -------
-    turned, time, axes, advance
-        Angle from the first point, 0 to one full turn (n,) [rad]; time (n,) [s]; every axis but C, by letter (n,) [mm];
-        and the change of X in the first revolution [mm].
+    The other axes at the radius of the first point are extrapolated by a parabola through the first three revolutions,
+    or through ``most`` if that is fewer. After one full turn the extrapolation error is known from the first point. It
+    grows as the product of the distances from the three radii and is subtracted in proportion all around, so that the
+    turn closes without a step. Returned are the angle from the first point, 0 to one full turn (n,) [rad]; the time
+    (n,) [s]; every axis but C, by letter (n,) [mm]; and the change of X in the first revolution [mm].
     """
     angle = np.abs(motion.axes["C"] - motion.axes["C"][0])
     x = motion.axes["X"]

@@ -23,12 +23,7 @@ def next_of(text: str, at: int, signs: str) -> str:
 
 
 class Macros:
-    """The variables and expressions of a program.
-
-    Parameters
-    ----------
-    error
-        Makes an exception from the description of a fault.
+    """The variables and expressions of a program; ``error`` makes an exception from the description of a fault.
 
     >>> macros = Macros(ValueError)
     >>> macros.variables[8] = 0.02

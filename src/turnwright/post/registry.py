@@ -79,13 +79,7 @@ DIALECTS = {dialect.name: dialect for dialect in (GENERIC, NANOTECH, PMAC)}
 
 
 def dialect_of(machine: Machine) -> Dialect:
-    """Return the program dialect of a machine's controller.
-
-    Raises
-    ------
-    ProgramError
-        If the dialect is unknown, or its programs need another interpolation than the controller's.
-    """
+    """Return the program dialect of a machine's controller, or raise if its programs cannot be written."""
     dialect = DIALECTS.get(machine.dialect)
     if dialect is None:
         raise ProgramError(

@@ -452,12 +452,7 @@ class _Steps:
     def find_step(self, radius: Floats, step: Floats) -> tuple[Floats, Floats]:
         """Return on every spoke the largest step to the next tip, and the radius at which both edges meet.
 
-        Parameters
-        ----------
-        radius
-            Radius of the tip. (m,) [mm]
-        step
-            First guess of the step. (m,) [mm]
+        ``radius`` is that of the tip, ``step`` a first guess of the step. Each (m,) [mm]
         """
         ways = (self.cosine, self.sine)
         # Rings from this radius on are needed until the next revolution.
@@ -657,13 +652,9 @@ def _sample_path(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, 
     """Sample a path until cubics between the samples, and straight lines between those, have a negligible error.
 
     On a smooth path, the error of a cubic over two intervals at the sample between them is 16 times the error of the
-    cubics over each interval; at a slope discontinuity it is at least as large as theirs.
-
-    Returns
-    -------
-    ndarray
-        Angle turned, height, its derivative, radius, its derivative, slope of the height along the radius, and
-        the allowed error of the radius. (7, n)
+    cubics over each interval; at a slope discontinuity it is at least as large as theirs. Returned are angle turned,
+    height, its derivative, radius, its derivative, slope of the height along the radius, and the allowed error of the
+    radius. (7, n)
     """
 
     def placed(turned: Floats) -> Floats:

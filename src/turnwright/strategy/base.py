@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin
 
 import numpy as np
 
-from turnwright._arrays import Floats
+from turnwright._arrays import Floats, Ints
 from turnwright._tables import Stated, forget_adapters, types_of, written, written_by
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
@@ -31,6 +31,11 @@ __all__ = ["STRATEGIES", "Strategy"]
 
 STRATEGIES: dict[str, type[Strategy]] = {}
 """The strategies by the ``kind`` that a job file states; each class is added when its module is imported."""
+
+
+def _some_points(spiral: Spiral, at: Ints) -> Spiral:
+    y = None if spiral.y is None else spiral.y[at]
+    return Spiral(angle=spiral.angle[at], radius=spiral.radius[at], y=y)
 
 
 class Strategy(Stated, ABC):
@@ -89,13 +94,7 @@ class Strategy(Stated, ABC):
         return self
 
     def stating(self, **fields: Any) -> Strategy:
-        """Return the strategy with some fields replaced, its own or those of its plan, as a pass states them.
-
-        Raises
-        ------
-        InputError
-            If it has no such field, or a value is not allowed.
-        """
+        """Return the strategy with some fields replaced, its own or those of its plan, as a pass states them."""
         if foreign := sorted(fields.keys() - types_of(type(self)).keys()):
             raise InputError(f"{', '.join(foreign)} is set, which the {self.kind} does not have: remove it")
         if fields.keys() & {"spindle_rpm", "spindle_speeds"}:
@@ -113,39 +112,24 @@ class Strategy(Stated, ABC):
     def glimpse(self, part: Part, tool: Tool, *, turns: int, per_turn: int) -> Spiral:
         """Return some of the points of `spiral` for a preview: single revolutions, evenly from first to last.
 
-        Parameters
-        ----------
-        part, tool
-            See `spiral`.
-        turns
-            Most revolutions.
-        per_turn
-            Most points of each.
+        At most ``turns`` revolutions of at most ``per_turn`` points.
         """
         spiral = self.spiral(part, tool)
         turned = np.abs(spiral.angle - spiral.angle[0]) / (2 * np.pi)
         wanted = sample_turns(float(turned[-1]), turns, per_turn)
         near = np.clip(np.searchsorted(turned, wanted), 1, turned.size - 1)
         near = np.unique(near - (wanted - turned[near - 1] < turned[near] - wanted))
-        y = None if spiral.y is None else spiral.y[near]
-        return Spiral(angle=spiral.angle[near], radius=spiral.radius[near], y=y)
+        return _some_points(spiral, near)
 
     def extent(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> tuple[int, Spiral]:
-        """Return the number of points of `spiral`, and its outermost revolution with the point at the other end.
-
-        Parameters
-        ----------
-        part, tool, progress
-            See `spiral`.
-        """
+        """Return the number of points of `spiral`, and its outermost revolution with the point at the other end."""
         spiral = self.spiral(part, tool, progress=progress)
         size = spiral.angle.size
         inwards = spiral.radius[0] > spiral.radius[-1]
         away = np.abs(spiral.angle - spiral.angle[0 if inwards else -1])
         turn = np.flatnonzero(away <= 2 * np.pi)
         at = np.unique([*turn, size - 1 if inwards else 0])
-        y = None if spiral.y is None else spiral.y[at]
-        return size, Spiral(angle=spiral.angle[at], radius=spiral.radius[at], y=y)
+        return size, _some_points(spiral, at)
 
     @abstractmethod
     def axes(self, path: Path) -> dict[str, Floats]:

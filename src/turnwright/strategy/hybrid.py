@@ -10,7 +10,7 @@ from typing import NoReturn
 import numpy as np
 
 from turnwright._arrays import Floats, rounding
-from turnwright._validate import whole as whole_number
+from turnwright._validate import thing, whole as whole_number
 from turnwright.errors import InputError
 from turnwright.machine import Axis, Machine
 from turnwright.part import Part
@@ -78,8 +78,8 @@ class HybridToolServo(OverPlan):
             self._raise_split_error()
         for name, kind in (("base", Surface), ("tool", Tool), ("fast", Axis)):
             value = getattr(self, name)
-            if value is not None and not isinstance(value, kind):
-                raise InputError(f"{name} is {value!r}, it must be of the class {kind.__name__}")
+            if value is not None:
+                thing(value, kind, name)
         if self.fast is not None and (self.fast.low is None or self.fast.high is None):
             raise InputError(
                 f"the fast tool travels from {self.fast.low} to {self.fast.high} mm, both ends are needed to split a "
@@ -99,13 +99,7 @@ class HybridToolServo(OverPlan):
         )
 
     def on(self, tool: Tool, machine: Machine) -> Strategy:
-        """Return the strategy with the tool for its base, or without a base with the limits of the machine's W axis.
-
-        Raises
-        ------
-        InputError
-            If the strategy has no base and the machine no W axis.
-        """
+        """Return the strategy with the tool for its base, or without a base with the limits of the machine's W axis."""
         plan = self.plan.on(tool, machine)
         if self.fast is not None:
             return replace(self, plan=plan)
@@ -119,13 +113,7 @@ class HybridToolServo(OverPlan):
         return replace(self, plan=plan, fast=machine.axes["W"])
 
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
-        """Return the spiral of the plan.
-
-        Raises
-        ------
-        InputError
-            If neither base and tool nor fast is set.
-        """
+        """Return the spiral of the plan, or raise if neither base and tool nor fast is set."""
         if self._split_fields not in (["base", "tool"], ["fast"]):
             self._raise_split_error()
         return OverPlan.spiral(self, part, tool, progress=progress)

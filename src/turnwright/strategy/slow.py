@@ -368,12 +368,8 @@ def _sample_with_cubics(
     The error of a cubic through four even samples, around an interval or on one side of it, is at most 1/24 of the
     fourth difference on a smooth path. At a slope discontinuity it is less than the greater of two neighbouring fourth
     differences, which is used as the bound. Samples at the same azimuths in every revolution are placed at a fraction
-    of the cost of scattered ones.
-
-    Returns
-    -------
-    turned, z, doubt
-        Angles [rad], heights (n,) [mm] and the largest error of the heights [mm].
+    of the cost of scattered ones. Returned are angles [rad], heights (n,) [mm] and the largest error of the heights
+    [mm].
     """
     while True:
         z = height(turned)
@@ -413,11 +409,7 @@ def _refine_samples(
 
     The bound of the bulge from the straight line between two samples is half the step times the change of slope to
     either neighbour. It is four times the bulge of a smooth path, and at least that of a slope discontinuity inside.
-
-    Returns
-    -------
-    turned, z, bulge
-        Angles [rad], heights [mm] and the largest bulge next to each sample [mm]. Each (n,)
+    Returned are angles [rad], heights [mm] and the largest bulge next to each sample [mm]. Each (n,)
     """
     turned, z, doubt = _sample_with_cubics(turned, height, tolerance)
     while True:

@@ -90,18 +90,10 @@ class _Rows:
 
 
 def find_smoothest(turned: Floats, height: Floats, fast: Axis, omega: float | None) -> tuple[Floats, Floats]:
-    """Return the height of the slow slide, and its derivative by the angle turned.
+    """Return the height of the slow slide [mm], and its derivative by the angle turned. Each (n,).
 
-    Parameters
-    ----------
-    turned
-        Angle turned, ascending from 0. (n,) [rad]
-    height
-        Height of slide and tool together. (n,) [mm]
-    fast
-        Limits of the fast tool, with both ends of its travel.
-    omega
-        Spindle speed; ``None`` if it is not known yet, then only the travel is limited. [rad/s]
+    ``turned`` ascends from 0 (n,) [rad]; ``height`` is that of slide and tool together (n,) [mm]. Without the spindle
+    speed ``omega`` [rad/s] only the travel of the fast tool is limited.
 
     Raises
     ------
