@@ -6,7 +6,7 @@ import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from turnwright._kernels import text as kernel
 from turnwright.errors import ProgramError
 from turnwright.machine import Machine
 from turnwright.post.approach import Approach, entry_words
-from turnwright.post.convention import convention_line, reading
+from turnwright.post.convention import axis_signs, convention_line, reading
 from turnwright.post.dialect import Dialect
 
 __all__ = ["ProgramHeader", "ProgramInfo", "ProgramPass", "ProgramWarning", "inspect_nc"]
@@ -27,6 +27,7 @@ SUB_SIGNATURE = "( TURNWRIGHT SUB-PROGRAM 1 )"
 ENTRY = ", ENTRY"
 """Suffix of the name of a pass where its plunge begins, whose blocks are not part of the cut."""
 NO_HASH = "0" * 64
+SOFTWARE = f"TURNWRIGHT {version('turnwright')}"
 BOM = b"\xef\xbb\xbf"
 """Byte order mark of UTF-8."""
 
@@ -134,14 +135,6 @@ def language(machine: Machine, dialect: Dialect) -> list[str]:
     return [f"( DIALECT: {dialect.name} )", f"( CONVENTION: {convention_line(machine)} )"]
 
 
-def software() -> str:
-    """Return the name and version of this program."""
-    try:
-        return f"TURNWRIGHT {version('turnwright')}"
-    except PackageNotFoundError:
-        return "TURNWRIGHT, NOT INSTALLED"
-
-
 def _feed_line(dialect: Dialect) -> str:
     if dialect.velocities:
         return (
@@ -171,15 +164,16 @@ def lines(
     begins: Sequence[str],
     links_s: float,
 ) -> list[str]:
-    """Return the header as comment lines; its length does not depend on the hashes.
-
-    ``begins`` are the C words at which the approaches begin.
-    """
+    """Return the header as comment lines; ``begins`` are the C words at which the approaches begin."""
     convention = machine.convention
-    written = [SIGNATURE, f"( SOFTWARE: {software()} )"]
+    written = [SIGNATURE, f"( SOFTWARE: {SOFTWARE} )"]
     for key in ("design", "tool", "notes"):
         text = getattr(header, key)
         written += comments(key.upper(), text) if text else []
+    away, outward, turning = ("GROWS" if axis_signs(machine)[letter] > 0 else "FALLS" for letter in "XZC")
+    counting = "CUMULATIVE FROM PASS TO PASS; FROM C BELOW IS LESS WHOLE TURNS"
+    if dialect.wrapped:
+        counting = "WRITTEN FROM 0 TO 360, SHORT WAY"
     dialect_comment, convention_comment = language(machine, dialect)
     written += [
         f"( DATE: {plain(header.date)} )",
@@ -187,14 +181,9 @@ def lines(
         dialect_comment,
         "( UNITS: MM AND DEGREES, ABSOLUTE )",
         _feed_line(dialect),
-        f"( X: {'GROWS' if convention.x_side > 0 else 'FALLS'} AWAY FROM THE AXIS ON THE SIDE WHERE THE TOOL CUTS )",
-        f"( Z: {'GROWS' if convention.z_sign > 0 else 'FALLS'} OUT OF THE PART, TOWARD THE TOOL )",
-        f"( C: {'GROWS' if convention.c_sense > 0 else 'FALLS'} WITH THE AZIMUTH OF THE PART UNDER THE TOOL, "
-        + (
-            "WRITTEN FROM 0 TO 360, SHORT WAY )"
-            if dialect.wrapped
-            else "CUMULATIVE FROM PASS TO PASS; FROM C BELOW IS LESS WHOLE TURNS )"
-        ),
+        f"( X: {away} AWAY FROM THE AXIS ON THE SIDE WHERE THE TOOL CUTS )",
+        f"( Z: {outward} OUT OF THE PART, TOWARD THE TOOL )",
+        f"( C: {turning} WITH THE AZIMUTH OF THE PART UNDER THE TOOL, {counting} )",
         f"( MARK: C = {np.rad2deg(convention.clocking) + 0.0:.5f} WHERE THE +X MARK OF THE PART IS UNDER THE TOOL )",
         convention_comment,
         "( SPINDLE: C AXIS, NO M03 OR M04; M03 IS CLOCKWISE SEEN FROM BEHIND THE SPINDLE )",

@@ -23,7 +23,7 @@ from turnwright.path import Motion
 from turnwright.post.approach import PLUNGE_FEED, entry_path, entry_shares
 from turnwright.post.convention import convention_line, in_part_axes, reading, short_steps
 from turnwright.post.dialect import Dialect
-from turnwright.post.header import NO_HASH, ProgramHeader, inspect_nc, plain, require_regular, software
+from turnwright.post.header import NO_HASH, SOFTWARE, ProgramHeader, inspect_nc, plain, require_regular
 from turnwright.post.reader import read_nc
 from turnwright.post.registry import dialect_of
 from turnwright.post.writer import CHUNK_POINTS, ProgramFiles, _disk_error, _velocity, write_nc
@@ -286,7 +286,7 @@ def _head(
         names = COLUMNS["time"]
     lines = [
         SIGNATURE,
-        f"# SOFTWARE: {software()}",
+        f"# SOFTWARE: {SOFTWARE}",
         f"# MACHINE: {plain(machine.name)}",
         f"# CONVENTION: {convention_line(machine)}",
         *lines_of_kind,

@@ -11,7 +11,7 @@ import tempfile
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from io import BytesIO
 from os import PathLike
@@ -232,15 +232,7 @@ def write_nc(
     try:
         header = header or ProgramHeader()
         header = replace(header, date=header.date or datetime.now(UTC).date().isoformat())
-        job = _Job(
-            folder,
-            path,
-            dialect=dialect,
-            machine=machine,
-            header=header,
-            limit=limit,
-            progress=progress,
-        )
+        job = _Job(folder, path, dialect, machine, header, limit, progress)
         written = job.write(passes)
         _put_in_place(folder, path.parent, [path.name, *written], _stale(path, written))
         return job.summary(written)
@@ -382,25 +374,23 @@ def _file_part(name: str) -> str:
     return name.replace(" ", "-")
 
 
+@dataclass(slots=True)
 class _Job:
-    def __init__(
-        self,
-        folder: Path,
-        path: Path,
-        *,
-        dialect: Dialect,
-        machine: Machine,
-        header: ProgramHeader,
-        limit: int,
-        progress: Progress | None,
-    ) -> None:
-        self.folder, self.path, self.dialect, self.machine = folder, path, dialect, machine
-        self.header, self.limit, self.progress = header, limit, progress
-        self.lines = self.bytes = self.done = self.total = 0
-        self.links_s = 0.0
-        self.entries: list[ProgramPass] = []
-        self.approaches: dict[str, Approach] = {}
-        self.begins: list[str] = []
+    folder: Path  # temporary
+    path: Path
+    dialect: Dialect
+    machine: Machine
+    header: ProgramHeader
+    limit: int
+    progress: Progress | None
+    lines: int = 0
+    bytes: int = 0
+    done: int = 0
+    total: int = 0
+    links_s: float = 0.0
+    entries: list[ProgramPass] = field(default_factory=list)
+    approaches: dict[str, Approach] = field(default_factory=dict)
+    begins: list[str] = field(default_factory=list)
 
     def write(self, passes: list[_Pass]) -> list[str]:
         """Write all files into the folder; return the names of the sub-programs in the order of their calls."""

@@ -127,7 +127,7 @@ class AdaptiveToolServo(Strategy):
 
     The scallop is kept on surfaces without slope discontinuities. Where the contact changes from one piece of a lens
     array to another, the step of the previous piece is continued, so that cusps in a sharp valley or at a ridge are
-    those of a constant feed of that step.
+    those of a constant feed of that step. The fields of every strategy are those of `Strategy`.
 
     Parameters
     ----------
@@ -146,16 +146,6 @@ class AdaptiveToolServo(Strategy):
         "servo": X follows the steps. "split": the same tip, with X in steady motion and the difference on U, the second
         axis of a fast tool. "steady": the largest constant feed that keeps every cusp within the scallop; only the
         points adapt, and X needs no servo. `FastToolServo` takes either of the last two as its plan.
-    spindle_rpm
-        Spindle speed; ``None`` for the highest one that keeps every limit of the machine. [rev/min]
-    spindle_speeds
-        Spindle speed over the radius, in place of one speed: each with the radius at which it is reached.
-    along
-        The tool is placed along "z".
-    inside_out
-        Cut from the centre to the rim.
-    sense
-        +1 where the azimuth of the part under the tool grows, -1 where it falls.
 
     Raises
     ------

@@ -45,18 +45,18 @@ class Strategy(Stated, ABC):
     `axes`. `place` puts the edge into contact along its spiral, and `drive` turns its axes into a motion; neither
     depends on the class. A strategy with a ``kind`` can be stated in a job file: its fields carry their units.
 
-    Attributes
+    Parameters
     ----------
     spindle_rpm
         Spindle speed; ``None`` for the highest one that keeps every limit of the machine. [rev/min]
     spindle_speeds
-        Spindle speed over the radius, in place of one speed.
+        Spindle speed over the radius, in place of one speed: each with the radius at which it is reached.
     sense
         +1 where the azimuth of the part under the tool grows, -1 where it falls.
     inside_out
-        Whether the part is cut from the centre to the rim.
+        Cut from the centre to the rim.
     along
-        Direction in which `place` brings the tool into contact: "z" or "normal".
+        How the tool is placed on the surface: along "z" or along the "normal" of the surface.
     """
 
     __slots__ = ()

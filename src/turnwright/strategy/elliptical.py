@@ -152,10 +152,10 @@ class Valleys:
 class QuasiEllipticalToolServo(Strategy):
     r"""Quasi-elliptical tool servo: a slow tool servo whose tool swings along the cut and rests at each sharp valley.
 
-    Points and radii are those of a `SlowToolServo`; only the azimuth of the tip differs. Between two valleys that are
-    an arc w apart, the swing has an amplitude of at most :math:`w/2\pi` and an acceleration of at most
-    :math:`2\pi\rho^2\omega^2/w`. Where a path cuts a corner of a cell, w is short and the Y axis would have to jump.
-    The policy for such short intervals is chosen by ``short``:
+    Points and radii are those of a `SlowToolServo`, as are the fields not listed here; only the azimuth of the tip
+    differs. Between two valleys that are an arc w apart, the swing has an amplitude of at most :math:`w/2\pi` and an
+    acceleration of at most :math:`2\pi\rho^2\omega^2/w`. Where a path cuts a corner of a cell, w is short and the Y
+    axis would have to jump. The policy for such short intervals is chosen by ``short``:
 
     * ``short="merge"``: valleys less than ``shortest`` apart are replaced by one between them; the tool passes each of
       them slowly, and Z keeps a part of the slope discontinuities.
@@ -167,12 +167,8 @@ class QuasiEllipticalToolServo(Strategy):
 
     Parameters
     ----------
-    feed, spindle_rpm, spindle_speeds, points_per_rev, arc_length, max_step, inside_out, sense, lead_in
-        See `SlowToolServo`; "slow" requires ``spindle_rpm``.
-    along
-        The tool is placed along "z".
     short
-        Policy for short intervals between valleys: "merge", "skip" or "slow".
+        Policy for short intervals between valleys: "merge", "skip" or "slow", which requires ``spindle_rpm``.
     shortest
         Length of an arc below which an interval is short, for "merge" and "skip". [mm]
     y_acceleration
@@ -200,6 +196,7 @@ class QuasiEllipticalToolServo(Strategy):
     kind = "quasi-elliptical tool servo"
     example = MappingProxyType({"feed": "8 um/rev", "points_per_rev": 1440, "short": "skip", "shortest": "10 um"})
     ways = ("points_per_rev", "arc_length", "max_step")
+    like = SlowToolServo
     feed: Feed
     short: Literal["merge", "skip", "slow"]
     shortest: Size | None = None

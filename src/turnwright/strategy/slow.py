@@ -73,16 +73,12 @@ class SlowToolServo(Strategy):
     * ``chord``: the fewest points for which straight lines in machine axes between them keep within ``chord`` of the
       exact path.
 
+    The fields of every strategy are those of `Strategy`.
+
     Parameters
     ----------
     feed
         Advance of X per spindle revolution. [mm/rev]
-    spindle_rpm
-        Spindle speed; ``None`` for the highest one that keeps every limit of the machine. [rev/min]
-    spindle_speeds
-        Spindle speed over the radius, in place of one speed: each with the radius at which it is reached.
-    along
-        How the tool is placed on the surface: along "z" or along the "normal" of the surface.
     points_per_rev
         Program points per revolution.
     arc_length
@@ -91,10 +87,6 @@ class SlowToolServo(Strategy):
         Largest angle between program points, with ``arc_length`` or ``chord``; with ``chord`` alone it is 30 deg. [rad]
     chord
         Largest height between the exact path and straight lines between the points, for a path along z. [mm]
-    inside_out
-        Cut from the centre to the rim.
-    sense
-        +1 where the azimuth of the part under the tool grows, -1 where it falls.
     lead_in
         Distance outside the clear aperture at which the tip starts. ``None`` for the least distance that cuts the rim:
         half a feed, so that the outermost cusp is no higher than the others, plus, where the surface falls towards the
