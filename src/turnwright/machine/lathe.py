@@ -120,14 +120,7 @@ class Machine(Stated, Value):
         object.__setattr__(self, "block_rate_hz", positive(self.block_rate_hz, "block_rate_hz", "blocks/s"))
         check_angle(self.squareness, "squareness", -MAX_SQUARENESS_RAD, MAX_SQUARENESS_RAD)
         if self.straightness is not None:
-            if len(self.straightness) != 2:
-                raise InputError(
-                    f"straightness has {len(self.straightness)} parts, it needs 2: give positions and errors"
-                )
-            x, error = (
-                frozen(self.straightness[0], "straightness x"),
-                frozen(self.straightness[1], "straightness error"),
-            )
+            x, error = (frozen(values, "straightness") for values in self.straightness)
             if x.size < 2 or x.shape != error.shape or not (np.diff(x) > 0).all():
                 raise InputError(
                     f"straightness has {x.size} positions and {error.size} errors, it needs equal numbers of both, at "

@@ -195,17 +195,23 @@ def _solve_round_tangents(contact: Contact, limit: float, tips: Tips, out: Touch
     return True
 
 
+def newton_step(surface: Surface, edge: Edge, tips: Tips, sweep: Floats) -> tuple[Floats, ...]:
+    """Return f - e, its slope, the height, the Newton step and the curvature at places on the nose. Each (n,)."""
+    x, y, value, first, top, step, bend = np.empty((7, sweep.size))
+    kernel.under_edge(edge, *tips, sweep, x, y)
+    with np.errstate(all="ignore"):
+        jet = surface.evaluate(x, y, 2)
+    kernel.newton_step(edge, tips.angle, sweep, *jet, value, first, top, step, bend)
+    return value, first, top, step, bend
+
+
 def _solve_edge_tangents(contact: Contact, limit: float, tips: Tips, out: Touch) -> bool:
     """Solve for any convex edge by Newton's method in the sweep; converged points drop out."""
     sweep = np.zeros(tips.angle.size)
     active: Ints | slice = slice(None)
     active_tips, s = tips, sweep
     for _ in range(12):
-        x, y, value, first, top, step, bend = np.empty((7, s.size))
-        kernel.under_edge(contact.edge, *active_tips, s, x, y)
-        with np.errstate(all="ignore"):
-            jet = contact.surface.evaluate(x, y, 2)
-        kernel.newton_step(contact.edge, active_tips.angle, s, *jet, value, first, top, step, bend)
+        value, _, top, step, bend = newton_step(contact.surface, contact.edge, active_tips, s)
         if not (bend < limit).all():
             return False
         # On a steep surface a full step from the tip could leave the arc: the step is limited.
@@ -265,17 +271,14 @@ def follow(surface: Surface, edge: Edge, tips: Tips, sweep: Floats) -> Touch:
     s, tilt = sweep.copy(), 0.5 * min(-edge.low, edge.high)
     lost = np.zeros(s.size, dtype=np.bool_)
     for _ in range(12):
-        x, y, value, first, top, step, bend = np.empty((7, s.size))
-        kernel.under_edge(edge, *tips, s, x, y)
-        with np.errstate(all="ignore"):
-            jet = surface.evaluate(x, y, 2)
-        kernel.newton_step(edge, tips.angle, s, *jet, value, first, top, step, bend)
+        value, _, top, step, _ = newton_step(surface, edge, tips, s)
         lost |= ~(np.abs(step) < tilt)
         s += np.where(lost, 0.0, step)
         far = ~lost & ((np.abs(step) > kernel.STEP_TOL_RAD) | (np.abs(top - value) > kernel.RISE_TOL_MM))
         if not far.any():
             break
     lost |= far | (s < edge.low) | (s > edge.high)
+    x, y = np.empty((2, s.size))
     kernel.under_edge(edge, *tips, s, x, y)
     z = np.where(lost, np.nan, top)
     return Touch(z, s, x, y, z + edge.points(s)[2])
