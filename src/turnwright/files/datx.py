@@ -76,7 +76,6 @@ def _read(path: Path, data: bytes) -> HeightMap:
 
 
 def _surface(path: Path, file: h5py.File) -> h5py.Dataset:
-    """Return the heights of the first surface stored in the file itself."""
     import h5py  # noqa: PLC0415
 
     group = file.get("Data/Surface")

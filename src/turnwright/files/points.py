@@ -203,14 +203,12 @@ def _column_of(path: Path, names: list[str], listed: str, numeric: list[int], wh
 
 
 def _allows(name: str, what: str) -> bool:
-    """Whether a column of this name may hold distances, or heights."""
     plain = _split_cell(name)[0]
     other = ROLES["height" if what == "distance" else "distance"]
     return not (NO_LENGTH.fullmatch(plain) or other.fullmatch(plain))
 
 
 def _below(text: str, lines: int) -> str:
-    """Return the text below some lines."""
     return "".join(text.split("\n", lines)[lines:])
 
 
@@ -293,13 +291,11 @@ def _as_map(
 
 # ------------------------------------------------------------------ format of the table
 def _first_lines(text: str) -> list[str]:
-    """Return the lines among which a table must begin."""
     count = MAX_DESCRIPTION_LINES + 20
     return [line.rstrip("\r") for line in text.split("\n", count)[:count]]
 
 
 def _layout(path: Path, lines: list[str]) -> _Layout:
-    """Return the format of the table and its first line."""
     for first, line in enumerate(lines[:MAX_DESCRIPTION_LINES]):
         if not line.strip() or line.lstrip()[0] in MARKS:
             continue
@@ -330,7 +326,6 @@ def _layout(path: Path, lines: list[str]) -> _Layout:
 
 
 def _formats(lines: list[str]) -> list[tuple[str | None, bool]]:
-    """Return the possible separators, with and without decimal commas."""
     joined = "".join(lines)
     for strong in ";\t":
         if strong in joined:
@@ -379,7 +374,6 @@ def _match(lines: list[str], separator: str | None, comma: bool, width: int) -> 
 
 
 def _table(path: Path, body: str, layout: _Layout, columns: tuple[int, ...] | None) -> Floats:
-    """Return the columns of the table, or all; missing numbers are nan."""
     if layout.numeric and columns is not None:
         # Reading all columns ensures that no line has more of them.
         return _table(path, body, layout, None)[:, columns]
@@ -475,7 +469,6 @@ def _column_units(above: list[str], layout: _Layout) -> dict[str, str]:
 
 
 def _stated(above: list[str]) -> dict[str, set[str]]:
-    """Return the units in lines of description, by axis."""
     stated: dict[str, set[str]] = {"x": set(), "y": set(), "z": set()}
     for match in STATED.finditer("\n".join(above)):
         what = re.sub(r"[^a-z]", "", (match[1] or match[2] or "xyz").lower())

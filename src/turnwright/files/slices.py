@@ -92,7 +92,6 @@ def _only_line(path: Path) -> Profile:
 
 
 def _one_slice(path: Path, at: Floats, z: Floats, number: int | None) -> tuple[Floats, Floats]:
-    """Return the requested slice, with ascending distances."""
     step = np.diff(at)
     falling = bool(step.size and (step < 0).mean() > 0.5)
     begins = np.flatnonzero((step >= 0) if falling else (step <= 0)) + 1

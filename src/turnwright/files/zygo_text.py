@@ -79,7 +79,6 @@ def _split(path: Path, text: str) -> tuple[list[str], str]:
 
 
 def _number(path: Path, head: list[str], line: int, index: int) -> float:
-    """Return a number of the description; lines count from 1."""
     try:
         return float(shlex.split(head[line - 1])[index])
     except (ValueError, IndexError) as error:

@@ -266,7 +266,6 @@ def _subdivided(turned: Floats, each: int) -> Floats:
 
 
 def _fits(subdivision: int, turned: Floats, turn_s: float, turns: int, machine: Machine) -> bool:
-    """Whether the steps of a plunge may be divided into so many parts."""
     steps = np.diff(turned).min() / subdivision
     points = turns * (turned.size - 1) * subdivision
     fast_enough = steps * turn_s / TURN * machine.block_rate_hz >= 1

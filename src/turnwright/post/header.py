@@ -217,7 +217,6 @@ CUT = re.compile(
 
 
 def _info(text: str, signature: str) -> ProgramInfo | None:
-    """Return the contents of a header, or ``None`` if the text does not begin with the signature."""
     rows = [row.lstrip("; \t").rstrip() for row in text.splitlines()]
     if not rows or rows[0] != signature:
         return None

@@ -714,7 +714,6 @@ class _Reader:
             self.tool_change = ""
 
     def _sibling(self, name: str) -> Path | None:
-        """Return a file in the folder of the program, if it exists."""
         name = name.strip()
         if len(name) > 255 or Path(name).name != name or "\\" in name:
             return None
@@ -813,7 +812,6 @@ class _Reader:
         self._lose("XYZ")
 
     def _g(self, code: float) -> None:
-        """Follow one G code, as far as it affects the motion of the tool."""
         if code in {0, 1}:
             self.state[LINEAR] = int(code)
         elif code in {93, 94}:
@@ -884,7 +882,6 @@ class _Reader:
             self.real[FEED] = self.speed_feed
 
     def _lose(self, letters: Iterable[str]) -> None:
-        """Mark the positions of axes as unknown."""
         for letter in letters:
             k = AXES.index(letter)
             if not np.isnan(self.real[k]):
@@ -925,7 +922,6 @@ class _Reader:
         self._note_shift()
 
     def _unset(self) -> None:
-        """Return to the initial coordinates."""
         self.real[:4] += self.shift
         self.shift[:] = 0
         self._lose(sorted(self.begun))

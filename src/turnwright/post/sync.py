@@ -301,7 +301,6 @@ def _head(
 
 
 def _body(file: BinaryIO, rows: Ints, decimals: Ints) -> str:
-    """Write the rows and return their hash."""
     digest = hashlib.sha256()
     for start in range(0, rows.shape[0], CHUNK_POINTS):
         part = rows[start : start + CHUNK_POINTS]
@@ -398,7 +397,6 @@ def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> Floa
 
 
 def _read(file: Path) -> tuple[dict[str, str], list[str], Floats]:
-    """Return the header fields of a table, the names of its columns, and its rows."""
     with reading(file):
         require_regular(file)
         data = file.read_bytes()

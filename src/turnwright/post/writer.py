@@ -370,7 +370,6 @@ def _velocity(motion: Motion) -> dict[str, Floats]:
 
 
 def _file_part(name: str) -> str:
-    """Return a pass name in the form for file names."""
     return name.replace(" ", "-")
 
 
@@ -498,7 +497,6 @@ class _Job:
         return [*self.dialect.end(), *self.dialect.straight(clear, DOWN_FEED * 60, "CLEAR OF THE PART")]
 
     def _sub_programs(self, one: _Pass) -> tuple[list[str], str]:
-        """Write one pass into numbered files; return their names and the hash."""
         points, plunge = one.motion.time.size, self._plunge(one)
         each = self.limit - 30
         count = -(-(len(plunge) + points - 1) // each)

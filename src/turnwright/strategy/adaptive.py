@@ -480,7 +480,6 @@ class _Steps:
         return step, crest
 
     def _lies_on_one_piece(self, radius: Floats, new: Floats, crest: Floats) -> Bools:
-        """Return where the edge touches a single piece on all rings of the step, crest included."""
         if not self.ridges:
             return np.ones(radius.size, dtype=np.bool_)
         self._tips(new)

@@ -514,7 +514,6 @@ class _Reader:
         return Tips(self.sense * at, radius * np.cos(swing), radius * np.sin(swing))
 
     def _touch_course(self, course: _Course, at: Floats) -> _Side:
-        """Return the contacts of the edge at some moments of a course."""
         psi = course.azimuth(at)[0]
         top = touch_down(self.surface, self.edge, self._tips(course, at, psi), self.rim)
         piece = self.surface.piece(top.x, top.y)
@@ -621,7 +620,6 @@ class _Reader:
 
 
 def _match_valleys(found: _Crossings, stands: _Crossings) -> Bools:
-    """Return which valleys are among those at which the tool rests."""
     if stands.at.size == 0:
         return np.zeros(found.at.size, dtype=np.bool_)
     after = np.clip(np.searchsorted(stands.at, found.at), 1, max(stands.at.size - 1, 1))

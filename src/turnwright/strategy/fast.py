@@ -82,7 +82,6 @@ class OverPlan(Strategy):
         return self.plan.extent(part, tool, progress=progress)
 
     def _plan_axes(self, path: Path) -> dict[str, Floats]:
-        """Return the axes of the plan, or raise if it moves a fast tool itself."""
         axes = self.plan.axes(path)
         if "W" in axes:
             raise InputError(f"the plan is a {type(self.plan).__name__}, which moves W itself: use its plan")

@@ -329,7 +329,6 @@ def _number_points(count: float, bytes_each: int = BYTES_PER_POINT) -> Floats:
 
 
 def _count_steps(steps: float) -> int:
-    """Return the number of steps, rounded up (except for rounding errors)."""
     check_count(steps, "the feed and of the step")
     return max(math.ceil(steps - 1e-6), 0)
 

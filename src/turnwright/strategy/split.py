@@ -132,7 +132,6 @@ def find_smoothest(turned: Floats, height: Floats, fast: Axis, omega: float | No
 
 
 def _find_coefficients(kinds: list[_Limit], step: float, cells: int) -> Floats | None:
-    """Return the coefficients of the slow part, or ``None`` if the limits cannot be kept."""
     _, turned, height, low, high = kinds[0]
     size = cells + 3
     weight = np.gradient(turned)
@@ -174,7 +173,6 @@ def _find_coefficients(kinds: list[_Limit], step: float, cells: int) -> Floats |
 def _set_up_limits(
     kinds: list[_Limit], seen: list[list[Ints]], step: float, cells: int, unit: float, level: float
 ) -> _Rows:
-    """Return the inequalities at the samples in the program."""
     parts: list[tuple[Ints, Floats, Floats, Floats]] = []
     for kind, chosen in zip(kinds, seen, strict=True):
         if not chosen:
