@@ -107,7 +107,9 @@ def read(path: Path, text: str, unit: str | None, lateral_unit: str | None) -> H
         heights = _table(path, body, layout, None)
         require_points(path, heights.shape[1], heights.shape[0])
         return grid_map(path, heights[::-1] * scale, None, metadata=metadata)
-    column_units = _column_units(above, layout)
+    column_units = {
+        axis: _split_cell(cell)[1] for cell in names or [] if (axis := _axis(cell)) and _split_cell(cell)[1]
+    }
     stated = _stated(above)
     options = {"x": (lateral_unit, default_unit), "y": (lateral_unit, default_unit), "z": (unit, None)}
     scales = {axis: _unit(path, column_units, stated, axis, *options[axis]) for axis in chosen}
@@ -461,11 +463,6 @@ def _as_profile(names: list[str], numeric: list[int]) -> str:
     if not distance or not height:
         return ""
     return f", or read a profile (show --profile --height {quote(names[height[-1]])}, read_profile in Python)"
-
-
-def _column_units(above: list[str], layout: _Layout) -> dict[str, str]:
-    names = _names(above, layout)
-    return {axis: _split_cell(cell)[1] for cell in names or [] if (axis := _axis(cell)) and _split_cell(cell)[1]}
 
 
 def _stated(above: list[str]) -> dict[str, set[str]]:

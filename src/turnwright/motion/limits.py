@@ -235,13 +235,6 @@ def _check_travel(letter: str, top: Mapping[str, float], machine: Machine) -> li
     ]
 
 
-def _integrate_time(turned: Floats, omega: float | Floats) -> Floats:
-    """Return the time at spindle angles; the acceleration is constant between them. (n,) [s]."""
-    if isinstance(omega, float):
-        return turned / omega
-    return np.concatenate([[0.0], np.cumsum(2 * np.diff(turned) / (omega[1:] + omega[:-1]))])
-
-
 def find_speed_factor(course: Course, machine: Machine, *, ends: tuple[bool, bool] = (True, True)) -> float:
     """Return the factor by which the speed may be multiplied until the motion reaches the first limit.
 
@@ -268,9 +261,12 @@ class Course(NamedTuple):
     velocity: Mapping[str, Floats]
 
     def at_speed(self, omega: float | Floats) -> Course:
-        """Return the course, whose time is the spindle angle, at a spindle speed. [rad/s]."""
-        velocity = {letter: omega * values for letter, values in self.velocity.items()}
-        return Course(_integrate_time(self.time, omega), self.axes, velocity)
+        """Return the course, whose time is the spindle angle, at a speed of constant acceleration. [rad/s]."""
+        if isinstance(omega, float):
+            time = self.time / omega
+        else:
+            time = np.concatenate([[0.0], np.cumsum(2 * np.diff(self.time) / (omega[1:] + omega[:-1]))])
+        return Course(time, self.axes, {letter: omega * values for letter, values in self.velocity.items()})
 
     @property
     def top_rpm(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import textwrap
 from collections.abc import Sequence
@@ -93,6 +94,11 @@ def hashed_rows(units: Ints, duration: Floats) -> memoryview:
     packed = np.empty((units.shape[0], units.shape[1] + 1), dtype=np.uint32)
     kernel.pack(units, duration.view(np.int64), packed)
     return packed.astype("<u4", copy=False).data.cast("B")
+
+
+def program_hash(passes: Sequence[ProgramPass]) -> str:
+    """Return the SHA-256 of a program, over the hashes of its passes, one per line."""
+    return hashlib.sha256("\n".join(cut.hash for cut in passes).encode()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -216,7 +222,11 @@ CUT = re.compile(
 )
 
 
-def _info(text: str, signature: str) -> ProgramInfo | None:
+def read_info(path: Path, signature: str = SIGNATURE) -> ProgramInfo | None:
+    """Return the contents of a file's header, or ``None`` if the file does not begin with the signature."""
+    require_regular(path)
+    with path.open("rb") as file:
+        text = file.read(1 << 18).removeprefix(BOM).decode("latin-1")
     rows = [row.lstrip("; \t").rstrip() for row in text.splitlines()]
     if not rows or rows[0] != signature:
         return None
@@ -248,13 +258,6 @@ def _info(text: str, signature: str) -> ProgramInfo | None:
         convention=entries.get("CONVENTION", ""),
         passes=tuple(passes),
     )
-
-
-def read_info(path: Path, signature: str = SIGNATURE) -> ProgramInfo | None:
-    """Return the contents of a file's header, or ``None`` if the file does not begin with the signature."""
-    require_regular(path)
-    with path.open("rb") as file:
-        return _info(file.read(1 << 18).removeprefix(BOM).decode("latin-1"), signature)
 
 
 def require_regular(path: Path) -> None:

@@ -23,7 +23,7 @@ from turnwright.path import Motion
 from turnwright.post.approach import PLUNGE_FEED, entry_path, entry_shares
 from turnwright.post.convention import convention_line, in_part_axes, reading, short_steps
 from turnwright.post.dialect import Dialect
-from turnwright.post.header import NO_HASH, SOFTWARE, ProgramHeader, inspect_nc, plain, require_regular
+from turnwright.post.header import NO_HASH, SOFTWARE, ProgramHeader, inspect_nc, plain, program_hash, require_regular
 from turnwright.post.reader import read_nc
 from turnwright.post.registry import dialect_of
 from turnwright.post.writer import CHUNK_POINTS, ProgramFiles, _disk_error, _velocity, write_nc
@@ -341,8 +341,7 @@ def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Pro
             "with the machine that it was written for"
         )
     info = inspect_nc(path)
-    program_hash = hashlib.sha256("\n".join(cut.hash for cut in info.passes).encode()).hexdigest()
-    if not fields["PROGRAM"].endswith(f"SHA256 {program_hash}"):
+    if not fields["PROGRAM"].endswith(f"SHA256 {program_hash(info.passes)}"):
         raise ProgramError(f"{file} belongs to another program than {path}: write both again")
     motion = read_nc(path, machine, progress=progress)
     if fields["BY"] == "TIME":

@@ -45,6 +45,7 @@ from turnwright.post.header import (
     hashed_rows,
     language,
     lines,
+    program_hash,
 )
 from turnwright.post.registry import dialect_of
 from turnwright.progress import Progress, cores
@@ -90,7 +91,7 @@ class ProgramFiles:
     @property
     def hash(self) -> str:
         """SHA-256 of the program, over the hashes of its passes, one per line."""
-        return hashlib.sha256("\n".join(cut.hash for cut in self.passes).encode()).hexdigest()
+        return program_hash(self.passes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -587,11 +587,8 @@ class _Reader:
                 _join_sides(low.select(first), middle.select(second)),
                 _join_sides(middle.select(first), high.select(second)),
             )
-        every = (
-            _Crossings(*(np.concatenate(parts) for parts in zip(*valleys, strict=True)))
-            if valleys
-            else _make_empty_crossings()
-        )
+        none = _Crossings(*np.empty((7, 0)))
+        every = _Crossings(*(np.concatenate(parts) for parts in zip(none, *valleys, strict=True)))
         return every.select(np.argsort(every.at, kind="stable"))
 
     def _between(self, course: _Course, low: _Side, high: _Side) -> _Crossings:
@@ -633,7 +630,3 @@ def _match_valleys(found: _Crossings, stands: _Crossings) -> Bools:
 
 def _join_sides(*sides: _Side) -> _Side:
     return _Side(*(np.concatenate(parts) for parts in zip(*sides, strict=True)))
-
-
-def _make_empty_crossings() -> _Crossings:
-    return _Crossings(*np.empty((7, 0)))
