@@ -20,10 +20,17 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright.errors import MapError, shown
-from turnwright.files.base import MAX_POINTS, finite_or_missing, grid_map, inflated, require_bytes, require_points
+from turnwright.files.base import (
+    MAX_POINTS,
+    check_inflated_size,
+    finite_or_missing,
+    grid_map,
+    require_bytes,
+    require_points,
+)
 from turnwright.heightmap import HeightMap
 
-__all__ = ["SIGNATURE", "packed", "read_bare", "read_named"]
+__all__ = ["SIGNATURE", "pack", "read_bare", "read_named"]
 
 SIGNATURE = b"\x93NUMPY"
 HEAD = re.compile(
@@ -73,7 +80,7 @@ def read_named(path: Path, data: bytes) -> HeightMap:
     if column.ndim == row.ndim == z.ndim == 2:
         z, column, row = _from_meshes(path, z, column, row)
     if z.ndim == 2:
-        z, column, row = _ascending(path, names, z, column, row)
+        z, column, row = _sort_axes(path, names, z, column, row)
     calibrated = loaded.get("calibrated")
     return HeightMap(
         z=z,
@@ -85,7 +92,7 @@ def read_named(path: Path, data: bytes) -> HeightMap:
 
 
 def _member(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray[Any, Any]:
-    inflated(path, member.compress_size, member.file_size)
+    check_inflated_size(path, member.compress_size, member.file_size)
     with archive.open(member) as stream:
         return _array(path, stream, member.file_size)
 
@@ -130,7 +137,7 @@ def _from_meshes(path: Path, z: Floats, x: Floats, y: Floats) -> tuple[Floats, F
     return z.ravel(), x.ravel(), y.ravel()
 
 
-def _ascending(
+def _sort_axes(
     path: Path, names: tuple[str, str], z: Floats, column: Floats, row: Floats
 ) -> tuple[Floats, Floats, Floats]:
     if column.ndim != 1 or row.ndim != 1 or z.shape != (row.size, column.size):
@@ -160,7 +167,7 @@ def _metadata(path: Path, stored: np.ndarray[Any, Any] | None) -> dict[str, str]
     return {str(key): str(text) for key, text in entries.items()}
 
 
-def packed(heights: HeightMap) -> bytes:
+def pack(heights: HeightMap) -> bytes:
     """Return the bytes of an ``.npz`` with a complete map."""
     names = AXES[heights.polar]
     buffer = io.BytesIO()

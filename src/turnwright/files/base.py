@@ -21,10 +21,10 @@ __all__ = [
     "MAX_FILE_BYTES",
     "MAX_POINTS",
     "SPELLINGS",
+    "check_inflated_size",
     "even_axes",
     "finite_or_missing",
     "grid_map",
-    "inflated",
     "require_bytes",
     "require_heights",
     "require_points",
@@ -109,7 +109,7 @@ def require_bytes(path: Path, needed: int, there: int) -> None:
         )
 
 
-def inflated(path: Path, packed: int, claimed: int) -> None:
+def check_inflated_size(path: Path, packed: int, claimed: int) -> None:
     """Raise if ``claimed`` bytes are more than ``packed`` bytes of deflate can hold, or than any map has."""
     ratio = MAX_DEFLATE_RATIO if claimed <= SMALL_BYTES else MAX_LARGE_RATIO
     if claimed > 8 * MAX_POINTS or claimed > ratio * packed + 64:

@@ -22,7 +22,7 @@ from turnwright._arrays import Floats
 from turnwright._io import answer_parent, read_isolated
 from turnwright.errors import MapError
 from turnwright.files import arrays
-from turnwright.files.base import DAMAGE, grid_map, inflated, require_points, to_mm
+from turnwright.files.base import DAMAGE, check_inflated_size, grid_map, require_points, to_mm
 from turnwright.heightmap import HeightMap
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def read(path: Path, data: bytes) -> HeightMap:
 def main() -> int:
     """Read a datx file from standard input and write its map to standard output."""
     path = Path(sys.argv[1])
-    return answer_parent(lambda: arrays.packed(_read(path, sys.stdin.buffer.read())), refusal=MapError, damage=DAMAGE)
+    return answer_parent(lambda: arrays.pack(_read(path, sys.stdin.buffer.read())), refusal=MapError, damage=DAMAGE)
 
 
 def _read(path: Path, data: bytes) -> HeightMap:
@@ -57,8 +57,8 @@ def _read(path: Path, data: bytes) -> HeightMap:
         surface = _surface(path, file)
         rows, columns = surface.shape
         require_points(path, columns, rows)
-        inflated(path, len(data), surface.id.get_storage_size())
-        inflated(path, len(data), rows * columns * surface.dtype.itemsize)
+        check_inflated_size(path, len(data), surface.id.get_storage_size())
+        check_inflated_size(path, len(data), rows * columns * surface.dtype.itemsize)
         scale = _height_unit(path, surface)
         stored = np.asarray(surface[()][::-1], dtype=np.float64)
         missing = ~np.isfinite(stored)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files.base import grid_map, inflated, require_bytes, require_points, to_mm, words
+from turnwright.files.base import check_inflated_size, grid_map, require_bytes, require_points, to_mm, words
 from turnwright.heightmap import HeightMap
 
 __all__ = ["SIGNATURES", "read"]
@@ -82,7 +82,7 @@ def read(path: Path, data: bytes) -> HeightMap:
         raise MapError(f"{path} has notes of negative length: it is damaged, so save it again")
     begin = HEAD + field["comment bytes"] + field["private bytes"]
     needed = columns * rows * field["bits"] // 8
-    raw = data[begin:] if data.startswith(PLAIN) else _unpacked(path, data[begin:], needed)
+    raw = data[begin:] if data.startswith(PLAIN) else _inflate(path, data[begin:], needed)
     require_bytes(path, needed, len(raw))
     stored = np.frombuffer(raw, f"<i{field['bits'] // 8}", columns * rows).reshape(rows, columns)[::-1]
     step = field["step z"] * to_mm(_unit(field["unit z"]), f"{path} states its heights in")
@@ -118,12 +118,12 @@ def _pixel(path: Path, field: dict[str, Any], axis: str) -> float:
     return size
 
 
-def _unpacked(path: Path, data: bytes, needed: int) -> bytes:
+def _inflate(path: Path, data: bytes, needed: int) -> bytes:
     """Return the heights from deflated streams, no more than needed."""
     require_bytes(path, 4, len(data))
     (streams,) = struct.unpack_from("<I", data)
     require_bytes(path, 4 + 8 * streams, len(data))
-    inflated(path, len(data), needed)
+    check_inflated_size(path, len(data), needed)
     begin = 4 + 8 * streams
     parts: list[bytes] = []
     for plain, packed in struct.iter_unpack("<II", data[4:begin]):

@@ -91,7 +91,7 @@ def read(path: Path, text: str, unit: str | None, lateral_unit: str | None) -> H
     x_row = _x_row(lines, layout)
     if x_row is not None:
         units = (unit, lateral_unit, default_unit)
-        return _read_with_axes(path, text, layout, x_row, _stated(lines[: x_row[0]]), units)
+        return _read_with_axes(path, text, layout, x_row, _find_stated_units(lines[: x_row[0]]), units)
     above = lines[: layout.first]
     names = _names(above, layout)
     chosen = _columns(path, names, layout.columns, _numeric_columns(lines, layout))
@@ -101,7 +101,7 @@ def read(path: Path, text: str, unit: str | None, lateral_unit: str | None) -> H
         "description": "\n".join(line for line in above if line.strip())[:MAX_DESCRIPTION_CHARACTERS],
     }
     if chosen is None:
-        scale = _unit(path, {}, _stated(above), "z", unit)
+        scale = _unit(path, {}, _find_stated_units(above), "z", unit)
         if scale is None:
             raise MapError(f"{path} has heights in pixels, they must be lengths: give their unit")
         heights = _table(path, body, layout, None)
@@ -110,7 +110,7 @@ def read(path: Path, text: str, unit: str | None, lateral_unit: str | None) -> H
     column_units = {
         axis: _split_cell(cell)[1] for cell in names or [] if (axis := _axis(cell)) and _split_cell(cell)[1]
     }
-    stated = _stated(above)
+    stated = _find_stated_units(above)
     options = {"x": (lateral_unit, default_unit), "y": (lateral_unit, default_unit), "z": (unit, None)}
     scales = {axis: _unit(path, column_units, stated, axis, *options[axis]) for axis in chosen}
     columns = _table(path, body, layout, tuple(chosen.values())).T
@@ -135,7 +135,7 @@ def read_slice(
     }
     scales = []
     for axis, option, default in (("x", lateral_unit, unit), ("z", unit, None)):
-        scale = _unit(path, column_units, _stated(above), axis, option, default)
+        scale = _unit(path, column_units, _find_stated_units(above), axis, option, default)
         if scale is None:
             raise MapError(f"{path} is in pixels, a profile needs lengths: export it calibrated")
         scales.append(scale)
@@ -465,7 +465,7 @@ def _as_profile(names: list[str], numeric: list[int]) -> str:
     return f", or read a profile (show --profile --height {quote(names[height[-1]])}, read_profile in Python)"
 
 
-def _stated(above: list[str]) -> dict[str, set[str]]:
+def _find_stated_units(above: list[str]) -> dict[str, set[str]]:
     stated: dict[str, set[str]] = {"x": set(), "y": set(), "z": set()}
     for match in STATED.finditer("\n".join(above)):
         what = re.sub(r"[^a-z]", "", (match[1] or match[2] or "xyz").lower())
@@ -481,9 +481,9 @@ def _unit(
 ) -> float | None:  # fmt: skip
     """Return the unit of an axis in mm; ``None`` for pixels. ``option`` must not contradict the file."""
     names = {columns[axis]} if axis in columns else stated[axis]
-    if len({_spelled(name) for name in names}) > 1:
+    if len({_normalise_unit(name) for name in names}) > 1:
         raise MapError(f"{path} states the units {', '.join(sorted(names))} for {axis}, only 1 is allowed: state one")
-    if names and option is not None and _spelled(option) not in map(_spelled, names):
+    if names and option is not None and _normalise_unit(option) not in map(_normalise_unit, names):
         whose, keyword = ("its heights", "unit") if axis == "z" else (axis, "lateral_unit")
         raise MapError(f"{path} states the unit of {whose}, {next(iter(names))}: do not give {keyword}={option!r}")
     unit = next(iter(names), option or default)
@@ -492,5 +492,5 @@ def _unit(
     return None if unit.lower() in PIXELS else to_mm(unit, f"{path} has {axis} in")
 
 
-def _spelled(unit: str) -> str:
+def _normalise_unit(unit: str) -> str:
     return SPELLINGS.get(unit.strip().lower(), unit.strip().lower())

@@ -27,7 +27,7 @@ from turnwright.files.base import DAMAGE, MAX_FILE_BYTES, require_heights
 from turnwright.files.numbers import text_of
 from turnwright.heightmap import HeightMap
 
-__all__ = ["contents", "read_map"]
+__all__ = ["read_contents", "read_map"]
 
 
 def read_map(
@@ -69,7 +69,7 @@ def read_map(
         own.
     """
     path = Path(file)
-    data = contents(path)
+    data = read_contents(path)
     reader, kind = _reader_of(path, data)
     if reader is not _read_text and (unit or lateral_unit):
         raise MapError(f"{path} is {kind} and states its own units: do not give {_unit_option(unit, lateral_unit)}")
@@ -102,7 +102,7 @@ def _unit_option(unit: str | None, lateral_unit: str | None) -> str:
     return f"unit={unit!r}" if unit else f"lateral_unit={lateral_unit!r}"
 
 
-def contents(path: Path) -> bytes:
+def read_contents(path: Path) -> bytes:
     """Return the bytes of a file, or raise if it is missing, empty or too large."""
     try:
         size = path.stat().st_size if path.is_file() or not path.exists() else -1

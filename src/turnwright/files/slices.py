@@ -14,7 +14,7 @@ from turnwright.files.base import require_heights
 from turnwright.files.lattice import even_places
 from turnwright.files.numbers import text_of
 from turnwright.files.points import read_slice
-from turnwright.files.read import contents, read_map
+from turnwright.files.read import read_contents, read_map
 from turnwright.profile import Profile
 
 __all__ = ["read_profile"]
@@ -62,7 +62,7 @@ def read_profile(
         given.
     """
     path = Path(file)
-    text = text_of(contents(path))
+    text = text_of(read_contents(path))
     if text is None or path.suffix.lower() in {".sdf", ".x3p"}:
         if (distance, height, unit, lateral_unit) != (None,) * 4:
             raise MapError(f"{path} is not text and defines its own axes: do not give columns or units")

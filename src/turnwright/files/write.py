@@ -12,7 +12,7 @@ from turnwright.heightmap import HeightMap
 
 __all__ = ["write_map"]
 
-WRITERS = {".x3p": x3p.packed, ".npz": arrays.packed, ".dat": grid_sag.packed, ".grd": grid_sag.packed}
+WRITERS = {".x3p": x3p.pack, ".npz": arrays.pack, ".dat": grid_sag.pack, ".grd": grid_sag.pack}
 
 
 def write_map(map: HeightMap, file: str | PathLike[str]) -> None:  # noqa: A002 - the field's word

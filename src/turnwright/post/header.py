@@ -86,7 +86,7 @@ class ProgramPass:
     hash: str
 
 
-def hashed_rows(units: Ints, duration: Floats) -> memoryview:
+def bytes_to_hash(units: Ints, duration: Floats) -> memoryview:
     """Return the bytes to hash for points, see `ProgramPass`.
 
     ``units`` are the words without their decimal points, as written (n, k); ``duration`` that of each block. (n,) [s]

@@ -32,7 +32,7 @@ from turnwright.post.header import (
     ProgramInfo,
     ProgramPass,
     ProgramWarning,
-    hashed_rows,
+    bytes_to_hash,
     read_info,
 )
 from turnwright.post.macro import Macros
@@ -179,7 +179,7 @@ def read_nc(
         warnings.warn(warning, ProgramWarning, stacklevel=2)
     if header_pass is not None and digest != header_pass.hash:
         warnings.warn(
-            f"{path}: pass {_short(header_pass.name)} has the hash {digest[:12]}..., the header states "
+            f"{path}: pass {_shorten(header_pass.name)} has the hash {digest[:12]}..., the header states "
             f"{header_pass.hash[:12]}...: it was edited or damaged",
             ProgramWarning,
             stacklevel=2,
@@ -201,19 +201,19 @@ def _pass_in_header(
         raise ProgramError(f"{path} names no pass in its header, it must name at least 1: {COPY_AGAIN}")
     if name is not None:
         raise ProgramError(
-            f"{path} has no pass {_short(name)!r}, it has {_listed([entry.name for entry in info.passes])}: name one "
-            "of these"
+            f"{path} has no pass {_shorten(name)!r}, it has {_list_names([entry.name for entry in info.passes])}: name "
+            "one of these"
         )
     return info.passes[-1]
 
 
-def _short(text: str) -> str:
+def _shorten(text: str) -> str:
     return text if len(text) <= MAX_QUOTED else f"{text[:MAX_QUOTED]}..."
 
 
-def _listed(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     more = [f"{len(names) - 4} more"] if len(names) > 5 else []
-    return ", ".join([_short(name) for name in names[: 4 if more else 5]] + more) or "none"
+    return ", ".join([_shorten(name) for name in names[: 4 if more else 5]] + more) or "none"
 
 
 def _require_language(path: Path, info: ProgramInfo, machine: Machine, dialect: Dialect) -> None:
@@ -221,7 +221,7 @@ def _require_language(path: Path, info: ProgramInfo, machine: Machine, dialect: 
         raise ProgramError(f"{path} has a header without dialect or convention, it is truncated: {COPY_AGAIN}")
     if info.dialect != dialect.name:
         raise ProgramError(
-            f"{path} is written in the dialect {_short(info.dialect)}, machine {machine.name} has {dialect.name}: "
+            f"{path} is written in the dialect {_shorten(info.dialect)}, machine {machine.name} has {dialect.name}: "
             "read it with the machine that it was written for"
         )
     if info.convention != convention_line(machine):
@@ -372,8 +372,8 @@ class _Reader:
         if self.selected is None:
             if self.requested is not None:
                 raise ProgramError(
-                    f"{self.path} has no pass {_short(self.requested)!r}, it has {_listed(self.names)}: name one of "
-                    "these"
+                    f"{self.path} has no pass {_shorten(self.requested)!r}, it has {_list_names(self.names)}: name one "
+                    "of these"
                 )
             raise ProgramError(
                 f"{self.path} has no cutting block, at least 1 is needed: give a program whose G1 blocks turn C"
@@ -395,7 +395,7 @@ class _Reader:
             )
         self.calls[path] = self.calls.get(path, 0) + 1
         if self.calls[path] > MAX_CALLS:
-            raise self._error(f"calls {_short(path.name)} more than {MAX_CALLS} times", "write out its passes")
+            raise self._error(f"calls {_shorten(path.name)} more than {MAX_CALLS} times", "write out its passes")
         self.stack.append(path)
         outer, self.state[LINES] = self.state[LINES], 0
         before, loops, self.coded = self.real.copy(), set(self.loops), False
@@ -541,7 +541,7 @@ class _Reader:
                 kernel.quantise(part[row], scale, 0.0, 0, units, each * column)
                 if each == 2:
                     kernel.quantise(part[5 + row], scale, 0.0, 0, units, each * column + 1)
-            self.digest.update(hashed_rows(units, part[4]))
+            self.digest.update(bytes_to_hash(units, part[4]))
 
     def _open(self, *, timed: bool) -> None:
         self.cuts += 1
@@ -590,7 +590,7 @@ class _Reader:
             return
         if previous is not None and previous.blocks > 1 and cut.named and previous.name == cut.name:
             raise self._error(
-                f"ends a second cut in pass {_short(cut.name)}, of {cut.blocks} blocks after {previous.blocks}, only "
+                f"ends a second cut in pass {_shorten(cut.name)}, of {cut.blocks} blocks after {previous.blocks}, only "
                 "one is allowed",
                 "name a pass for every cut",
             )
@@ -607,7 +607,7 @@ class _Reader:
                 "has a carriage return (CR) within the line, lines must end with LF or CR LF",
                 "save the program with such line ends",
             )
-        text = self._undeleted(text)
+        text = self._apply_block_delete(text)
         if name := _pass_name(text):
             self._marker(*name)
         calls: list[str] = []
@@ -616,7 +616,7 @@ class _Reader:
         if calls:
             self._call_from(block.strip(), calls, after)
         else:
-            self._bare(block)
+            self._follow_block(block)
 
     def _part(self, part: re.Match[str], calls: list[str]) -> str:
         """Return the replacement of a comment, or of a call, which is added to ``calls``."""
@@ -632,10 +632,10 @@ class _Reader:
         repeat = REPEAT.fullmatch(after[0].strip())
         if repeat is None or len(calls) > 1 or re.search("[DHLPQ]", block):
             raise self._error(
-                f"calls {_short(calls[0])} with more words, only L and a number of repetitions, 1 to 999, is allowed",
+                f"calls {_shorten(calls[0])} with more words, only L and a number of repetitions, 1 to 999, is allowed",
                 "write the other words, or the other call, in a separate block",
             )
-        self._bare(block)
+        self._follow_block(block)
         if self.over or self.ended:
             raise self._error("ends and calls a file", "write the call in a separate block")
         for _ in range(int(repeat[1] or 1)):
@@ -643,7 +643,7 @@ class _Reader:
             if self.ended:
                 return
 
-    def _bare(self, bare: str) -> None:
+    def _follow_block(self, bare: str) -> None:
         if bare.startswith("%"):
             bare = self._tape_mark(bare)
         if not bare:
@@ -654,7 +654,7 @@ class _Reader:
         if not (self.dialect.velocities and self._native(bare)) and not self._statement(bare):
             self._words(bare)
 
-    def _undeleted(self, text: str) -> str:
+    def _apply_block_delete(self, text: str) -> str:
         """Return a line without its block-delete slash, or nothing if the line is skipped."""
         slash = DELETED.match(text)
         if slash is None:
@@ -724,7 +724,8 @@ class _Reader:
         path = self._sibling(name)
         if path is None:
             raise self._error(
-                f"calls {_short(name)}, which is not in the same folder", "put all files of the program into one folder"
+                f"calls {_shorten(name)}, which is not in the same folder",
+                "put all files of the program into one folder",
             )
         if self.header_pass is not None:
             # Sub-programs of other passes are skipped: each names its pass in its first lines.
@@ -735,7 +736,7 @@ class _Reader:
                 return
         self._file(path)
 
-    def _parsed(self, bare: str) -> list[tuple[str, float]]:
+    def _parse_words(self, bare: str) -> list[tuple[str, float]]:
         """Return the words of a block, and store its velocities."""
         words: list[tuple[str, float]] = []
         self.speeds = {}
@@ -765,7 +766,7 @@ class _Reader:
         return words
 
     def _words(self, bare: str) -> None:
-        words = self._parsed(bare)
+        words = self._parse_words(bare)
         codes = [value for letter, value in words if letter == "G"]
         for letter, value in words:
             if letter == "M":

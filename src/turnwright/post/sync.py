@@ -144,9 +144,11 @@ def write_fast_tool(
     _require_straight(motion, dialect)
     lathe_heights, table_motion = entry_heights, motion
     if depth is not None:
-        lathe_heights, entered = _with_entry(motion, entry_heights)
+        lathe_heights, entered = _prepend_entry(motion, entry_heights)
         table_motion = entered if by == "position" else motion
-    rows, decimals, off = _position(table_motion, machine, dialect) if by == "position" else _stream(motion, rate_hz)
+    rows, decimals, off = (
+        _make_position_rows(table_motion, machine, dialect) if by == "position" else _make_stream_rows(motion, rate_hz)
+    )
     counts = rows.shape[0], table_motion.time.size - motion.time.size
     try:
         try:
@@ -185,7 +187,7 @@ def _require_straight(motion: Motion, dialect: Dialect) -> None:
         )
 
 
-def _with_entry(motion: Motion, heights: Floats | None) -> tuple[Floats | None, Motion]:
+def _prepend_entry(motion: Motion, heights: Floats | None) -> tuple[Floats | None, Motion]:
     """Return the lathe's heights in a plunge, if ``heights`` are given, and the motion with one turn before it."""
     turned, axes = entry_path(motion)
     lathe, fast = entry_shares(motion, axes["Z"] + axes["W"] if heights is None else np.asarray(heights, np.float64))
@@ -197,7 +199,7 @@ def _with_entry(motion: Motion, heights: Floats | None) -> tuple[Floats | None, 
     return None if heights is None else lathe, Motion(time=time, axes=entered, machine=motion.machine)
 
 
-def _position(motion: Motion, machine: Machine, dialect: Dialect) -> tuple[Ints, Ints, float]:
+def _make_position_rows(motion: Motion, machine: Machine, dialect: Dialect) -> tuple[Ints, Ints, float]:
     """Return radius, angle and height in units of their last decimals, the decimals, and the rounding error."""
     convention = machine.convention
     letters = _fast_axes(motion)
@@ -222,7 +224,7 @@ def _position(motion: Motion, machine: Machine, dialect: Dialect) -> tuple[Ints,
     return rows, decimals, off
 
 
-def _stream(motion: Motion, rate_hz: float | None) -> tuple[Ints, Ints, float]:
+def _make_stream_rows(motion: Motion, rate_hz: float | None) -> tuple[Ints, Ints, float]:
     """Return the heights at a constant rate in units of their last decimal, the decimals, and the largest deviation."""
     rate = positive(rate_hz or 0.0, "rate_hz", "Hz")
     time = motion.time - motion.time[0]
@@ -361,7 +363,7 @@ def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Pro
         if match is None or int(match[0]) > len(table) - 2:
             raise ProgramError(f"{file} does not state how many of its {len(table)} rows are the entry: write it again")
         table = table[int(match[0]) :]
-        time = _turned(file, table, motion, machine)
+        time = _find_row_times(file, table, motion, machine)
         blocks = None
         rows = dict(zip(names, table.T, strict=True))
     axes = {letter: np.interp(time, motion.time, values) for letter, values in motion.axes.items()}
@@ -369,7 +371,7 @@ def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Pro
     return Motion(time=time, axes={**axes, **fast}, machine=machine, stated_blocks=blocks)
 
 
-def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> Floats:
+def _find_row_times(file: Path, table: Floats, motion: Motion, machine: Machine) -> Floats:
     """Return the time of the program at each row of a table by position."""
     c = np.concatenate([[0.0], np.cumsum(short_steps(table[:, 1]))]) + table[0, 1]
     in_part_axes({"C": c}, machine)

@@ -42,7 +42,7 @@ from turnwright.post.header import (
     SUB_SIGNATURE,
     ProgramHeader,
     ProgramPass,
-    hashed_rows,
+    bytes_to_hash,
     language,
     lines,
     program_hash,
@@ -235,7 +235,7 @@ def write_nc(
         header = replace(header, date=header.date or datetime.now(UTC).date().isoformat())
         job = _Job(folder, path, dialect, machine, header, limit, progress)
         written = job.write(passes)
-        _put_in_place(folder, path.parent, [path.name, *written], _stale(path, written))
+        _put_in_place(folder, path.parent, [path.name, *written], _find_stale_files(path, written))
         return job.summary(written)
     except OSError as error:
         raise _disk_error(path, error) from error
@@ -558,9 +558,9 @@ class _Job:
             rows = quantise(start, stop)
             out = np.empty((stop - start) * (prefix.size + 24 * (letters.size + 1)) + 8, dtype=np.uint8)
             size = text_kernel.format_blocks(rows, letters, decimals, prefix, leading, mantissa, places, out)
-            return stop - start, hashed_rows(rows, duration), out[:size].data
+            return stop - start, bytes_to_hash(rows, duration), out[:size].data
 
-        digest.update(hashed_rows(quantise(0, 1), np.zeros(1)))
+        digest.update(bytes_to_hash(quantise(0, 1), np.zeros(1)))
         self._count(1)
         state = np.zeros(3, dtype=np.int64)
         threads = cores()
@@ -641,7 +641,7 @@ def _in_order(
             future.cancel()
 
 
-def _stale(path: Path, written: list[str]) -> list[str]:
+def _find_stale_files(path: Path, written: list[str]) -> list[str]:
     """Return sub-programs of an earlier program of this name, so that they are not run by mistake."""
     pattern = re.compile(re.escape(path.stem) + r"\.[A-Za-z0-9_-]+\.\d{3,}" + re.escape(path.suffix))
     stale = []

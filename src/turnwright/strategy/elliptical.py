@@ -513,7 +513,7 @@ class _Reader:
         radius = course.radius(at)
         return Tips(self.sense * at, radius * np.cos(swing), radius * np.sin(swing))
 
-    def _touch_course(self, course: _Course, at: Floats) -> _Side:
+    def _touch_along(self, course: _Course, at: Floats) -> _Side:
         psi = course.azimuth(at)[0]
         top = touch_down(self.surface, self.edge, self._tips(course, at, psi), self.rim)
         piece = self.surface.piece(top.x, top.y)
@@ -557,7 +557,7 @@ class _Reader:
 
     def crossings(self, course: _Course, at: Floats) -> _Crossings:
         """Return the valleys that a course passes, ascending, as detected between the samples at ``at``."""
-        looked = self._touch_course(course, at)
+        looked = self._touch_along(course, at)
         k = np.flatnonzero(looked.piece[1:] != looked.piece[:-1])
         low, high = looked.select(k), looked.select(k + 1)
         valleys = []
@@ -571,7 +571,7 @@ class _Reader:
             wide = (high.psi - low.psi) * np.abs(
                 course.radius(low.at)
             ) > self.surface.feature_size / SAMPLES_PER_FEATURE
-            middle = self._touch_course(course, np.where(wide, inside, met.at))
+            middle = self._touch_along(course, np.where(wide, inside, met.at))
             # A third piece may rise above the valley of two: then there is a valley on both sides of it.
             third = (middle.piece != low.piece) & (middle.piece != high.piece)
             with np.errstate(invalid="ignore"):
@@ -579,7 +579,7 @@ class _Reader:
                 valleys.append(met.select(good & (met.steep * (1 - met.rate) > MIN_JUMP)))
             failed = ~(wide | third | good)
             if failed.any():
-                for values, others in zip(middle, self._touch_course(course, inside[failed]), strict=True):
+                for values, others in zip(middle, self._touch_along(course, inside[failed]), strict=True):
                     values[failed] = others
             more = ~good & (high.at - low.at > MIN_INTERVAL_RAD)
             first, second = more & (middle.piece != low.piece), more & (middle.piece != high.piece)
