@@ -14,14 +14,14 @@ FAST = tw.Axis(low=-0.035, high=0.035)
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: tw.FastToolServo(plan=0.02), "plan is 0.02, it must be a strategy"),
+        (lambda: tw.FastToolServo(plan=0.02), "plan is 0.02, it must be a Strategy"),
         (lambda: tw.HybridToolServo(plan=None, fast=FAST), "plan is None"),
         (lambda: tw.HybridToolServo(plan=PLAN).spiral(PART, TOOL), "split by nothing"),
         (lambda: tw.HybridToolServo(plan=PLAN, tool=TOOL), "split by tool, it takes base and tool"),
         (lambda: tw.HybridToolServo(plan=PLAN, base=tw.Plane()).spiral(PART, TOOL), "split by base, it takes"),
         (lambda: tw.HybridToolServo(plan=PLAN, base=tw.Plane(), tool=TOOL, fast=FAST), "base and tool and fast"),
-        (lambda: tw.HybridToolServo(plan=PLAN, base=5.0, tool=TOOL), "base is 5.0, it must be of the class Surface"),
-        (lambda: tw.HybridToolServo(plan=PLAN, fast=0.07), "fast is 0.07, it must be of the class Axis"),
+        (lambda: tw.HybridToolServo(plan=PLAN, base=5.0, tool=TOOL), "base is 5.0, it must be a Surface"),
+        (lambda: tw.HybridToolServo(plan=PLAN, fast=0.07), "fast is 0.07, it must be a Axis"),
         (lambda: tw.HybridToolServo(plan=PLAN, fast=tw.Axis(high=0.1)), "travels from None to 0.1 mm"),
         (lambda: tw.HybridToolServo(plan=PLAN, fast=FAST, blocks_per_rev=4), "blocks_per_rev is 4"),
     ],

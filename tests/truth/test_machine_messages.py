@@ -151,7 +151,6 @@ def test_a_machine_cannot_be_wrong():
         {"block_rate_hz": np.inf},
         {"squareness": np.nan},
         {"straightness": ([0, 1], [0, np.nan])},
-        {"straightness": ([0, 1],)},
         {"straightness": ([1, 0], [0, 0])},
     ):
         with pytest.raises(InputError):

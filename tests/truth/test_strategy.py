@@ -9,7 +9,7 @@ from turnwright.generation import generate_polar
 from turnwright.machine import Machine
 from turnwright.motion import drive
 from turnwright.part import Part
-from turnwright.placing import place
+from turnwright.placing import Touch, place
 from turnwright.post import read_nc, write_nc
 from turnwright.strategy import FastToolServo, SlowToolServo
 from turnwright.surface import LensArray, Plane, Sphere, Surface
@@ -162,11 +162,12 @@ def sharp(monkeypatch):
     """Let the tip follow the surface itself, so that the path has a closed form; return the azimuths asked for."""
     asked = []
 
-    def tip_height(surface, tool, *, angle, radius, sense, rim):
-        asked.append(angle)
-        return surface.sag(radius * np.cos(angle), radius * np.sin(angle))
+    def touch_down(surface, edge, tips, rim):
+        asked.append(tips.angle)
+        z = surface.sag(tips.radius * np.cos(tips.angle), tips.radius * np.sin(tips.angle))
+        return Touch(z, *np.zeros((4, z.size)))
 
-    monkeypatch.setattr("turnwright.strategy.slow.tip_height", tip_height)
+    monkeypatch.setattr("turnwright.strategy.slow.touch_down", touch_down)
     return asked
 
 

@@ -42,7 +42,7 @@ TOOL = Tool(nose_radius=0.5, included=np.deg2rad(60))
         ({"feed": 0.01, "points_per_rev": 360, "sense": 0}, "sense is 0"),
         ({"feed": 0.01, "points_per_rev": 360, "lead_in": -1}, "lead_in is -1 mm"),
         ({"feed": 0.01, "points_per_rev": 360, "lead_in": np.inf}, "lead_in is inf"),
-        ({"feed": 0.01, "points_per_rev": 360, "overrun": -0.001}, "overrun is -0.001 mm, the limits are 0 mm"),
+        ({"feed": 0.01, "points_per_rev": 360, "overrun": -0.001}, "overrun is -0.001 mm, it must be at least 0 mm"),
         ({"feed": 0.01, "points_per_rev": 360, "overrun": 0.02}, "one feed, 0.01 mm: a quarter of a feed, 0.0025 mm"),
         ({"feed": 0.01, "points_per_rev": 360, "overrun": np.nan}, "overrun is nan"),
     ],

@@ -13,19 +13,24 @@ import math
 import re
 import struct
 import zipfile
-from typing import IO, TYPE_CHECKING, Any
+from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright.errors import MapError, shown
-from turnwright.files.base import MAX_POINTS, finite_or_missing, grid_map, inflated, require_bytes, require_points
+from turnwright.files.base import (
+    MAX_POINTS,
+    check_inflated_size,
+    finite_or_missing,
+    grid_map,
+    require_bytes,
+    require_points,
+)
 from turnwright.heightmap import HeightMap
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-__all__ = ["SIGNATURE", "packed", "read_bare", "read_named"]
+__all__ = ["SIGNATURE", "pack", "read_bare", "read_named"]
 
 SIGNATURE = b"\x93NUMPY"
 HEAD = re.compile(
@@ -75,7 +80,7 @@ def read_named(path: Path, data: bytes) -> HeightMap:
     if column.ndim == row.ndim == z.ndim == 2:
         z, column, row = _from_meshes(path, z, column, row)
     if z.ndim == 2:
-        z, column, row = _ascending(path, names, z, column, row)
+        z, column, row = _sort_axes(path, names, z, column, row)
     calibrated = loaded.get("calibrated")
     return HeightMap(
         z=z,
@@ -87,7 +92,7 @@ def read_named(path: Path, data: bytes) -> HeightMap:
 
 
 def _member(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray[Any, Any]:
-    inflated(path, member.compress_size, member.file_size)
+    check_inflated_size(path, member.compress_size, member.file_size)
     with archive.open(member) as stream:
         return _array(path, stream, member.file_size)
 
@@ -116,7 +121,6 @@ def _array(path: Path, stream: IO[bytes], size: int) -> np.ndarray[Any, Any]:
 
 
 def _numbers(path: Path, name: str, array: np.ndarray[Any, Any]) -> Floats:
-    """Return a copy of an array as float64."""
     if array.dtype.kind not in "iuf" or not 1 <= array.ndim <= 2 or not array.size:
         raise MapError(
             f"{path} holds {name} as {array.dtype} of shape {array.shape}, it must be numbers in 1 or 2 dimensions"
@@ -133,10 +137,9 @@ def _from_meshes(path: Path, z: Floats, x: Floats, y: Floats) -> tuple[Floats, F
     return z.ravel(), x.ravel(), y.ravel()
 
 
-def _ascending(
+def _sort_axes(
     path: Path, names: tuple[str, str], z: Floats, column: Floats, row: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the grid with ascending axes."""
     if column.ndim != 1 or row.ndim != 1 or z.shape != (row.size, column.size):
         raise MapError(
             f"{path} holds z of shape {z.shape} with {names[0]} {column.shape} and {names[1]} {row.shape}: rows of z "
@@ -164,7 +167,7 @@ def _metadata(path: Path, stored: np.ndarray[Any, Any] | None) -> dict[str, str]
     return {str(key): str(text) for key, text in entries.items()}
 
 
-def packed(heights: HeightMap) -> bytes:
+def pack(heights: HeightMap) -> bytes:
     """Return the bytes of an ``.npz`` with a complete map."""
     names = AXES[heights.polar]
     buffer = io.BytesIO()

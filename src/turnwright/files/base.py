@@ -6,29 +6,29 @@ import math
 import struct
 import zipfile
 import zlib
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright.errors import MapError
 from turnwright.heightmap import HeightMap
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
+from turnwright.units import convert
 
 __all__ = [
     "DAMAGE",
     "MAX_FILE_BYTES",
     "MAX_POINTS",
+    "SPELLINGS",
+    "check_inflated_size",
     "even_axes",
     "finite_or_missing",
     "grid_map",
-    "inflated",
     "require_bytes",
     "require_heights",
     "require_points",
+    "to_mm",
     "words",
 ]
 
@@ -65,6 +65,16 @@ DAMAGE = (
 )
 """Exceptions of libraries for damaged files; `MapError` is a ValueError, so catch it first."""
 
+SPELLINGS = {
+    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetres"), "cm"),
+    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
+    **dict.fromkeys(("um", "µm", "μm", "micron", "microns", "micrometer", "micrometers", "micrometres"), "um"),
+    **dict.fromkeys(("nm", "nanometer", "nanometers", "nanometre", "nanometres"), "nm"),
+    **dict.fromkeys(("in", "inch", "inches"), "in"),
+}
+"""Unit by its spelling in lower case."""
+
 
 def require_points(path: Path, columns: int, rows: int) -> None:
     """Raise unless a grid has a possible size."""
@@ -99,7 +109,7 @@ def require_bytes(path: Path, needed: int, there: int) -> None:
         )
 
 
-def inflated(path: Path, packed: int, claimed: int) -> None:
+def check_inflated_size(path: Path, packed: int, claimed: int) -> None:
     """Raise if ``claimed`` bytes are more than ``packed`` bytes of deflate can hold, or than any map has."""
     ratio = MAX_DEFLATE_RATIO if claimed <= SMALL_BYTES else MAX_LARGE_RATIO
     if claimed > 8 * MAX_POINTS or claimed > ratio * packed + 64:
@@ -120,6 +130,15 @@ def words(raw: bytes) -> str:
     return " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())
 
 
+def to_mm(unit: str, where: str) -> float:
+    """Return one ``unit`` in mm; the message of a unit that is not a length begins with ``where``."""
+    symbol = SPELLINGS.get(unit.strip().lower())
+    # A capital M means mega, not milli.
+    if symbol is None or unit.strip() in {"M", "Mm"}:
+        raise MapError(f"{where} {unit.strip()!r}, the known units are m, cm, mm, um, nm and in: export it in one")
+    return convert(1.0, symbol, "mm")
+
+
 def grid_map(
     path: Path,
     heights: Floats,
@@ -128,20 +147,10 @@ def grid_map(
     start: tuple[float, float] = (0.0, 0.0),
     metadata: Mapping[str, str],
 ) -> HeightMap:
-    """Return the map of a grid whose rows ascend in y.
+    """Return the map of a grid of heights whose rows ascend in y. (ny, nx) [mm].
 
-    Parameters
-    ----------
-    path
-        Path of the file, whose name is that of the map.
-    heights
-        (ny, nx) [mm]
-    pixel
-        Pixel size along x and y; ``None`` if the file has none. [mm]
-    start
-        Position of the first column and row. [mm]
-    metadata
-        Text entries of the file; empty ones are dropped.
+    ``pixel`` is the pixel size along x and y, ``None`` if the file has none; ``start`` the position of the first column
+    and row [mm]. Empty entries of ``metadata`` are dropped.
     """
     if pixel is not None:
         for size, name in zip(pixel, "xy", strict=True):

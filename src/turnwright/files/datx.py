@@ -12,21 +12,21 @@ from __future__ import annotations
 
 import io
 import math
+import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from turnwright._arrays import Floats
+from turnwright._io import answer_parent, read_isolated
 from turnwright.errors import MapError
-from turnwright.files.base import grid_map, inflated, require_points
-from turnwright.files.units import to_mm
+from turnwright.files import arrays
+from turnwright.files.base import DAMAGE, check_inflated_size, grid_map, require_points, to_mm
+from turnwright.heightmap import HeightMap
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import h5py
-
-    from turnwright.heightmap import HeightMap
 
 __all__ = ["SIGNATURE", "read"]
 
@@ -40,15 +40,25 @@ MAX_TEXT_CHARACTERS = 500
 
 
 def read(path: Path, data: bytes) -> HeightMap:
-    """Read a datx file."""
+    """Read a datx file in a separate process."""
+    return arrays.read_named(path, read_isolated(__name__, path, refusal=MapError, data=data))
+
+
+def main() -> int:
+    """Read a datx file from standard input and write its map to standard output."""
+    path = Path(sys.argv[1])
+    return answer_parent(lambda: arrays.pack(_read(path, sys.stdin.buffer.read())), refusal=MapError, damage=DAMAGE)
+
+
+def _read(path: Path, data: bytes) -> HeightMap:
     import h5py  # noqa: PLC0415 - costly to import
 
     with h5py.File(io.BytesIO(data), "r") as file:
         surface = _surface(path, file)
         rows, columns = surface.shape
         require_points(path, columns, rows)
-        inflated(path, len(data), surface.id.get_storage_size())
-        inflated(path, len(data), rows * columns * surface.dtype.itemsize)
+        check_inflated_size(path, len(data), surface.id.get_storage_size())
+        check_inflated_size(path, len(data), rows * columns * surface.dtype.itemsize)
         scale = _height_unit(path, surface)
         stored = np.asarray(surface[()][::-1], dtype=np.float64)
         missing = ~np.isfinite(stored)
@@ -66,7 +76,6 @@ def read(path: Path, data: bytes) -> HeightMap:
 
 
 def _surface(path: Path, file: h5py.File) -> h5py.Dataset:
-    """Return the heights of the first surface stored in the file itself."""
     import h5py  # noqa: PLC0415
 
     group = file.get("Data/Surface")
@@ -84,7 +93,6 @@ def _surface(path: Path, file: h5py.File) -> h5py.Dataset:
 
 
 def _text(value: Any) -> str:
-    """Return the text of an attribute."""
     entry = np.ravel(np.asarray(value, dtype=object))[0]
     return (entry.decode("utf-8", "replace") if isinstance(entry, bytes) else str(entry))[:MAX_TEXT_CHARACTERS]
 
@@ -104,7 +112,6 @@ def _converter(surface: h5py.Dataset, name: str) -> tuple[str, str, Floats] | No
 
 
 def _height_unit(path: Path, surface: h5py.Dataset) -> float:
-    """Return the height of one stored unit [mm]."""
     unit = _unit(surface)
     converter = _converter(surface, "Z Converter")
     if not unit and converter is not None:
@@ -140,7 +147,6 @@ def _pixel(path: Path, surface: h5py.Dataset) -> tuple[float, float] | None:
 
 
 def _metadata(file: h5py.File) -> dict[str, str]:
-    """Return the attributes that are texts or numbers."""
     import h5py  # noqa: PLC0415
 
     metadata: dict[str, str] = {}

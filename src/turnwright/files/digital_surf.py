@@ -14,18 +14,14 @@ from __future__ import annotations
 import math
 import struct
 import zlib
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files.base import grid_map, inflated, require_bytes, require_points, words
-from turnwright.files.units import to_mm
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from turnwright.heightmap import HeightMap
+from turnwright.files.base import check_inflated_size, grid_map, require_bytes, require_points, to_mm, words
+from turnwright.heightmap import HeightMap
 
 __all__ = ["SIGNATURES", "read"]
 
@@ -86,7 +82,7 @@ def read(path: Path, data: bytes) -> HeightMap:
         raise MapError(f"{path} has notes of negative length: it is damaged, so save it again")
     begin = HEAD + field["comment bytes"] + field["private bytes"]
     needed = columns * rows * field["bits"] // 8
-    raw = data[begin:] if data.startswith(PLAIN) else _unpacked(path, data[begin:], needed)
+    raw = data[begin:] if data.startswith(PLAIN) else _inflate(path, data[begin:], needed)
     require_bytes(path, needed, len(raw))
     stored = np.frombuffer(raw, f"<i{field['bits'] // 8}", columns * rows).reshape(rows, columns)[::-1]
     step = field["step z"] * to_mm(_unit(field["unit z"]), f"{path} states its heights in")
@@ -117,18 +113,17 @@ def _unit(raw: bytes) -> str:
 
 
 def _pixel(path: Path, field: dict[str, Any], axis: str) -> float:
-    """Return the size of a pixel [mm]."""
     unit = _unit(field[f"unit {axis}"])
     size: float = field[f"step {axis}"] * to_mm(unit, f"{path} states its {axis} in")
     return size
 
 
-def _unpacked(path: Path, data: bytes, needed: int) -> bytes:
+def _inflate(path: Path, data: bytes, needed: int) -> bytes:
     """Return the heights from deflated streams, no more than needed."""
     require_bytes(path, 4, len(data))
     (streams,) = struct.unpack_from("<I", data)
     require_bytes(path, 4 + 8 * streams, len(data))
-    inflated(path, len(data), needed)
+    check_inflated_size(path, len(data), needed)
     begin = 4 + 8 * streams
     parts: list[bytes] = []
     for plain, packed in struct.iter_unpack("<II", data[4:begin]):

@@ -13,21 +13,16 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files.base import even_axes, grid_map, require_bytes, require_points
+from turnwright.files.base import even_axes, grid_map, require_bytes, require_points, to_mm
 from turnwright.files.numbers import table
-from turnwright.files.units import to_mm
+from turnwright.heightmap import HeightMap
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from turnwright.heightmap import HeightMap
-
-__all__ = ["is_grid_sag", "packed", "read"]
+__all__ = ["is_grid_sag", "pack", "read"]
 
 UNITS = {0: "mm", 1: "cm", 2: "in", 3: "m"}
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?"
@@ -76,7 +71,7 @@ def read(path: Path, text: str) -> HeightMap:
     )
 
 
-def packed(heights: HeightMap) -> bytes:
+def pack(heights: HeightMap) -> bytes:
     """Return the bytes of a grid sag file in mm."""
     start, pixel = even_axes(heights, "grid sag")
     rows, columns = heights.z.shape

@@ -16,17 +16,14 @@ from __future__ import annotations
 import math
 import struct
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from turnwright.errors import MapError
 from turnwright.files.base import grid_map, require_bytes, require_points, words
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from turnwright.heightmap import HeightMap
+from turnwright.heightmap import HeightMap
 
 __all__ = ["COUNTS", "MISSING", "SIGNATURES", "fringe_scale", "read"]
 
@@ -73,6 +70,14 @@ class Fringes(NamedTuple):
     obliquity: float
     resolution: int
 
+    @property
+    def metadata(self) -> dict[str, str]:
+        return {
+            "wavelength": f"{self.wavelength * 1e9:.6g} nm",
+            "scale factor": f"{self.scale:g}",
+            "obliquity factor": f"{self.obliquity:g}",
+        }
+
 
 def fringe_scale(path: Path, fringes: Fringes) -> float:
     """Return the height of one count [mm]."""
@@ -101,11 +106,8 @@ def read(path: Path, data: bytes) -> HeightMap:
     begin = field["header size"] + _intensity_bytes(path, field)
     require_bytes(path, begin + 4 * columns * rows, len(data))
     counts = np.frombuffer(data, ">i4", columns * rows, begin).reshape(rows, columns)[::-1]
-    scale = fringe_scale(
-        path,
-        Fringes(field["scale factor"], field["wavelength"], field["obliquity factor"], field["phase resolution"]),
-    )
-    heights = counts * scale
+    fringes = Fringes(field["scale factor"], field["wavelength"], field["obliquity factor"], field["phase resolution"])
+    heights = counts * fringe_scale(path, fringes)
     heights[counts >= MISSING] = np.nan
     size = 1e3 * field["pixel size"]
     return grid_map(
@@ -114,11 +116,8 @@ def read(path: Path, data: bytes) -> HeightMap:
         (size, size) if size != 0 else None,
         metadata={
             "format": "Zygo MetroPro .dat",
-            "wavelength": f"{field['wavelength'] * 1e9:.6g} nm",
-            "scale factor": f"{field['scale factor']:g}",
-            "obliquity factor": f"{field['obliquity factor']:g}",
-            "magnification": f"{field['magnification']:g}",
-            "numerical aperture": f"{field['numerical aperture']:g}",
+            **fringes.metadata,
+            **{name: f"{field[name]:g}" for name in ("magnification", "numerical aperture")},
             "timestamp": datetime.fromtimestamp(field["timestamp"], UTC).isoformat() if field["timestamp"] > 0 else "",
             **{
                 name: words(field[name])
@@ -129,7 +128,6 @@ def read(path: Path, data: bytes) -> HeightMap:
 
 
 def _intensity_bytes(path: Path, field: dict[str, int]) -> int:
-    """Return the number of bytes of camera pictures before the phase."""
     picture = 2 * field["intensity columns"] * field["intensity rows"]
     # Some files state 0 buckets and hold one.
     for buckets in (field["intensity buckets"], 1):

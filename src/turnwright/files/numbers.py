@@ -5,16 +5,13 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright.errors import MapError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
 
 __all__ = ["numbers", "table", "text_of"]
 
@@ -50,20 +47,10 @@ def numbers(path: Path, text: str) -> Floats:
 
 
 def table(path: Path, text: str, separator: str | None, columns: Sequence[int] | None, first_line: int = 1) -> Floats:
-    """Return chosen columns of a table, (rows, columns).
+    """Return chosen columns of a table, or all, (rows, columns).
 
-    Parameters
-    ----------
-    path
-        Path of the file, for messages.
-    text
-        Lines with equal numbers of cells.
-    separator
-        Separator of cells; ``None`` for white space.
-    columns
-        The columns to return, in this order; ``None`` for all.
-    first_line
-        Number of the first line of the text in the file.
+    ``text`` has lines with equal numbers of cells, separated by white space without a ``separator``; ``first_line`` is
+    the number of its first line in the file.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("error")

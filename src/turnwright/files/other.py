@@ -8,18 +8,13 @@ from __future__ import annotations
 
 import io
 import warnings
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files.base import grid_map, require_points
-from turnwright.files.units import to_mm
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from turnwright.heightmap import HeightMap
+from turnwright.files.base import grid_map, require_points, to_mm
+from turnwright.heightmap import HeightMap
 
 __all__ = ["DISPUTED", "SUFFIXES", "read", "refuse"]
 

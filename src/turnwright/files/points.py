@@ -10,21 +10,17 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright.errors import MapError
-from turnwright.files.base import finite_or_missing, grid_map, require_points
+from turnwright.files.base import SPELLINGS, finite_or_missing, grid_map, require_points, to_mm
 from turnwright.files.lattice import on_lattice
 from turnwright.files.numbers import table
-from turnwright.files.units import SPELLINGS, to_mm
 from turnwright.heightmap import HeightMap
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 __all__ = ["read", "read_slice"]
 
@@ -78,8 +74,6 @@ PIXELS = frozenset({"px", "pixel", "pixels"})
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """The format of a table."""
-
     first: int  # first line, from 0
     separator: str | None  # None: white space
     comma: bool  # decimal commas
@@ -97,24 +91,26 @@ def read(path: Path, text: str, unit: str | None, lateral_unit: str | None) -> H
     x_row = _x_row(lines, layout)
     if x_row is not None:
         units = (unit, lateral_unit, default_unit)
-        return _read_with_axes(path, text, layout, x_row, _stated(lines[: x_row[0]]), units)
+        return _read_with_axes(path, text, layout, x_row, _find_stated_units(lines[: x_row[0]]), units)
     above = lines[: layout.first]
     names = _names(above, layout)
     chosen = _columns(path, names, layout.columns, _numeric_columns(lines, layout))
-    body = _body(text, layout)
+    body = _below(text, layout.first)
     metadata = {
         "format": "text",
         "description": "\n".join(line for line in above if line.strip())[:MAX_DESCRIPTION_CHARACTERS],
     }
     if chosen is None:
-        scale = _unit(path, {}, _stated(above), "z", unit)
+        scale = _unit(path, {}, _find_stated_units(above), "z", unit)
         if scale is None:
             raise MapError(f"{path} has heights in pixels, they must be lengths: give their unit")
         heights = _table(path, body, layout, None)
         require_points(path, heights.shape[1], heights.shape[0])
         return grid_map(path, heights[::-1] * scale, None, metadata=metadata)
-    column_units = _column_units(above, layout)
-    stated = _stated(above)
+    column_units = {
+        axis: _split_cell(cell)[1] for cell in names or [] if (axis := _axis(cell)) and _split_cell(cell)[1]
+    }
+    stated = _find_stated_units(above)
     options = {"x": (lateral_unit, default_unit), "y": (lateral_unit, default_unit), "z": (unit, None)}
     scales = {axis: _unit(path, column_units, stated, axis, *options[axis]) for axis in chosen}
     columns = _table(path, body, layout, tuple(chosen.values())).T
@@ -126,16 +122,8 @@ def read_slice(
 ) -> tuple[Floats, Floats, str]:
     """Return distances and heights of a text's rows in mm, missing ones nan, and its description. Each (n,).
 
-    Parameters
-    ----------
-    path
-        Path of the file, for messages.
-    text
-        Rows of numbers below a line of names.
-    columns
-        Names or numbers (from 1) of the columns of distance and height; ``None`` to detect them.
-    unit, lateral_unit
-        Units of the heights, and of the distances if different, where the text has none.
+    ``columns`` are names or numbers (from 1) of the columns of distance and height, ``None`` to detect them; the units
+    are those of the heights, and of the distances if different, where the text has none.
     """
     lines = _first_lines(text)
     layout = _layout(path, lines)
@@ -147,11 +135,11 @@ def read_slice(
     }
     scales = []
     for axis, option, default in (("x", lateral_unit, unit), ("z", unit, None)):
-        scale = _unit(path, column_units, _stated(above), axis, option, default)
+        scale = _unit(path, column_units, _find_stated_units(above), axis, option, default)
         if scale is None:
             raise MapError(f"{path} is in pixels, a profile needs lengths: export it calibrated")
         scales.append(scale)
-    distance, height = (_table(path, _body(text, layout), layout, chosen) * scales).T
+    distance, height = (_table(path, _below(text, layout.first), layout, chosen) * scales).T
     has_place = np.isfinite(distance)
     if (np.isfinite(height) & ~has_place).any():
         raise MapError(f"{path} has heights without a distance: complete or remove them")
@@ -160,7 +148,6 @@ def read_slice(
 
 
 def _numeric_columns(lines: list[str], layout: _Layout) -> list[int]:
-    """Return the columns that hold numbers in the first rows."""
     rows = [_cells(line, layout.separator, layout.columns) for line in lines[layout.first :] if line.strip()]
     kind = COMMA if layout.comma else NUMBER
     return [
@@ -202,7 +189,6 @@ def _slice_columns(
 
 
 def _column_of(path: Path, names: list[str], listed: str, numeric: list[int], what: str, column: str) -> int:
-    """Return the column that is requested by name or number."""
     spelled = column.strip().lower()
     matches = [at for at, name in enumerate(names) if spelled in (name.lower(), _split_cell(name)[0])]
     if not matches and column.isdigit() and 1 <= int(column) <= len(names):
@@ -219,18 +205,13 @@ def _column_of(path: Path, names: list[str], listed: str, numeric: list[int], wh
 
 
 def _allows(name: str, what: str) -> bool:
-    """Whether a column of this name may hold distances, or heights."""
     plain = _split_cell(name)[0]
     other = ROLES["height" if what == "distance" else "distance"]
     return not (NO_LENGTH.fullmatch(plain) or other.fullmatch(plain))
 
 
-def _body(text: str, layout: _Layout) -> str:
-    """Return the text from the first row of the table on."""
-    begin = 0
-    for _ in range(layout.first):
-        begin = text.index("\n", begin) + 1
-    return text[begin:]
+def _below(text: str, lines: int) -> str:
+    return "".join(text.split("\n", lines)[lines:])
 
 
 def _x_row(lines: list[str], layout: _Layout) -> tuple[int, list[str]] | None:
@@ -254,7 +235,6 @@ def _read_with_axes(
     stated: dict[str, set[str]],
     units: tuple[str | None, str | None, str | None],
 ) -> HeightMap:
-    """Read a table with x in its first row and y in its first column."""
     number, cells = x_row
     unit, lateral_unit, default_unit = units
     axis_units = {axis: _unit(path, {}, stated, axis, lateral_unit, default_unit) for axis in "xy"}
@@ -263,10 +243,7 @@ def _read_with_axes(
     if len(scales) < len(axis_units):
         raise MapError(f"{path} is in pixels, x, y and z must be lengths: give their units")
     x = np.array([float(cell.replace(",", ".") if layout.comma else cell) for cell in cells])
-    begin = 0
-    for _ in range(number + 1):
-        begin = text.find("\n", begin) + 1 or len(text)
-    rows = _table(path, text[begin:], replace(layout, first=number + 1), None)
+    rows = _table(path, _below(text, number + 1), replace(layout, first=number + 1), None)
     y, z = rows[:, 0], rows[:, 1:]
     require_points(path, x.size, y.size)
     if x.size != z.shape[1]:
@@ -316,19 +293,11 @@ def _as_map(
 
 # ------------------------------------------------------------------ format of the table
 def _first_lines(text: str) -> list[str]:
-    """Return the lines among which a table must begin."""
-    lines: list[str] = []
-    begin = 0
-    while begin < len(text) and len(lines) < MAX_DESCRIPTION_LINES + 20:
-        end = text.find("\n", begin)
-        end = len(text) if end < 0 else end
-        lines.append(text[begin:end].rstrip("\r"))
-        begin = end + 1
-    return lines
+    count = MAX_DESCRIPTION_LINES + 20
+    return [line.rstrip("\r") for line in text.split("\n", count)[:count]]
 
 
 def _layout(path: Path, lines: list[str]) -> _Layout:
-    """Return the format of the table and its first line."""
     for first, line in enumerate(lines[:MAX_DESCRIPTION_LINES]):
         if not line.strip() or line.lstrip()[0] in MARKS:
             continue
@@ -359,7 +328,6 @@ def _layout(path: Path, lines: list[str]) -> _Layout:
 
 
 def _formats(lines: list[str]) -> list[tuple[str | None, bool]]:
-    """Return the possible separators, with and without decimal commas."""
     joined = "".join(lines)
     for strong in ";\t":
         if strong in joined:
@@ -408,7 +376,6 @@ def _match(lines: list[str], separator: str | None, comma: bool, width: int) -> 
 
 
 def _table(path: Path, body: str, layout: _Layout, columns: tuple[int, ...] | None) -> Floats:
-    """Return the columns of the table, or all; missing numbers are nan."""
     if layout.numeric and columns is not None:
         # Reading all columns ensures that no line has more of them.
         return _table(path, body, layout, None)[:, columns]
@@ -498,13 +465,7 @@ def _as_profile(names: list[str], numeric: list[int]) -> str:
     return f", or read a profile (show --profile --height {quote(names[height[-1]])}, read_profile in Python)"
 
 
-def _column_units(above: list[str], layout: _Layout) -> dict[str, str]:
-    names = _names(above, layout)
-    return {axis: _split_cell(cell)[1] for cell in names or [] if (axis := _axis(cell)) and _split_cell(cell)[1]}
-
-
-def _stated(above: list[str]) -> dict[str, set[str]]:
-    """Return the units in lines of description, by axis."""
+def _find_stated_units(above: list[str]) -> dict[str, set[str]]:
     stated: dict[str, set[str]] = {"x": set(), "y": set(), "z": set()}
     for match in STATED.finditer("\n".join(above)):
         what = re.sub(r"[^a-z]", "", (match[1] or match[2] or "xyz").lower())
@@ -520,9 +481,9 @@ def _unit(
 ) -> float | None:  # fmt: skip
     """Return the unit of an axis in mm; ``None`` for pixels. ``option`` must not contradict the file."""
     names = {columns[axis]} if axis in columns else stated[axis]
-    if len({_spelled(name) for name in names}) > 1:
+    if len({_normalise_unit(name) for name in names}) > 1:
         raise MapError(f"{path} states the units {', '.join(sorted(names))} for {axis}, only 1 is allowed: state one")
-    if names and option is not None and _spelled(option) not in map(_spelled, names):
+    if names and option is not None and _normalise_unit(option) not in map(_normalise_unit, names):
         whose, keyword = ("its heights", "unit") if axis == "z" else (axis, "lateral_unit")
         raise MapError(f"{path} states the unit of {whose}, {next(iter(names))}: do not give {keyword}={option!r}")
     unit = next(iter(names), option or default)
@@ -531,5 +492,5 @@ def _unit(
     return None if unit.lower() in PIXELS else to_mm(unit, f"{path} has {axis} in")
 
 
-def _spelled(unit: str) -> str:
+def _normalise_unit(unit: str) -> str:
     return SPELLINGS.get(unit.strip().lower(), unit.strip().lower())

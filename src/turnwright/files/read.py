@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Callable
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +16,6 @@ from turnwright.files import (
     datx,
     digital_surf,
     grid_sag,
-    isolated,
     metropro,
     other,
     points,
@@ -25,14 +25,9 @@ from turnwright.files import (
 )
 from turnwright.files.base import DAMAGE, MAX_FILE_BYTES, require_heights
 from turnwright.files.numbers import text_of
+from turnwright.heightmap import HeightMap
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from os import PathLike
-
-    from turnwright.heightmap import HeightMap
-
-__all__ = ["contents", "read_map"]
+__all__ = ["read_contents", "read_map"]
 
 
 def read_map(
@@ -74,7 +69,7 @@ def read_map(
         own.
     """
     path = Path(file)
-    data = contents(path)
+    data = read_contents(path)
     reader, kind = _reader_of(path, data)
     if reader is not _read_text and (unit or lateral_unit):
         raise MapError(f"{path} is {kind} and states its own units: do not give {_unit_option(unit, lateral_unit)}")
@@ -107,7 +102,7 @@ def _unit_option(unit: str | None, lateral_unit: str | None) -> str:
     return f"unit={unit!r}" if unit else f"lateral_unit={lateral_unit!r}"
 
 
-def contents(path: Path) -> bytes:
+def read_contents(path: Path) -> bytes:
     """Return the bytes of a file, or raise if it is missing, empty or too large."""
     try:
         size = path.stat().st_size if path.is_file() or not path.exists() else -1
@@ -125,7 +120,6 @@ def contents(path: Path) -> bytes:
 
 
 def _reader_of(path: Path, data: bytes) -> tuple[Callable[[Path, bytes], HeightMap], str]:
-    """Return the reader of a file and the name of its format."""
     suffix = path.suffix.lower()
     for begins, reader, kind in SIGNATURES:
         if data.startswith(begins):
@@ -140,7 +134,6 @@ def _reader_of(path: Path, data: bytes) -> tuple[Callable[[Path, bytes], HeightM
 
 
 def _reader_of_archive(path: Path, data: bytes) -> tuple[Callable[[Path, bytes], HeightMap], str]:
-    """Return the reader of a zip archive, by its contents, and the name of its format."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             names = archive.namelist()
@@ -174,7 +167,7 @@ def _read_text(path: Path, data: bytes, unit: str | None = None, lateral_unit: s
 
 SIGNATURES = (
     (metropro.SIGNATURES, metropro.read, "Zygo MetroPro"),
-    (datx.SIGNATURE, isolated.read_datx, "Zygo .datx"),
+    (datx.SIGNATURE, datx.read, "Zygo .datx"),
     (digital_surf.SIGNATURES, digital_surf.read, "Digital Surf"),
     (arrays.SIGNATURE, arrays.read_bare, "NumPy .npy"),
 )

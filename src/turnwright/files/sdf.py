@@ -11,17 +11,13 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
 from turnwright.errors import MapError
 from turnwright.files.base import grid_map, require_points
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from turnwright.heightmap import HeightMap
+from turnwright.heightmap import HeightMap
 
 __all__ = ["SIGNATURE", "read"]
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,11 +14,8 @@ from turnwright.files.base import require_heights
 from turnwright.files.lattice import even_places
 from turnwright.files.numbers import text_of
 from turnwright.files.points import read_slice
-from turnwright.files.read import contents, read_map
+from turnwright.files.read import read_contents, read_map
 from turnwright.profile import Profile
-
-if TYPE_CHECKING:
-    from os import PathLike
 
 __all__ = ["read_profile"]
 
@@ -65,7 +62,7 @@ def read_profile(
         given.
     """
     path = Path(file)
-    text = text_of(contents(path))
+    text = text_of(read_contents(path))
     if text is None or path.suffix.lower() in {".sdf", ".x3p"}:
         if (distance, height, unit, lateral_unit) != (None,) * 4:
             raise MapError(f"{path} is not text and defines its own axes: do not give columns or units")
@@ -95,7 +92,6 @@ def _only_line(path: Path) -> Profile:
 
 
 def _one_slice(path: Path, at: Floats, z: Floats, number: int | None) -> tuple[Floats, Floats]:
-    """Return the requested slice, with ascending distances."""
     step = np.diff(at)
     falling = bool(step.size and (step < 0).mean() > 0.5)
     begins = np.flatnonzero((step >= 0) if falling else (step <= 0)) + 1

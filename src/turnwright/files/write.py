@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from turnwright._io import write_whole
 from turnwright.errors import MapError
 from turnwright.files import arrays, grid_sag, x3p
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from turnwright.heightmap import HeightMap
+from turnwright.heightmap import HeightMap
 
 __all__ = ["write_map"]
 
-WRITERS = {".x3p": x3p.packed, ".npz": arrays.packed, ".dat": grid_sag.packed, ".grd": grid_sag.packed}
+WRITERS = {".x3p": x3p.pack, ".npz": arrays.pack, ".dat": grid_sag.pack, ".grd": grid_sag.pack}
 
 
 def write_map(map: HeightMap, file: str | PathLike[str]) -> None:  # noqa: A002 - the field's word

@@ -14,20 +14,19 @@ import io
 import zipfile
 from datetime import datetime
 from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files.base import even_axes, grid_map, inflated, require_points
+from turnwright.files.base import check_inflated_size, even_axes, grid_map, require_points
 from turnwright.heightmap import HeightMap
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import x3pio
 
-__all__ = ["packed", "read"]
+__all__ = ["pack", "read"]
 
 MAX_XML_BYTES = 64 << 20
 """Bytes of XML; in memory it takes many times as many."""
@@ -69,7 +68,7 @@ def _require_honest(path: Path, data: bytes) -> None:
     """Raise if the archive unpacks to more than it states, or than any map needs."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         for member in archive.infolist():
-            inflated(path, member.compress_size, member.file_size)
+            check_inflated_size(path, member.compress_size, member.file_size)
             if member.filename.lower().endswith(".xml") and member.file_size > MAX_XML_BYTES:
                 raise MapError(
                     f"{path} has {member.file_size:,} bytes of XML, the limit is {MAX_XML_BYTES:,}: export it with "
@@ -98,7 +97,7 @@ def _metadata(file: x3pio.X3pFile) -> dict[str, str]:
     }
 
 
-def packed(heights: HeightMap) -> bytes:
+def pack(heights: HeightMap) -> bytes:
     """Return the bytes of an x3p file of a map on an even grid."""
     import x3pio  # noqa: PLC0415
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import shlex
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -22,17 +22,13 @@ from turnwright.errors import MapError
 from turnwright.files.base import grid_map, require_bytes, require_points
 from turnwright.files.metropro import MISSING, Fringes, fringe_scale
 from turnwright.files.numbers import numbers, table
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from turnwright.heightmap import HeightMap
+from turnwright.heightmap import HeightMap
 
 __all__ = ["PHASES", "POINTS", "read"]
 
 PHASES = "Zygo ASCII Data File - Format 2"
 POINTS = "Zygo XYZ Data File - Format 1"
-MAX_DESCRIPTION_LINES = 30
+MIN_DESCRIPTION_LINES, MAX_DESCRIPTION_LINES = 11, 30
 
 
 def read(path: Path, text: str) -> HeightMap:
@@ -61,9 +57,7 @@ def read(path: Path, text: str) -> HeightMap:
         (size, size) if size != 0 else None,
         metadata={
             "format": PHASES if phases else POINTS,
-            "wavelength": f"{fringes.wavelength * 1e9:.6g} nm",
-            "scale factor": f"{fringes.scale:g}",
-            "obliquity factor": f"{fringes.obliquity:g}",
+            **fringes.metadata,
             "timestamp": datetime.fromtimestamp(stamp, UTC).isoformat() if 0 < stamp < 1 << 32 else "",
             "comment": head[4].strip('" '),
             "part": head[5].strip('" '),
@@ -73,28 +67,18 @@ def read(path: Path, text: str) -> HeightMap:
 
 
 def _split(path: Path, text: str) -> tuple[list[str], str]:
-    """Return the lines of description and the text below them."""
-    head: list[str] = []
-    begin = 0
-    while len(head) < MAX_DESCRIPTION_LINES:
-        end = text.find("\n", begin)
-        if end < 0:
-            break
-        line = text[begin:end].strip()
-        begin = end + 1
-        if line == "#":
-            if len(head) < 11:
-                break
-            return head, text[begin:]
-        head.append(line)
+    head = [line.strip() for line in text.split("\n", MAX_DESCRIPTION_LINES)[:-1]]
+    if "#" in head:
+        head = head[: head.index("#")]
+        if len(head) >= MIN_DESCRIPTION_LINES:
+            return head, text.split("\n", len(head) + 1)[-1]
     raise MapError(
-        f"{path} has {len(head)} lines of description above its first '#', the limits are 11 to "
-        f"{MAX_DESCRIPTION_LINES}: it is truncated or damaged, so export it again"
+        f"{path} has {len(head)} lines of description above its first '#', the limits are "
+        f"{MIN_DESCRIPTION_LINES} to {MAX_DESCRIPTION_LINES}: it is truncated or damaged, so export it again"
     )
 
 
 def _number(path: Path, head: list[str], line: int, index: int) -> float:
-    """Return a number of the description; lines count from 1."""
     try:
         return float(shlex.split(head[line - 1])[index])
     except (ValueError, IndexError) as error:
@@ -112,7 +96,6 @@ def _integer(path: Path, head: list[str], line: int, index: int) -> int:
 
 
 def _phases(path: Path, body: str, intensity: list[int], shape: tuple[int, int]) -> Floats:
-    """Return the phase counts, (rows, columns)."""
     blocks = body.split("#")
     # A file without intensities may omit their block.
     pictures = min(intensity) > 0 or (len(blocks) > 1 and not blocks[0].strip())

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from turnwright._arrays import Floats
 from turnwright._tables import Stated, refuse
@@ -17,7 +18,6 @@ from turnwright.machine.responses import AnyResponse, Response
 from turnwright.units import Frequency, Time, parse, unit
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
     from pydantic import GetCoreSchemaHandler
     from pydantic_core import CoreSchema
 
@@ -129,7 +129,6 @@ class Axes:
 
 
 def _check_axes(axes: Any) -> Any:
-    """Raise unless every axis of a table is named by a letter and has quantities of the right dimension."""
     problems: dict[tuple[str | int, ...], Exception | str] = {}
     for letter, limits in axes.items() if isinstance(axes, Mapping) else ():
         if len(letter) != 1 or not letter.isupper():

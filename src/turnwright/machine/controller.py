@@ -50,15 +50,8 @@ class Controller(Stated, Value):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        others = self.other_interpolations
-        if not isinstance(others, Mapping) or not all(isinstance(dialect, str) for dialect in others.values()):
-            raise InputError(
-                f"other_interpolations is {others!r}, it must name the dialect of each: write for instance "
-                '{ hermite = "pmac" }'
-            )
-        object.__setattr__(self, "other_interpolations", MappingProxyType(dict(others)))
-        if not isinstance(self.variable_speed, bool):
-            raise InputError(f"variable_speed is {self.variable_speed!r}, it must be true or false: change it")
+        others = MappingProxyType(dict(self.other_interpolations))
+        object.__setattr__(self, "other_interpolations", others)
         for name in (self.interpolation, *others):
             if name not in INTERPOLATIONS:
                 raise InputError(f"interpolation is {name!r}, it must be one of {', '.join(INTERPOLATIONS)}: name one")

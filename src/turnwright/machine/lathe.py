@@ -7,9 +7,10 @@ from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from turnwright._arrays import Floats, Value, frozen
 from turnwright._faults import read_table
@@ -20,9 +21,6 @@ from turnwright.errors import InputError, shown
 from turnwright.machine.axes import Axes, Axis
 from turnwright.machine.controller import Controller, Convention
 from turnwright.units import Number, Slope, Text
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 __all__ = ["Machine"]
 
@@ -122,14 +120,7 @@ class Machine(Stated, Value):
         object.__setattr__(self, "block_rate_hz", positive(self.block_rate_hz, "block_rate_hz", "blocks/s"))
         check_angle(self.squareness, "squareness", -MAX_SQUARENESS_RAD, MAX_SQUARENESS_RAD)
         if self.straightness is not None:
-            if len(self.straightness) != 2:
-                raise InputError(
-                    f"straightness has {len(self.straightness)} parts, it needs 2: give positions and errors"
-                )
-            x, error = (
-                frozen(self.straightness[0], "straightness x"),
-                frozen(self.straightness[1], "straightness error"),
-            )
+            x, error = (frozen(values, "straightness") for values in self.straightness)
             if x.size < 2 or x.shape != error.shape or not (np.diff(x) > 0).all():
                 raise InputError(
                     f"straightness has {x.size} positions and {error.size} errors, it needs equal numbers of both, at "
@@ -254,7 +245,6 @@ def _placed(name: Any, folder: Path) -> Any:
 
 
 def _merge(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
-    """Return nested tables with those of another merged over them."""
     merged = dict(base)
     for key, value in table.items():
         below = base.get(key)

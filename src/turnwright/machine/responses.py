@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from turnwright._arrays import Floats, Value, frozen
 from turnwright._tables import Numbers, Stated, adapter
@@ -22,9 +24,6 @@ from turnwright.errors import InputError
 from turnwright.units import Frequency, Number
 
 if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import ArrayLike, NDArray
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
     from pydantic_core import CoreSchema
 
@@ -312,7 +311,6 @@ class AnyResponse:
 
 
 def _read_response(table: Any) -> Any:
-    """Return the response that a table describes."""
     if isinstance(table, SecondOrder | TransferFunction | FrequencyResponse):
         return table
     if isinstance(table, Mapping) and table.keys() == {"file"}:

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright.errors import LimitError
-from turnwright.machine import FAST
+from turnwright.machine import FAST, Machine
 from turnwright.motion.limits import TURN, Course, find_speed_factor
 from turnwright.motion.pvt import find_fastest_course, reach_stated_speed, slow_to_limits
 from turnwright.path import Motion, Path
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from turnwright._arrays import Floats
-    from turnwright.machine import Machine
-    from turnwright.speed_profile import SpeedProfile
+from turnwright.speed_profile import SpeedProfile
 
 __all__ = ["drive", "require_variable"]
 
@@ -56,36 +52,14 @@ def require_variable(machine: Machine) -> None:
 def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile | None = None) -> Motion:
     r"""Return the motion of the axes along a path.
 
-    Time is the angle of the spindle divided by its speed, which is constant unless the controller may vary it. Z is
-    commanded to ``path.z - machine.z_error(X)``, so that the known errors of the machine are compensated and the tip
-    is at ``path.z``. The errors are those at the X position, regardless of the contact point on the edge.
+    Z is commanded to ``path.z - machine.z_error(X)``, so that the known errors of the machine are compensated and the
+    tip is at ``path.z``. The spindle speed is the one that the strategy states, or the highest one within every stated
+    limit, to 1e-9 of the limit; it may differ from revolution to revolution if the controller can vary it.
 
-    If the strategy states no spindle speed, the highest one :math:`\omega` within every stated limit is used, to 1e-9
-    of the limit; the demands are those of `check_limits`. Along a given path the block rate and the speeds grow with
-    :math:`\omega`, accelerations with :math:`\omega^2` and jerks with :math:`\omega^3`, so each limit allows one speed
-    and the lowest one is used.
-
-    If the controller may vary the speed (``Controller.variable_speed``), each revolution has its own highest speed.
-    Between revolutions :math:`\omega^2` is linear in the angle: the spindle has a constant acceleration in time, at
-    most that of the C axis. The whole motion is then slowed down to make up for the acceleration that this adds to the
-    other axes.
-
-    A controller that takes velocities too (interpolation "hermite", PVT) gets them from the rates of the path,
-    :math:`\dot q = \omega\, dq/d\theta`. The velocity of Z includes the slope of the machine's errors along X; at a
-    node of the piecewise linear straightness table it is the slope of the segment that follows.
-
-    A PVT program starts and ends at rest. All axes accelerate and decelerate together along the path itself; the
-    acceleration rises linearly from 0 and falls linearly back to 0. In these ramps blocks are divided until the cubics
-    in time stay within 0.1 nm of those at constant spindle speed. Each ramp takes as little of the path as the limits
-    allow, in steps of 10 %: at least 0.1 s at full speed (1/40 of a short motion), at most half of the path. A stated
-    speed is reached between the ramps; if that is not possible, the error names the highest speed. Where the path
-    itself exceeds a limit, the ramps may exceed it as much.
-
-    The highest speed is within every limit with these ramps. Longer ramps leave fewer points at full speed, which may
-    allow a higher speed, which needs longer ramps again. The search stops at the first step without a gain, so it may
-    miss a higher speed; in one of a hundred short paths it is 10 % too low. With a fast tool, where the lathe has its
-    own blocks, the speed is constant to both ends, and the program accelerates and decelerates within one block, which
-    counts against the limits.
+    A controller that takes velocities too (interpolation "hermite", PVT) gets those of the path. Its program starts and
+    ends at rest: all axes accelerate and decelerate together along the path, within 0.1 nm of it, in ramps of at most
+    half of the path. The search for the highest speed with ramps stops at the first step without a gain, so it may miss
+    a higher one. With a fast tool the program accelerates and decelerates within one block.
 
     Parameters
     ----------
@@ -101,8 +75,8 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     Raises
     ------
     LimitError
-        If the machine lacks an axis, its spindle is slower than the stated speed or it cannot vary the speed; or if,
-        with PVT, the path is too short to reach the stated speed from rest, or has too few points for any speed.
+        If the machine lacks an axis, its spindle is too slow or cannot vary its speed, or a path with velocities is too
+        short for its speed, or has too few points.
 
     Sources
     -------

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import only_read
+from turnwright._arrays import Floats, Ints, only_read
 from turnwright._kernels import limits as limits_kernel, tracking as tracking_kernel
-from turnwright.machine import FAST, ROTARY, Axis
+from turnwright.machine import FAST, ROTARY, Axis, Machine
 from turnwright.path import Motion, block_points
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from turnwright._arrays import Floats, Ints
-    from turnwright.machine import Machine
 
 __all__ = [
     "LIMIT_TOL",
@@ -134,22 +129,14 @@ class Limits:
 def check_limits(motion: Motion, machine: Machine) -> Limits:
     """Compare the demands of a motion with the limits of a machine.
 
-    A controller with interpolation "hermite" (PVT) interpolates each block by a cubic in time, from the positions and
-    velocities at both ends. The velocities are those of the motion, or those that `track` uses. Speed, acceleration,
-    jerk and travel are then the extremes of the cubics. The jerk is the third derivative of each cubic; it does not
-    show the steps of the acceleration between blocks.
-
-    For any other motion, and for a fast tool, speed, acceleration and jerk are divided differences over one, two and
-    three neighbouring blocks. A controller that rounds the corners demands less of the slides.
-
-    Positions rounded to :math:`q` add up to :math:`2q/t^2` to the acceleration and :math:`4q/t^3` to the jerk (three
-    times as much with cubics), where :math:`t` is the block time: 2 mm/s² and 4000 mm/s³ for 1 nm at 1000 blocks/s.
-    With a fast tool the blocks of the lathe are those of `Motion.lathe`.
+    Speed, acceleration and jerk are divided differences over one, two and three neighbouring blocks; for a controller
+    with interpolation "hermite" (PVT) they, and the travel, are the extremes of the cubics in each block. Positions
+    rounded to :math:`q` add up to :math:`2q/t^2` to the acceleration and :math:`4q/t^3` to the jerk, where :math:`t` is
+    the block time. With a fast tool the blocks of the lathe are those of `Motion.lathe`.
 
     The highest frequency of an axis is the lowest one above which the motion has less power than a sine of amplitude
     ``bandwidth_residual`` (10 nm by default). The power is that of any two revolutions, after removal of their mean,
-    under a Hann window. Between the points the motion is a cubic spline. For a pure sine of n periods per revolution
-    the result is n + 1/2; for one of 1 um amplitude it is at most n + 2 if n is not an integer.
+    under a Hann window. Between the points the motion is a cubic spline.
 
     Parameters
     ----------
@@ -235,7 +222,6 @@ def find_limit_demands(
 
 
 def _check_travel(letter: str, top: Mapping[str, float], machine: Machine) -> list[str]:
-    """Return a finding if the machine lacks the axis, and one for each end of travel that is exceeded."""
     axis = machine.axes.get(letter)
     if axis is None:
         return [f"the motion needs axis {letter}, {machine.name} does not have it: choose another machine"]
@@ -247,13 +233,6 @@ def _check_travel(letter: str, top: Mapping[str, float], machine: Machine) -> li
         for end, limit, beyond in (("low", axis.low, -1), ("high", axis.high, 1))
         if limit is not None and (top[end] - limit) * beyond > 0
     ]
-
-
-def _integrate_time(turned: Floats, omega: float | Floats) -> Floats:
-    """Return the time at spindle angles; the acceleration is constant between them. (n,) [s]."""
-    if isinstance(omega, float):
-        return turned / omega
-    return np.concatenate([[0.0], np.cumsum(2 * np.diff(turned) / (omega[1:] + omega[:-1]))])
 
 
 def find_speed_factor(course: Course, machine: Machine, *, ends: tuple[bool, bool] = (True, True)) -> float:
@@ -282,9 +261,12 @@ class Course(NamedTuple):
     velocity: Mapping[str, Floats]
 
     def at_speed(self, omega: float | Floats) -> Course:
-        """Return the course, whose time is the spindle angle, at a spindle speed. [rad/s]."""
-        velocity = {letter: omega * values for letter, values in self.velocity.items()}
-        return Course(_integrate_time(self.time, omega), self.axes, velocity)
+        """Return the course, whose time is the spindle angle, at a speed of constant acceleration. [rad/s]."""
+        if isinstance(omega, float):
+            time = self.time / omega
+        else:
+            time = np.concatenate([[0.0], np.cumsum(2 * np.diff(self.time) / (omega[1:] + omega[:-1]))])
+        return Course(time, self.axes, {letter: omega * values for letter, values in self.velocity.items()})
 
     @property
     def top_rpm(self) -> float:
@@ -393,5 +375,4 @@ def _find_peaks(time: Floats, position: Floats, velocity: Floats | None) -> _Axi
 
 
 def _length_unit(letter: str) -> str:
-    """Return the unit of an axis position."""
     return "rad" if letter in ROTARY else "mm"

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from turnwright._arrays import Floats, Ints
 from turnwright.errors import LimitError
-from turnwright.machine import ROTARY
+from turnwright.machine import ROTARY, Machine
 from turnwright.motion.limits import (
     LIMIT_TOL,
     TURN,
@@ -21,12 +23,6 @@ from turnwright.motion.limits import (
     find_speed_factor,
 )
 from turnwright.path import LINEARITY_TOL_MM, LINEARITY_TOL_RAD, Motion
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from turnwright._arrays import Floats, Ints
-    from turnwright.machine import Machine
 
 __all__ = ["find_fastest_course", "reach_stated_speed", "slow_to_limits"]
 
@@ -62,11 +58,6 @@ def from_rest_to_rest(motion: Motion) -> Motion:
 
     Between the ramps it has the speed of ``motion``, or the highest one that the limits of the machine allow if that
     is lower; see `drive`.
-
-    Raises
-    ------
-    LimitError
-        If the path has too few points for the ramps.
     """
     assert motion.velocity is not None  # noqa: S101 - for the type checker
     course = Course(motion.time - motion.time[0], motion.axes, motion.velocity)
@@ -90,8 +81,6 @@ def slow_to_limits(course: Course, machine: Machine) -> Course:
 
 
 class _RampedCourse(NamedTuple):
-    """A course with a ramp at each end."""
-
     course: Course
     inner: slice  # points of the original course at full speed
     speed_factor: float  # by which the limits allow the ramps to be scaled, at most 1
@@ -214,16 +203,7 @@ def _make_ramp(course: Course, last: int, shortest: float) -> Course | None:
     """Return the course from rest to full speed at a point; ``None`` if the path has too few points.
 
     The acceleration rises linearly from 0 and falls linearly back to 0. Blocks are divided until they stay within
-    0.1 nm of the path.
-
-    Parameters
-    ----------
-    course
-        Course at constant speed.
-    last
-        Index of the point at which full speed is reached.
-    shortest
-        Shortest block of the course. [s]
+    0.1 nm of the path; ``shortest`` is the shortest block of the course. [s]
     """
     clock = course.time[: last + 1] - course.time[0]
     length = 2 * clock[-1]
@@ -239,23 +219,8 @@ def _make_ramp(course: Course, last: int, shortest: float) -> Course | None:
 def _divide_blocks(course: Course, ends: Floats, length: float, max_parts: Ints) -> tuple[Course, Floats]:
     """Return a ramp to the speed of a course, with its blocks divided as far as the path requires.
 
-    Parameters
-    ----------
-    course
-        Course at constant speed.
-    ends
-        Ends of the blocks in the ramp. (n + 1,) [s]
-    length
-        Duration of the ramp. [s]
-    max_parts
-        Largest number of parts of each block. (n,)
-
-    Returns
-    -------
-    Course
-        Course from rest to full speed.
-    ndarray
-        Deviation of each block from the path over its tolerance. (m - 1,)
+    ``ends`` are the ends of the blocks in the ramp (n + 1,) [s], ``length`` is its duration [s]. The second result is
+    the deviation of each block from the path over its tolerance. (m - 1,)
     """
     clock = course.time[: ends.size] - course.time[0]
     parts = np.ones(max_parts.size, dtype=np.int64)

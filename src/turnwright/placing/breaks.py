@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints
 from turnwright._kernels import dilation as kernel
-from turnwright.edge import Edge
 from turnwright.placing.tangent import SAMPLES_PER_PERIOD, Contact, Tips
 from turnwright.surface import Surface
 
@@ -76,16 +75,14 @@ class _SurfaceKey:
 def find_extremes(surface: Surface, radius: float, *, radial: bool) -> SurfaceExtremes:
     """Return the extremes of a surface, sampled along diameters.
 
-    The samples are a quarter of the feature size apart, or further where that is more than `MAX_GRID_SAMPLES`. With
-    ``radial`` the edge lies in the radial plane and only slopes along the radius count; otherwise the edge passes the
-    axis at a distance and slopes in every direction count.
+    With ``radial`` the edge lies in the radial plane and only slopes along the radius count; otherwise the edge passes
+    the axis at a distance and slopes in every direction count.
     """
     return _find_extremes_cached(_SurfaceKey(surface), radius, radial=radial)
 
 
 @lru_cache(maxsize=8)
 def _find_extremes_cached(same: _SurfaceKey, radius: float, *, radial: bool) -> SurfaceExtremes:
-    """Compute `find_extremes`; the results of the last surfaces are cached."""
     surface = same.surface
     spacing = min(surface.feature_size / SAMPLES_PER_PERIOD, radius / MIN_RADIAL_SAMPLES)
     spacing = max(spacing, radius * float(np.sqrt(2 * np.pi / MAX_GRID_SAMPLES)))
@@ -162,13 +159,6 @@ def _label_outside_rim(rim: float, x: Floats, y: Floats) -> Ints:
     return np.where(x * x + y * y > rim**2, 1, 0)
 
 
-def _locate_edge(edge: Edge, tips: Tips, u: Floats) -> tuple[Floats, Floats]:
-    """Return x and y on the part of the edge at distances ``u`` from some tips. Each (n,) [mm]."""
-    x, y = np.empty((2, u.size, 1))
-    kernel.places(edge, *tips, u[:, None], x, y)
-    return x[:, 0], y[:, 0]
-
-
 def find_breaks(contact: Contact, tips: Tips, u: Floats, x: Floats, y: Floats, heights: Floats) -> Breaks:
     """Locate every slope discontinuity or step between samples of different pieces, and every end of the domain.
 
@@ -178,6 +168,11 @@ def find_breaks(contact: Contact, tips: Tips, u: Floats, x: Floats, y: Floats, h
     surface, edge = contact.surface, contact.edge
     beyond = _label_outside_rim(contact.rim, x, y) if contact.rim < np.inf else None
     missing = heights == -np.inf if beyond is None else (heights == -np.inf) & (beyond == 0)
+
+    def locate(row: Ints, u: Floats) -> tuple[Floats, Floats]:
+        x, y = contact.at_distance(tips.select(row), u[:, None])
+        return x[:, 0], y[:, 0]
+
     intervals = []
     for labels, label in (
         (surface.piece(x, y), surface.piece),
@@ -187,7 +182,12 @@ def find_breaks(contact: Contact, tips: Tips, u: Floats, x: Floats, y: Floats, h
         if labels is not None:
             row, after = np.nonzero(labels[:, 1:] != labels[:, :-1])
             between = _Intervals(row, after, u[row, after], u[row, after + 1])
-            intervals.append(_split_intervals(label, edge, tips, between, 4e-16 * contact.farthest, 4))
+
+            def piece(row: Ints, u: Floats, label: Callable[..., Any] = label) -> Ints:
+                pieces: Ints = label(*locate(row, u))
+                return pieces
+
+            intervals.append(_split_intervals(piece, between, 4e-16 * contact.farthest, 4))
     if not intervals:
         none = np.empty(0, dtype=np.int64)
         return Breaks(np.zeros(x.shape[0] + 1, dtype=np.int64), none, np.empty(0), *np.empty((2, 2, 0)))
@@ -196,40 +196,30 @@ def find_breaks(contact: Contact, tips: Tips, u: Floats, x: Floats, y: Floats, h
     row, after = row[order], after[order]
     sides = np.stack([before_at[order], behind_at[order]])
     height, slope = np.empty(sides.shape), np.empty(sides.shape)
-    row_tips = tips.select(row)
     for side in range(2):
-        height[side] = evaluate_heights(contact, *_locate_edge(edge, row_tips, sides[side]))
+        height[side] = evaluate_heights(contact, *locate(row, sides[side]))
         # Slopes are evaluated slightly inside the piece: right on the axis they may be differences of infinities.
         inner = sides[side] + (2 * side - 1) * SLOPE_OFFSET_MM
-        x, y = _locate_edge(edge, row_tips, inner)
         with np.errstate(all="ignore"):
-            _, zx, zy = surface.evaluate(x, y, 1)
-        kernel.slopes_along(edge, row_tips.angle, inner, zx, zy, slope[side])
+            _, zx, zy = surface.evaluate(*locate(row, inner), 1)
+        kernel.slopes_along(edge, tips.angle[row], inner, zx, zy, slope[side])
     offsets = np.searchsorted(row, np.arange(heights.shape[0] + 1))
     return Breaks(offsets, after, 0.5 * (sides[0] + sides[1]), height, slope)
 
 
 def _split_intervals(
-    label: Callable[[Floats, Floats], Ints | None],
-    edge: Edge,
-    tips: Tips,
-    between: _Intervals,
-    close: float,
-    depth: int,
+    piece_at: Callable[[Ints, Floats], Ints], between: _Intervals, close: float, depth: int
 ) -> _Intervals:
-    """Return both sides, at most ``close`` apart, of each change of the label (a piece number) in some intervals.
+    """Return both sides, at most ``close`` apart, of each change of piece in some intervals.
 
     A piece is assumed to meet a line in one interval. Bisection locates where the first piece ends and where the last
     one begins. If other pieces lie between these two places, that interval is split again.
     """
-    row_tips = tips.select(between.row)
-
-    def piece(place: Floats) -> Ints:
-        pieces = label(*_locate_edge(edge, row_tips, place))
-        assert pieces is not None  # noqa: S101 - only called for a surface in pieces
-        return pieces
-
     row, after, a, b = between
+
+    def piece(at: Floats) -> Ints:
+        return piece_at(row, at)
+
     first, last = piece(a), piece(b)
     low, over = a.copy(), b.copy()  # last place inside the first piece, first place outside it
     under, high = a.copy(), b.copy()  # last place outside the last piece, first place inside it
@@ -252,6 +242,6 @@ def _split_intervals(
         _Intervals(row, after, low, high).select(~sliver),
         _Intervals(row, after, low, over).select(sliver),
         _Intervals(row, after, under, high).select(sliver),
-        _split_intervals(label, edge, tips, _Intervals(row, after, over, under).select(more), close, depth - 1),
+        _split_intervals(piece_at, _Intervals(row, after, over, under).select(more), close, depth - 1),
     )
     return _Intervals(*(np.concatenate(one) for one in zip(*parts, strict=True)))

@@ -1,18 +1,11 @@
 r"""Placing the tool: bring the real edge into contact with the surface, exactly.
 
-Along Z the tip moves straight down until the edge touches. The contact is the tangent where that is unique
-(`placing.tangent`), otherwise the exact maximum (`placing.search`), which is free of gouges by construction. The
-clearance of the whole edge is evaluated independently of the contact as a check. Along the normal, the contact point
-stays at the position that the spiral gives, and the tip is displaced,
+Along Z the contact is the tangent where that is unique (`placing.tangent`), otherwise the exact maximum
+(`placing.search`). Along the normal the edge can gouge elsewhere. The clearance of the whole edge is evaluated
+independently of the contact as a check.
 
-.. math:: \rho' = \rho - u(s), \qquad z' = f(\rho, \theta) - e(s), \qquad e'(s)/u'(s) = f_\rho
-
-with s the place on the nose whose tangent is that of the surface; for a perfect nose u = R sin s and
-e = R (1 - cos s). The edge can gouge elsewhere, so the clearance of the whole edge is computed by the dilation at the
-new tip.
-
-The derivative of the tip's height along the spiral is computed too. The contact is the place on the edge that gives the
-greatest height, so to first order its own movement along the edge has no effect [Danskin1967]_:
+The derivative of the tip's height along the spiral is computed too. The contact gives the greatest height, so to first
+order its own movement along the edge has no effect [Danskin1967]_:
 
 .. math:: \frac{dZ}{d\theta} = \nabla f(\mathbf p) \cdot \frac{\partial \mathbf p}{\partial\theta}, \qquad
    \mathbf p = \begin{pmatrix} (\rho + u)\cos\theta - (y + v)\sin\theta \\
@@ -38,12 +31,12 @@ from turnwright.path import Path, Spiral
 from turnwright.placing.breaks import SLOPE_OFFSET_MM
 from turnwright.placing.search import CHUNK, search
 from turnwright.placing.tangent import (
+    Contact,
     Tips,
     Touch,
     find_curvature_limit,
     find_tangents,
     find_tangents_through,
-    set_up_contact,
 )
 from turnwright.progress import Progress, run_chunks
 from turnwright.surface import Surface
@@ -115,7 +108,7 @@ def place(
     if along not in ("z", "normal"):
         raise InputError(f'along is {along!r}, it must be "z" or "normal"')
     edge = tool.cutting_edge(spiral.sense)
-    tips = Tips(spiral.angle, spiral.radius, np.zeros(spiral.angle.size) if spiral.y is None else spiral.y)
+    tips = Tips.at(spiral.angle, spiral.radius, spiral.y)
     if along == "normal":
         return _place_along_normal(spiral, part, edge, tips, progress)
     at = touch_down(part.surface, edge, tips, part.radius, progress)
@@ -165,47 +158,35 @@ def touch(
         rim.
     """
     angle, radius = frozen(angle, "angle"), frozen(radius, "radius")
-    tips = Tips(angle, radius, np.zeros(angle.size) if y is None else frozen(y, "y"))
+    tips = Tips.at(angle, radius, None if y is None else frozen(y, "y"))
     same_length([("angle", angle), ("radius", radius), ("y", tips.lateral)])
     return touch_down(surface, tool.cutting_edge(sense), tips, rim, progress)
 
 
 def tip_height(
-    surface: Surface,
-    tool: Tool,
-    *,
-    angle: ArrayLike,
-    radius: ArrayLike,
-    y: ArrayLike | None = None,
-    sense: int,
+    surface: Surface, tool: Tool, *, angle: ArrayLike, radius: ArrayLike, y: ArrayLike | None = None, sense: int,
     rim: float = np.inf,
-    progress: Progress | None = None,
-) -> Floats:
+) -> Floats:  # fmt: skip
     """Return the commanded tip heights at which the edge touches the surface. (n,) [mm]. See `touch`."""
-    return touch(surface, tool, angle=angle, radius=radius, y=y, sense=sense, rim=rim, progress=progress).z
+    return touch(surface, tool, angle=angle, radius=radius, y=y, sense=sense, rim=rim).z
 
 
 def touch_down(surface: Surface, edge: Edge, tips: Tips, rim: float, progress: Progress | None = None) -> Touch:
     """Bring an edge down as `touch` does: by the tangent, unless it may not be unique at one of the points."""
     tips = Tips(*(only_read(one) for one in tips))  # the kernels are compiled for read-only arrays
-    contact = set_up_contact(surface, edge, tips, rim)
+    contact = Contact.of(surface, edge, tips, rim)
     out = Touch(*(np.empty(tips.angle.size) for _ in range(5)))
     limit = find_curvature_limit(contact)
-    doubtful = limit is None
+    unique = limit is not None
 
     def work(start: int, stop: int) -> None:
-        nonlocal doubtful
+        nonlocal unique
         part = slice(start, stop)
-        if (
-            not doubtful
-            and limit is not None
-            and not find_tangents(contact, limit, tips.select(part), out.select(part))
-        ):
-            doubtful = True
+        unique = unique and find_tangents(contact, limit or 0.0, tips.select(part), out.select(part))
 
-    if limit is not None:
+    if unique:
         run_chunks(work, tips.angle.size, CHUNK, progress)
-    if doubtful:
+    if not unique:
         search(contact, tips, out, progress)
     return out
 
@@ -243,12 +224,19 @@ def _measure_clearance(part: Part, edge: Edge, tips: Tips, z: Floats) -> Floats:
     return least
 
 
-def _find_z_rate(spiral: Spiral, part: Part, edge: Edge, tips: Tips, at: Touch) -> Floats | None:
-    """Return the derivative of the tip's height by the angle, or ``None`` if the spiral has no derivatives."""
+def _plan_rates(spiral: Spiral) -> tuple[Floats, Floats] | None:
+    """Return the derivatives of radius and lateral position by the angle, or ``None`` if the spiral has none."""
     if spiral.radius_rate is None or (spiral.y is not None and spiral.y_rate is None):
         return None
-    surface, outward = part.surface, spiral.radius_rate
-    upward = np.zeros(outward.size) if spiral.y_rate is None else spiral.y_rate
+    return spiral.radius_rate, np.zeros(spiral.angle.size) if spiral.y_rate is None else spiral.y_rate
+
+
+def _find_z_rate(spiral: Spiral, part: Part, edge: Edge, tips: Tips, at: Touch) -> Floats | None:
+    """Return the derivative of the tip's height by the angle, or ``None`` if the spiral has no derivatives."""
+    rates = _plan_rates(spiral)
+    if rates is None:
+        return None
+    surface, (outward, upward) = part.surface, rates
     rim = max(part.radius, float(np.hypot(tips.radius, tips.lateral).max()))
     rate = np.empty(outward.size)
 
@@ -312,23 +300,13 @@ def _place_along_normal(spiral: Spiral, part: Part, edge: Edge, contacts: Tips, 
     sweep, x, y, surface_z = find_tangents_through(part.surface, edge, contacts)
     u, _, e = edge.points(sweep)
     tips, z = contacts._replace(radius=contacts.radius - u), surface_z - e
-    radius_rate, z_rate = _find_normal_rates(spiral, part, edge, sweep, x, y)
+    radius_rate = z_rate = None
+    if rates := _plan_rates(spiral):
+        radius_rate, z_rate = np.empty((2, x.size))
+        slopes = part.surface.evaluate(x, y, 2)[1:]
+        kernel.normal_rates(edge, spiral.angle, x, y, sweep, *slopes, *rates, radius_rate, z_rate)
     at = touch_down(part.surface, edge, tips, part.radius, progress)
     return Path(
         angle=tips.angle, radius=tips.radius, z=z, sweep=sweep, contact_x=x, contact_y=y, contact_z=surface_z,
         clearance=z - at.z, y=spiral.y, y_rate=spiral.y_rate, radius_rate=radius_rate, z_rate=z_rate, lift=spiral.lift,
     )  # fmt: skip
-
-
-def _find_normal_rates(
-    spiral: Spiral, part: Part, edge: Edge, sweep: Floats, x: Floats, y: Floats
-) -> tuple[Floats, Floats] | tuple[None, None]:
-    """Return the derivatives of the tip's radius and height by the angle, if the spiral has derivatives."""
-    if spiral.radius_rate is None or (spiral.y is not None and spiral.y_rate is None):
-        return None, None
-    upward = np.zeros(x.size) if spiral.y_rate is None else spiral.y_rate
-    radius_rate, z_rate = np.empty((2, x.size))
-    slopes = part.surface.evaluate(x, y, 2)[1:]
-    rates = spiral.radius_rate, upward
-    kernel.normal_rates(edge, spiral.angle, x, y, sweep, *slopes, *rates, radius_rate, z_rate)
-    return radius_rate, z_rate

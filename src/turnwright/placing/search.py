@@ -1,20 +1,10 @@
-r"""The exact maximum: the height at which the real edge touches a surface with many tangents, or none.
-
-For the commanded tip at distance :math:`\rho` from the axis at azimuth :math:`\theta`, moving along Z only,
-
-.. math:: Z(\rho, \theta) = \max_u \; [\, f(\rho + u, \theta) - e(u) \,]
-
-a grey-scale dilation of the surface by the edge, free of gouges by construction for any surface and edge.
+"""The exact maximum: the height at which the real edge touches a surface with many tangents, or none.
 
 f - e is sampled along the edge at steps well below the surface's `feature_size`. Every sampled maximum that may be the
 greatest within the sampling error is refined, on both sides of each slope discontinuity or step, and the greatest is
 taken. Points that share an azimuth share one sampled line, which costs a few evaluations per point. The arc is
 sufficient where the surface is nowhere steeper than the flanks. Where it is steeper, or has a step, the window of each
 point is widened until no summit of the surface rises above its ends, also across the axis.
-
-*The rim.* At the outermost revolution the nose projects beyond the part. A surface whose tangent is unique as far as
-the arc reaches is continued that far. Any other surface is ignored outside the rim, where its formula may diverge, step
-or end. The rule is the same for all tips, so that neighbours agree, and neither rule lifts a tip off the part.
 
 Sources
 -------
@@ -31,7 +21,7 @@ from turnwright._arrays import Bools, Floats, Ints
 from turnwright._kernels import dilation as kernel
 from turnwright.errors import DomainError, GougeError, InputError
 from turnwright.placing.breaks import Breaks, evaluate_heights, find_breaks, find_extremes
-from turnwright.placing.tangent import MAX_CURVATURE_RATIO, Contact, Tips, Touch
+from turnwright.placing.tangent import MAX_CURVATURE_RATIO, Contact, Tips, Touch, newton_step
 from turnwright.progress import Progress, run_chunks
 from turnwright.surface import Surface
 
@@ -172,8 +162,7 @@ def _find_contacts(contact: Contact, window: _Window, tips: Tips, line: Ints | N
     edge, size = contact.edge, tips.angle.size
     spans_part = line is not None and window.top > -np.inf
     lines = _lay_out_lines(contact, window, tips, line, spans_part=spans_part)
-    x, y = np.empty(lines.u.shape), np.empty(lines.u.shape)
-    kernel.places(edge, *lines.tips, lines.u, x, y)
+    x, y = contact.at_distance(lines.tips, lines.u)
     heights = evaluate_heights(contact, x, y)
     breaks = find_breaks(contact, lines.tips, lines.u, x, y, heights)
     candidates, direct = _find_candidates(
@@ -259,11 +248,7 @@ def _refine_maxima(contact: Contact, tips: Tips, found: _Candidates) -> tuple[Fl
     done = np.zeros(sweep.size, dtype=np.bool_)
     open_tips, b, p = tips, best, place
     for _ in range(100):
-        x, y, value, first, top, step, bend = np.empty((7, done.size))
-        kernel.under_edge(edge, *open_tips, state[4], x, y)
-        with np.errstate(all="ignore"):
-            jet = contact.surface.evaluate(x, y, 2)
-        kernel.newton_step(edge, open_tips.angle, state[4], *jet, value, first, top, step, bend)
+        value, first, top, step, _ = newton_step(contact.surface, edge, open_tips, state[4])
         kernel.bracket(*state, value, first, top, step, b, p, done)
         if done.all():
             best[index], place[index] = b, p

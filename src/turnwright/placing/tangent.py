@@ -1,9 +1,7 @@
-r"""The unique tangent: a surface that curves up less than the edge everywhere is touched at one place.
+"""The unique tangent: a surface that curves up less than the edge everywhere is touched at one place.
 
-There the height f - e of surface above edge is strictly concave. It has one maximum, the tangent solution, which
-Newton's method finds from the tip. The curvature is checked beforehand on a grid over the whole part, and again at
-every point that Newton's method visits, so at the density of the program itself. The unknown is the distance from the
-tip for a perfect nose in the radial plane, and the sweep for any other edge.
+The curvature is checked beforehand on a grid over the whole part, and again at every point that Newton's method visits.
+The unknown is the distance from the tip for a perfect nose in the radial plane, and the sweep for any other edge.
 
 Sources
 -------
@@ -23,12 +21,8 @@ from turnwright._kernels import dilation as kernel
 from turnwright.edge import Edge
 from turnwright.errors import GougeError
 from turnwright.surface import Surface
-from turnwright.tool import Tool
 
-__all__ = [
-    "MAX_CURVATURE_RATIO", "SAMPLES_PER_PERIOD", "Contact", "Tips", "Touch", "find_curvature_limit", "find_tangents",
-    "find_tangents_through", "follow", "set_up_contact",
-]  # fmt: skip
+__all__ = ["Contact", "Tips", "Touch", "find_curvature_limit", "find_tangents", "find_tangents_through", "follow"]
 
 MAX_CURVATURE_RATIO = 0.9
 """A single tangent is assumed where the surface has at most this fraction of the edge's curvature."""
@@ -46,6 +40,11 @@ class Tips(NamedTuple):
     angle: Floats  # of the rake plane [rad]
     radius: Floats  # along it [mm]
     lateral: Floats  # across it, toward growing azimuth [mm]
+
+    @classmethod
+    def at(cls, angle: Floats, radius: Floats, y: Floats | None = None) -> Tips:
+        """Return tips at azimuths and radii, in the plane through the axis if ``y`` is ``None``."""
+        return cls(angle, radius, np.zeros(angle.size) if y is None else y)
 
     def select(self, which: Bools | Ints | slice) -> Tips:
         """Return some of the tips."""
@@ -84,29 +83,35 @@ class Contact:
         """Slope of the less steep flank, height over distance."""
         return self.edge.rake_cos * self.edge.flank_slope
 
+    @classmethod
+    def of(cls, surface: Surface, edge: Edge, tips: Tips, rim: float) -> Contact:
+        """Return the data that all tips of a plan share."""
+        outermost = float(np.hypot(tips.radius + edge.dx, tips.lateral).max())
+        rim = max(rim, outermost)
+        return cls(
+            surface,
+            edge,
+            upright=edge.upright and not tips.lateral.any(),
+            nearest=float(tips.radius.min() + edge.dx),
+            farthest=float(tips.radius.max() + edge.dx),
+            rim=rim,
+            extent=rim if rim < np.inf else outermost,
+            # Where the curvature is zero the feature size may be zero too; features far below the nose radius have no
+            # effect.
+            feature=max(surface.feature_size, MIN_FEATURE_RATIO * edge.radius),
+        )
+
+    def at_distance(self, tips: Tips, u: Floats) -> tuple[Floats, Floats]:
+        """Return x and y on the part of the edge at distances ``u`` from each tip. Each (rows, n) [mm]."""
+        x, y = np.empty((2, *u.shape))
+        kernel.places(self.edge, *tips, u, x, y)
+        return x, y
+
     def under_edge(self, tips: Tips, sweep: Floats) -> tuple[Floats, Floats]:
         """Return x and y on the part of the edge at ``sweep``. Each (n,) [mm]."""
         x, y = np.empty((2, sweep.size))
         kernel.under_edge(self.edge, *tips, np.ascontiguousarray(sweep), x, y)
         return x, y
-
-
-def set_up_contact(surface: Surface, edge: Edge, tips: Tips, rim: float) -> Contact:
-    """Return the data that all tips of a plan share."""
-    outermost = float(np.hypot(tips.radius + edge.dx, tips.lateral).max())
-    rim = max(rim, outermost)
-    return Contact(
-        surface,
-        edge,
-        upright=edge.upright and not tips.lateral.any(),
-        nearest=float(tips.radius.min() + edge.dx),
-        farthest=float(tips.radius.max() + edge.dx),
-        rim=rim,
-        extent=rim if rim < np.inf else outermost,
-        # Where the curvature is zero the feature size may be zero too; features far below the nose radius have no
-        # effect.
-        feature=max(surface.feature_size, MIN_FEATURE_RATIO * edge.radius),
-    )
 
 
 def find_curvature_limit(contact: Contact) -> float | None:
@@ -190,17 +195,23 @@ def _solve_round_tangents(contact: Contact, limit: float, tips: Tips, out: Touch
     return True
 
 
+def newton_step(surface: Surface, edge: Edge, tips: Tips, sweep: Floats) -> tuple[Floats, ...]:
+    """Return f - e, its slope, the height, the Newton step and the curvature at places on the nose. Each (n,)."""
+    x, y, value, first, top, step, bend = np.empty((7, sweep.size))
+    kernel.under_edge(edge, *tips, sweep, x, y)
+    with np.errstate(all="ignore"):
+        jet = surface.evaluate(x, y, 2)
+    kernel.newton_step(edge, tips.angle, sweep, *jet, value, first, top, step, bend)
+    return value, first, top, step, bend
+
+
 def _solve_edge_tangents(contact: Contact, limit: float, tips: Tips, out: Touch) -> bool:
     """Solve for any convex edge by Newton's method in the sweep; converged points drop out."""
     sweep = np.zeros(tips.angle.size)
     active: Ints | slice = slice(None)
     active_tips, s = tips, sweep
     for _ in range(12):
-        x, y, value, first, top, step, bend = np.empty((7, s.size))
-        kernel.under_edge(contact.edge, *active_tips, s, x, y)
-        with np.errstate(all="ignore"):
-            jet = contact.surface.evaluate(x, y, 2)
-        kernel.newton_step(contact.edge, active_tips.angle, s, *jet, value, first, top, step, bend)
+        value, _, top, step, bend = newton_step(contact.surface, contact.edge, active_tips, s)
         if not (bend < limit).all():
             return False
         # On a steep surface a full step from the tip could leave the arc: the step is limited.
@@ -250,30 +261,24 @@ def find_tangents_through(surface: Surface, edge: Edge, contacts: Tips) -> tuple
     return sweep, x, y, surface_z
 
 
-def follow(
-    surface: Surface, tool: Tool, *, angle: Floats, radius: Floats, y: Floats, sweep: Floats, sense: int
-) -> Touch:
+def follow(surface: Surface, edge: Edge, tips: Tips, sweep: Floats) -> Touch:
     """Return the tangent solutions near given places on the nose, without a search for other contacts.
 
     Next to a valley between two lenslets the edge touches one, then the other; this gives the contact with one of them
-    as if the other were absent. Heights are nan where Newton's method does not converge. For the arguments see `touch`;
-    ``sweep`` is the place on the nose to start from. (n,) [rad]
+    as if the other were absent. Heights are nan where Newton's method does not converge. It starts from ``sweep``, the
+    place on the nose. (n,) [rad]
     """
-    edge = tool.cutting_edge(sense)
     s, tilt = sweep.copy(), 0.5 * min(-edge.low, edge.high)
     lost = np.zeros(s.size, dtype=np.bool_)
     for _ in range(12):
-        x, at_y, value, first, top, step, bend = np.empty((7, s.size))
-        kernel.under_edge(edge, angle, radius, y, s, x, at_y)
-        with np.errstate(all="ignore"):
-            jet = surface.evaluate(x, at_y, 2)
-        kernel.newton_step(edge, angle, s, *jet, value, first, top, step, bend)
+        value, _, top, step, _ = newton_step(surface, edge, tips, s)
         lost |= ~(np.abs(step) < tilt)
         s += np.where(lost, 0.0, step)
         far = ~lost & ((np.abs(step) > kernel.STEP_TOL_RAD) | (np.abs(top - value) > kernel.RISE_TOL_MM))
         if not far.any():
             break
     lost |= far | (s < edge.low) | (s > edge.high)
-    kernel.under_edge(edge, angle, radius, y, s, x, at_y)
+    x, y = np.empty((2, s.size))
+    kernel.under_edge(edge, *tips, s, x, y)
     z = np.where(lost, np.nan, top)
-    return Touch(z, s, x, at_y, z + edge.points(s)[2])
+    return Touch(z, s, x, y, z + edge.points(s)[2])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -10,18 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright.errors import LimitError, ProgramError
-from turnwright.machine import FAST
+from turnwright.machine import FAST, Machine
 from turnwright.motion import from_rest_to_rest
 from turnwright.path import Motion
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from scipy.interpolate import CubicSpline
-
-    from turnwright._arrays import Floats
-    from turnwright.machine import Machine
 
 __all__ = [
     "DOWN_FEED",
@@ -127,30 +124,11 @@ def approach_to(
     name: str,
     heights: Floats | None = None,
 ) -> Approach:
-    """Return the approach to a pass.
+    """Return the approach to a pass, see `write_nc`.
 
-    The tool moves straight down from the clear plane, with C at rest, to 0.1 mm above the material. Then C turns at the
-    speed of the pass and the tool follows the heights of one revolution at the radius where the pass begins, plus a
-    falling offset. The offset falls per revolution by at most the feed of the pass (or 1 um), and in no block faster
-    than ``plunge_feed``. Where the heights are extrapolated, their possible error counts too, and C turns slower if
-    necessary, down to one revolution per minute.
-
-    Parameters
-    ----------
-    motion
-        The pass.
-    clearance
-        Height of the clear plane above the highest point of the pass. [mm]
-    depth
-        Height of the material above the path at the radius where the pass begins; ``None`` where it begins clear of
-        the material. [mm]
-    plunge_feed
-        Largest plunge feed. [mm/s]
-    name
-        Name of the pass, for messages.
-    heights
-        Z of the lathe at the radius where the pass begins, at the angles of `entry_path`; shifted so that they begin
-        at the first point of the pass. By default extrapolated from its first revolutions. (n,) [mm]
+    ``depth`` is the height of the material above the path where the pass begins, ``None`` where it is clear of it [mm];
+    ``heights`` are Z of the lathe at the angles of `entry_path`, shifted so that they begin at the first point of the
+    pass. (n,) [mm]
     """
     clear = float(motion.axes["Z"].max()) + clearance
     first = {letter: float(values[0]) for letter, values in motion.axes.items()}
@@ -165,15 +143,15 @@ def _plunge(
     motion: Motion, height: float, plunge_feed: float, name: str, heights: Floats | None
 ) -> tuple[Motion, float]:
     """Return the motion down to the first point of a pass, and its plunge per revolution [mm/rev]."""
-    turned, time, around, advance = _first_turn(motion)
+    turned, time, around, advance = _extrapolate_first_turn(motion)
     z_angle, z = _height_angles(motion, turned), around["Z"]
     if heights is None:
-        z_angle, uncertainty = turned, z - _one_term_less(motion, z)
+        z_angle, uncertainty = turned, z - _extrapolate_one_term_less(motion, z)
     else:
         _require_heights(heights, z_angle, f"pass {name}")
         z, uncertainty = heights - heights[0] + z[0], np.zeros(turned.size)
         around["Z"] = z[:: (z_angle.size - 1) // (turned.size - 1)].copy()
-    time, turns = _paced(motion, turned, time, height, plunge_feed, max(advance, MIN_PLUNGE_PER_REV), uncertainty)
+    time, turns = _pace_plunge(motion, turned, time, height, plunge_feed, max(advance, MIN_PLUNGE_PER_REV), uncertainty)
     each = turned.size - 1
     if turns * each > MAX_POINTS:
         raise ProgramError(
@@ -192,25 +170,27 @@ def _plunge(
     plunge = Motion(time=clock, axes={letter: axes[letter] for letter in motion.axes}, machine=motion.machine)
     if motion.velocity is None:
         return plunge, height / turns
-    curves = {letter: _closed(turned, values) for letter, values in around.items()} | {"Z": _closed(z_angle, z)}
+    curves = {letter: _periodic_spline(turned, values) for letter, values in around.items()} | {
+        "Z": _periodic_spline(z_angle, z)
+    }
     fits = [each for each in SUBDIVISIONS if each == 1 or _fits(each, turned, time[-1], turns, motion.machine)]
     for subdivision in [*fits, *(each for each in reversed(SUBDIVISIONS) if each not in fits)]:
         with suppress(LimitError):
-            divided = _in_velocities(plunge, turned, curves, subdivision, height / turns)
-            return _without_close_points(from_rest_to_rest(divided)), height / turns
+            divided = _add_velocities(plunge, turned, curves, subdivision, height / turns)
+            return _drop_close_points(from_rest_to_rest(divided)), height / turns
     raise ProgramError(
         f"pass {name} has too few points per turn for a plunge with C turning: use more, or begin it outside the blank"
     )
 
 
-def _paced(
+def _pace_plunge(
     motion: Motion, turned: Floats, time: Floats, height: float, plunge_feed: float, advance: float, uncertainty: Floats
 ) -> tuple[Floats, int]:
     """Return the time over one revolution of a plunge (n,) [s], and its number of revolutions."""
     longest = MAX_REV_S / float(time[-1])
     if motion.velocity is not None:
         widest = float(np.diff(turned).max())
-        time = turned * min(1 / _fastest(motion), MAX_BLOCK_PVT_S / widest)
+        time = turned * min(1 / _find_top_speed(motion), MAX_BLOCK_PVT_S / widest)
         longest = MAX_BLOCK_PVT_S / float(np.diff(time).max())
     # Possible excess feed of extrapolated heights: twice the contribution of the last term of the extrapolation.
     excess = float((2 * np.abs(np.diff(uncertainty)) / np.diff(time)).max())
@@ -223,7 +203,7 @@ def _paced(
     return time, turns if motion.velocity is None else max(turns, 2)
 
 
-def _fastest(motion: Motion) -> float:
+def _find_top_speed(motion: Motion) -> float:
     """Return the largest speed of C in the plunge of a pass with velocities. [rad/s]."""
     assert motion.velocity is not None  # noqa: S101 - for the type checker
     turned = np.abs(motion.axes["C"] - motion.axes["C"][0])
@@ -235,28 +215,20 @@ def _fastest(motion: Motion) -> float:
 def entry_path(motion: Motion) -> tuple[Floats, dict[str, Floats]]:
     """Return the path of one revolution at the first point of a pass, where the heights of its plunge are needed.
 
-    Parameters
-    ----------
-    motion
-        The pass.
-
-    Returns
-    -------
-    turned, axes
-        Angles from the first point, 0 to one full turn, as dense as the points of the pass, or 16 times as dense with
-        velocities (n,) [rad]; and every axis but C at the radius of the first point, by letter, extrapolated from the
-        first revolutions (n,) [mm].
+    Angles from the first point, 0 to one full turn, as dense as the points of the pass, or 16 times as dense with
+    velocities (n,) [rad]; and every axis but C at the radius of the first point, by letter, extrapolated from the first
+    revolutions (n,) [mm].
     """
-    turned, _, axes, _ = _first_turn(motion)
+    turned, _, axes, _ = _extrapolate_first_turn(motion)
     if motion.velocity is None:
         return turned, axes
     angle = _height_angles(motion, turned)
-    return angle, {letter: _closed(turned, values)(angle) for letter, values in axes.items()}
+    return angle, {letter: _periodic_spline(turned, values)(angle) for letter, values in axes.items()}
 
 
 def _height_angles(motion: Motion, turned: Floats) -> Floats:
     """Return the angles at which the heights of a plunge are needed; denser for the acceleration with velocities."""
-    return turned if motion.velocity is None else _subdivided(turned, HEIGHTS_PER_STEP)
+    return turned if motion.velocity is None else _subdivide(turned, HEIGHTS_PER_STEP)
 
 
 def _require_heights(heights: Floats, angle: Floats, what: str) -> None:
@@ -268,54 +240,41 @@ def _require_heights(heights: Floats, angle: Floats, what: str) -> None:
 
 
 def entry_shares(motion: Motion, heights: Floats) -> tuple[Floats, dict[str, Floats]]:
-    """Split the heights of a plunge between lathe and fast tool.
+    """Split the heights of a plunge, Z and W together, between lathe and fast tool.
 
-    The lathe moves as in the first revolutions of the pass, the fast tool adds the difference.
-
-    Parameters
-    ----------
-    motion
-        The pass, with W.
-    heights
-        Z and W together, at the angles of `entry_path`. (n,) [mm]
-
-    Returns
-    -------
-    lathe, fast
-        Z at the angles of `entry_path` of the lathe's motion, (m,) [mm]; the fast tool's axes by letter at those of
-        the whole motion. Each (n,) [mm]
+    The lathe moves as in the first revolutions of the pass, the fast tool adds the difference. Returned are Z at the
+    angles of `entry_path` of the lathe's motion, (m,) [mm], and the fast tool's axes by letter at those of the whole
+    motion. Each (n,) [mm]
     """
     angle, axes = entry_path(motion)
     _require_heights(heights, angle, "the pass")
     turned, lathe = entry_path(motion.lathe())
     z = lathe["Z"]
-    lathe_z = np.interp(angle, turned, z) if motion.velocity is None else _closed(turned, z)(angle)
+    lathe_z = np.interp(angle, turned, z) if motion.velocity is None else _periodic_spline(turned, z)(angle)
     fast = {letter: values for letter, values in axes.items() if letter in FAST}
     return z, fast | {"W": heights - heights[0] + axes["Z"][0] + axes["W"][0] - lathe_z}
 
 
-def _closed(turned: Floats, values: Floats) -> CubicSpline:
+def _periodic_spline(turned: Floats, values: Floats) -> CubicSpline:
     """Return the periodic cubic spline of values over one turn."""
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - costly to import
 
     return CubicSpline(turned, np.append(values[:-1], values[0]), bc_type="periodic")
 
 
-def _subdivided(turned: Floats, each: int) -> Floats:
-    """Return angles with each step divided into equal parts."""
+def _subdivide(turned: Floats, each: int) -> Floats:
     steps = turned.size - 1
     return np.interp(np.arange(each * steps + 1) / each, np.arange(steps + 1), turned)
 
 
 def _fits(subdivision: int, turned: Floats, turn_s: float, turns: int, machine: Machine) -> bool:
-    """Whether the steps of a plunge may be divided into so many parts."""
     steps = np.diff(turned).min() / subdivision
     points = turns * (turned.size - 1) * subdivision
     fast_enough = steps * turn_s / TURN * machine.block_rate_hz >= 1
     return bool(fast_enough and steps >= MIN_STEP_PVT_RAD and points <= MAX_POINTS)
 
 
-def _without_close_points(plunge: Motion) -> Motion:
+def _drop_close_points(plunge: Motion) -> Motion:
     """Return a motion without the points near rest that a program cannot distinguish."""
     assert plunge.velocity is not None  # noqa: S101 - for the type checker
     c = np.abs(plunge.axes["C"] - plunge.axes["C"][0])
@@ -333,13 +292,13 @@ def _without_close_points(plunge: Motion) -> Motion:
     )  # fmt: skip
 
 
-def _in_velocities(
+def _add_velocities(
     plunge: Motion, turned: Floats, curves: Mapping[str, CubicSpline], subdivision: int, per_rev: float
 ) -> Motion:
     """Return a plunge at constant speed with the velocities of its axes, each step subdivided."""
     each = turned.size - 1
     steps = np.arange(subdivision * (plunge.time.size - 1) + 1) / subdivision
-    angle = _subdivided(turned, subdivision)
+    angle = _subdivide(turned, subdivision)
     place = np.arange(steps.size) % (subdivision * each)
     time = np.interp(steps, np.arange(plunge.time.size), plunge.time)
     c = np.interp(steps, np.arange(plunge.time.size), plunge.axes["C"])
@@ -357,27 +316,22 @@ def _in_velocities(
     )  # fmt: skip
 
 
-def _one_term_less(motion: Motion, z: Floats) -> Floats:
+def _extrapolate_one_term_less(motion: Motion, z: Floats) -> Floats:
     """Return the heights extrapolated from one revolution fewer; ``z`` if the pass has only one. (n,)."""
     turns = float(abs(motion.axes["C"][-1] - motion.axes["C"][0])) / TURN + 1e-9
     if turns < 2:
         return z
-    return _first_turn(motion, most=min(int(turns), 3) - 1)[2]["Z"]
+    return _extrapolate_first_turn(motion, most=min(int(turns), 3) - 1)[2]["Z"]
 
 
-def _first_turn(motion: Motion, *, most: int = 3) -> tuple[Floats, Floats, dict[str, Floats], float]:
+def _extrapolate_first_turn(motion: Motion, *, most: int = 3) -> tuple[Floats, Floats, dict[str, Floats], float]:
     """Return the path of one revolution at the radius of the first point of a pass.
 
-    The radius of a pass changes over its first revolution. The other axes at the radius of the first point are
-    extrapolated by a parabola through the first three revolutions, or through ``most`` if that is fewer. After one full
-    turn the extrapolation error is known from the first point. It grows as the product of the distances from the three
-    radii and is subtracted in proportion all around, so that the turn closes without a step.
-
-    Returns
-    -------
-    turned, time, axes, advance
-        Angle from the first point, 0 to one full turn (n,) [rad]; time (n,) [s]; every axis but C, by letter (n,) [mm];
-        and the change of X in the first revolution [mm].
+    The other axes at the radius of the first point are extrapolated by a parabola through the first three revolutions,
+    or through ``most`` if that is fewer. After one full turn the extrapolation error is known from the first point. It
+    grows as the product of the distances from the three radii and is subtracted in proportion all around, so that the
+    turn closes without a step. Returned are the angle from the first point, 0 to one full turn (n,) [rad]; the time
+    (n,) [s]; every axis but C, by letter (n,) [mm]; and the change of X in the first revolution [mm].
     """
     angle = np.abs(motion.axes["C"] - motion.axes["C"][0])
     x = motion.axes["X"]
@@ -391,7 +345,7 @@ def _first_turn(motion: Motion, *, most: int = 3) -> tuple[Floats, Floats, dict[
         axes = {letter: np.interp(turned, angle, motion.axes[letter], period=TURN) for letter in letters}
         axes["X"] = np.full(turned.size, x[0])
         return turned, turned * pace, axes, abs(float(x[-1] - x[0])) * TURN / float(angle[-1])
-    turned = angle[:last] if motion.velocity is None else _without_acceleration(motion, angle, last)
+    turned = angle[:last] if motion.velocity is None else _drop_acceleration_points(motion, angle, last)
     closing = TURN - turned[-1]
     if last > 2 and closing < 0.5 * float(np.median(np.diff(turned))):
         # A point close to the end of the turn would make a short block: drop it, or move it to the middle of the gap.
@@ -413,7 +367,7 @@ def _first_turn(motion: Motion, *, most: int = 3) -> tuple[Floats, Floats, dict[
 
     radii = [at(x, turn) for turn in range(count)]
     axes = {"X": np.full(turned.size, x[0])}
-    weights = _weights(radii, float(x[0]))
+    weights = _lagrange_weights(radii, float(x[0]))
     fraction = turned / TURN
     if len(weights) > 1:
         growth = np.prod([float(x[0]) - radius for radius in radii[: len(weights)]], axis=0)
@@ -427,7 +381,7 @@ def _first_turn(motion: Motion, *, most: int = 3) -> tuple[Floats, Floats, dict[
     return turned, time, axes, abs(float(at(x, 0)[-1] - x[0]))
 
 
-def _without_acceleration(motion: Motion, angle: Floats, last: int) -> Floats:
+def _drop_acceleration_points(motion: Motion, angle: Floats, last: int) -> Floats:
     """Return the angles of the first points of a pass, without the subdivision of its acceleration. (n,) [rad]."""
     assert motion.velocity is not None  # noqa: S101 - for the type checker
     speed, steps = np.abs(motion.velocity["C"]), np.diff(angle)
@@ -440,7 +394,7 @@ def _without_acceleration(motion: Motion, angle: Floats, last: int) -> Floats:
     return np.asarray(angle[selected])
 
 
-def _weights(radii: list[Floats], radius: float) -> list[Floats]:
+def _lagrange_weights(radii: list[Floats], radius: float) -> list[Floats]:
     """Return the Lagrange weights of revolutions at a radius, without revolutions at nearly the same radius."""
     largest = max((float(np.ptp(radius)) for radius in radii), default=0.0)
     gaps = [float(np.abs(after - before).min()) for before, after in pairwise(radii)]

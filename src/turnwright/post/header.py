@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._arrays import Floats, Ints
+from turnwright._kernels import text as kernel
 from turnwright.errors import ProgramError
-from turnwright.post.approach import entry_words
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from os import PathLike
-
-    from turnwright.machine import Machine
-    from turnwright.post.approach import Approach
-    from turnwright.post.dialect import Dialect
+from turnwright.machine import Machine
+from turnwright.post.approach import Approach, entry_words
+from turnwright.post.convention import axis_signs, convention_line, reading
+from turnwright.post.dialect import Dialect
 
 __all__ = ["ProgramHeader", "ProgramInfo", "ProgramPass", "ProgramWarning", "inspect_nc"]
 
@@ -29,6 +28,7 @@ SUB_SIGNATURE = "( TURNWRIGHT SUB-PROGRAM 1 )"
 ENTRY = ", ENTRY"
 """Suffix of the name of a pass where its plunge begins, whose blocks are not part of the cut."""
 NO_HASH = "0" * 64
+SOFTWARE = f"TURNWRIGHT {version('turnwright')}"
 BOM = b"\xef\xbb\xbf"
 """Byte order mark of UTF-8."""
 
@@ -86,6 +86,21 @@ class ProgramPass:
     hash: str
 
 
+def bytes_to_hash(units: Ints, duration: Floats) -> memoryview:
+    """Return the bytes to hash for points, see `ProgramPass`.
+
+    ``units`` are the words without their decimal points, as written (n, k); ``duration`` that of each block. (n,) [s]
+    """
+    packed = np.empty((units.shape[0], units.shape[1] + 1), dtype=np.uint32)
+    kernel.pack(units, duration.view(np.int64), packed)
+    return packed.astype("<u4", copy=False).data.cast("B")
+
+
+def program_hash(passes: Sequence[ProgramPass]) -> str:
+    """Return the SHA-256 of a program, over the hashes of its passes, one per line."""
+    return hashlib.sha256("\n".join(cut.hash for cut in passes).encode()).hexdigest()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProgramInfo:
     """Contents of a program's header.
@@ -121,30 +136,12 @@ def comments(key: str, text: str) -> list[str]:
     return [f"( {key}: {part} )" for part in textwrap.wrap(plain(text), 100)]
 
 
-def convention_line(machine: Machine) -> str:
-    """Return the machine's convention as one line that can be compared."""
-    convention = machine.convention
-    return (
-        f"X SIDE {convention.x_side:+d}, C SENSE {convention.c_sense:+d}, Z SIGN {convention.z_sign:+d}, "
-        f"CLOCKING {np.rad2deg(convention.clocking) + 0.0:.9f} DEG"
-    )
-
-
 def language(machine: Machine, dialect: Dialect) -> list[str]:
     """Return the comments on dialect and convention, which define the meaning of the numbers; every file has them."""
     return [f"( DIALECT: {dialect.name} )", f"( CONVENTION: {convention_line(machine)} )"]
 
 
-def software() -> str:
-    """Return the name and version of this program."""
-    try:
-        return f"TURNWRIGHT {version('turnwright')}"
-    except PackageNotFoundError:
-        return "TURNWRIGHT, NOT INSTALLED"
-
-
 def _feed_line(dialect: Dialect) -> str:
-    """Return the comment on the unit of the block time."""
     if dialect.velocities:
         return (
             "( FEED: PVT IS THE MILLISECONDS OF A BLOCK, AFTER A COLON STANDS THE VELOCITY AT ITS END, MM/S OR DEG/S; "
@@ -173,15 +170,16 @@ def lines(
     begins: Sequence[str],
     links_s: float,
 ) -> list[str]:
-    """Return the header as comment lines; its length does not depend on the hashes.
-
-    ``begins`` are the C words at which the approaches begin.
-    """
+    """Return the header as comment lines; ``begins`` are the C words at which the approaches begin."""
     convention = machine.convention
-    written = [SIGNATURE, f"( SOFTWARE: {software()} )"]
+    written = [SIGNATURE, f"( SOFTWARE: {SOFTWARE} )"]
     for key in ("design", "tool", "notes"):
         text = getattr(header, key)
         written += comments(key.upper(), text) if text else []
+    away, outward, turning = ("GROWS" if axis_signs(machine)[letter] > 0 else "FALLS" for letter in "XZC")
+    counting = "CUMULATIVE FROM PASS TO PASS; FROM C BELOW IS LESS WHOLE TURNS"
+    if dialect.wrapped:
+        counting = "WRITTEN FROM 0 TO 360, SHORT WAY"
     dialect_comment, convention_comment = language(machine, dialect)
     written += [
         f"( DATE: {plain(header.date)} )",
@@ -189,14 +187,9 @@ def lines(
         dialect_comment,
         "( UNITS: MM AND DEGREES, ABSOLUTE )",
         _feed_line(dialect),
-        f"( X: {'GROWS' if convention.x_side > 0 else 'FALLS'} AWAY FROM THE AXIS ON THE SIDE WHERE THE TOOL CUTS )",
-        f"( Z: {'GROWS' if convention.z_sign > 0 else 'FALLS'} OUT OF THE PART, TOWARD THE TOOL )",
-        f"( C: {'GROWS' if convention.c_sense > 0 else 'FALLS'} WITH THE AZIMUTH OF THE PART UNDER THE TOOL, "
-        + (
-            "WRITTEN FROM 0 TO 360, SHORT WAY )"
-            if dialect.wrapped
-            else "CUMULATIVE FROM PASS TO PASS; FROM C BELOW IS LESS WHOLE TURNS )"
-        ),
+        f"( X: {away} AWAY FROM THE AXIS ON THE SIDE WHERE THE TOOL CUTS )",
+        f"( Z: {outward} OUT OF THE PART, TOWARD THE TOOL )",
+        f"( C: {turning} WITH THE AZIMUTH OF THE PART UNDER THE TOOL, {counting} )",
         f"( MARK: C = {np.rad2deg(convention.clocking) + 0.0:.5f} WHERE THE +X MARK OF THE PART IS UNDER THE TOOL )",
         convention_comment,
         "( SPINDLE: C AXIS, NO M03 OR M04; M03 IS CLOCKWISE SEEN FROM BEHIND THE SPINDLE )",
@@ -229,8 +222,11 @@ CUT = re.compile(
 )
 
 
-def _info(text: str, signature: str) -> ProgramInfo | None:
-    """Return the contents of a header, or ``None`` if the text does not begin with the signature."""
+def read_info(path: Path, signature: str = SIGNATURE) -> ProgramInfo | None:
+    """Return the contents of a file's header, or ``None`` if the file does not begin with the signature."""
+    require_regular(path)
+    with path.open("rb") as file:
+        text = file.read(1 << 18).removeprefix(BOM).decode("latin-1")
     rows = [row.lstrip("; \t").rstrip() for row in text.splitlines()]
     if not rows or rows[0] != signature:
         return None
@@ -264,13 +260,6 @@ def _info(text: str, signature: str) -> ProgramInfo | None:
     )
 
 
-def read_info(path: Path, signature: str = SIGNATURE) -> ProgramInfo | None:
-    """Return the contents of a file's header, or ``None`` if the file does not begin with the signature."""
-    require_regular(path)
-    with path.open("rb") as file:
-        return _info(file.read(1 << 18).removeprefix(BOM).decode("latin-1"), signature)
-
-
 def require_regular(path: Path) -> None:
     """Raise for a device or a pipe, which may be endless."""
     if path.exists() and not path.is_file() and not path.is_dir():
@@ -286,10 +275,8 @@ def inspect_nc(path: str | PathLike[str]) -> ProgramInfo:
         If the file cannot be opened or was not written by Turnwright.
     """
     path = Path(path)
-    try:
+    with reading(path):
         info = read_info(path)
-    except OSError as error:
-        raise ProgramError(f"{path} cannot be read ({error.strerror}): check its name and place") from error
     if info is None:
         raise ProgramError(
             f"{path} has no Turnwright header, its first line must be {SIGNATURE!r}: read it with read_nc"

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import operator
 import re
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from collections.abc import Callable
 
 __all__ = ["Macros"]
 
@@ -26,12 +23,7 @@ def next_of(text: str, at: int, signs: str) -> str:
 
 
 class Macros:
-    """The variables and expressions of a program.
-
-    Parameters
-    ----------
-    error
-        Makes an exception from the description of a fault.
+    """The variables and expressions of a program; ``error`` makes an exception from the description of a fault.
 
     >>> macros = Macros(ValueError)
     >>> macros.variables[8] = 0.02

@@ -6,20 +6,24 @@ import hashlib
 import mmap
 import re
 import warnings
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import pairwise
+from os import PathLike
 from pathlib import Path
 from string import ascii_lowercase, ascii_uppercase
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from turnwright._arrays import Floats, Ints
 from turnwright._kernels import text as kernel
-from turnwright.errors import InputError, ProgramError
+from turnwright.errors import ProgramError
+from turnwright.machine import Machine
 from turnwright.path import Motion
-from turnwright.post.dialect import dialect_of
-from turnwright.post.digest import hashed_rows
+from turnwright.post.convention import axis_signs, convention_line, motion_of, reading
+from turnwright.post.dialect import Dialect, dialect_of
 from turnwright.post.header import (
     BOM,
     ENTRY,
@@ -28,21 +32,11 @@ from turnwright.post.header import (
     ProgramInfo,
     ProgramPass,
     ProgramWarning,
-    convention_line,
+    bytes_to_hash,
     read_info,
 )
 from turnwright.post.macro import Macros
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
-    from turnwright._arrays import Floats, Ints
-    from turnwright.machine import Machine
-    from turnwright.post.dialect import Dialect
-    from turnwright.progress import Progress
+from turnwright.progress import Progress
 
 __all__ = ["read_nc"]
 
@@ -129,13 +123,8 @@ def read_nc(
 
     The motion begins where the first cutting block begins and has one point more than there are blocks. A cutting
     block is a straight feed move (G1) that turns C; moves before, between and after the cuts are followed but not
-    returned. Time begins at 0. C is cumulative. It is taken as written where the machine's dialect is cumulative or a C
-    word is outside 0 to 360; otherwise it may roll over and takes the short way. A program with Turnwright's header is
-    checked against it.
-
-    Where a program sets coordinates (G92), the motion stays in the initial coordinates; at the start, where no position
-    is known, the coordinates set are the initial ones. F is valid within its mode: F of G94 is not valid under G93, and
-    under G94 after G93 it must be given again, since controllers differ. The time of dwells (G4) is not counted.
+    returned. Time begins at 0, C is cumulative, and the coordinates are those in which the program begins. The time of
+    dwells (G4) is not counted. A program with Turnwright's header is checked against it.
 
     Parameters
     ----------
@@ -172,7 +161,7 @@ def read_nc(
     """
     path = Path(path)
     dialect = dialect_of(machine)
-    try:
+    with reading(path):
         info = read_info(path)
         part = read_info(path, SUB_SIGNATURE)
         if part is not None:
@@ -185,14 +174,11 @@ def read_nc(
             )  # fmt: skip
             reader.run()
             cut, digest = reader.finish()
-    except OSError as error:
-        where = error.filename or path
-        raise ProgramError(f"{where} cannot be read ({error.strerror}): check its name and place") from error
     for warning in reader.warnings:
         warnings.warn(warning, ProgramWarning, stacklevel=2)
     if header_pass is not None and digest != header_pass.hash:
         warnings.warn(
-            f"{path}: pass {_short(header_pass.name)} has the hash {digest[:12]}..., the header states "
+            f"{path}: pass {_shorten(header_pass.name)} has the hash {digest[:12]}..., the header states "
             f"{header_pass.hash[:12]}...: it was edited or damaged",
             ProgramWarning,
             stacklevel=2,
@@ -214,30 +200,27 @@ def _pass_in_header(
         raise ProgramError(f"{path} names no pass in its header, it must name at least 1: {COPY_AGAIN}")
     if name is not None:
         raise ProgramError(
-            f"{path} has no pass {_short(name)!r}, it has {_listed([entry.name for entry in info.passes])}: name one "
-            "of these"
+            f"{path} has no pass {_shorten(name)!r}, it has {_list_names([entry.name for entry in info.passes])}: name "
+            "one of these"
         )
     return info.passes[-1]
 
 
-def _short(text: str) -> str:
-    """Return text shortened for a message."""
+def _shorten(text: str) -> str:
     return text if len(text) <= MAX_QUOTED else f"{text[:MAX_QUOTED]}..."
 
 
-def _listed(names: Sequence[str]) -> str:
-    """Return a list of names shortened for a message."""
+def _list_names(names: Sequence[str]) -> str:
     more = [f"{len(names) - 4} more"] if len(names) > 5 else []
-    return ", ".join([_short(name) for name in names[: 4 if more else 5]] + more) or "none"
+    return ", ".join([_shorten(name) for name in names[: 4 if more else 5]] + more) or "none"
 
 
 def _require_language(path: Path, info: ProgramInfo, machine: Machine, dialect: Dialect) -> None:
-    """Raise unless dialect and convention in a header are those of the machine."""
     if not info.dialect or not info.convention:
         raise ProgramError(f"{path} has a header without dialect or convention, it is truncated: {COPY_AGAIN}")
     if info.dialect != dialect.name:
         raise ProgramError(
-            f"{path} is written in the dialect {_short(info.dialect)}, machine {machine.name} has {dialect.name}: "
+            f"{path} is written in the dialect {_shorten(info.dialect)}, machine {machine.name} has {dialect.name}: "
             "read it with the machine that it was written for"
         )
     if info.convention != convention_line(machine):
@@ -264,8 +247,6 @@ class _Cut:
 
 
 def _motion(path: Path, cut: _Cut, header_pass: ProgramPass | None, machine: Machine) -> Motion:
-    """Return a cut in Turnwright's convention."""
-    convention = machine.convention
     dialect = dialect_of(machine)
     rows = cut.rows[:, : cut.points]
     within_one_turn = bool(rows[0].min() >= 0 and rows[0].max() <= 360)
@@ -289,18 +270,11 @@ def _motion(path: Path, cut: _Cut, header_pass: ProgramPass | None, machine: Mac
         )
     time = rows[4]
     kernel.clock(time)
-    axes["C"] *= convention.c_sense * (np.pi / 180)
-    axes["C"] -= convention.c_sense * convention.clocking
-    axes["X"] *= convention.x_side
-    axes["Z"] *= convention.z_sign
     velocity = None
     if rows.shape[0] > 5:
-        signs = {"C": convention.c_sense * (np.pi / 180), "X": convention.x_side, "Y": 1, "Z": convention.z_sign}
-        velocity = {letter: rows[5 + AXES.index(letter)] * signs[letter] for letter in axes}
-    try:
-        return Motion(time=time, axes=axes, machine=machine, velocity=velocity)
-    except InputError as error:
-        raise ProgramError(f"{path} does not hold a motion: {error}") from error
+        factors = {letter: sign * (np.pi / 180 if letter == "C" else 1) for letter, sign in axis_signs(machine).items()}
+        velocity = {letter: rows[5 + AXES.index(letter)] * factors[letter] for letter in axes}
+    return motion_of(path, axes, time, machine, velocity)
 
 
 def _pass_name(text: str) -> tuple[str, int] | None:
@@ -373,7 +347,6 @@ class _Reader:
 
     # ------------------------------------------------------------------ files
     def run(self) -> None:
-        """Follow the main program to its end."""
         self.total = self.path.stat().st_size
         if self.total < BUFFER_BYTES:
             head = self.path.read_bytes().decode("latin-1")
@@ -398,8 +371,8 @@ class _Reader:
         if self.selected is None:
             if self.requested is not None:
                 raise ProgramError(
-                    f"{self.path} has no pass {_short(self.requested)!r}, it has {_listed(self.names)}: name one of "
-                    "these"
+                    f"{self.path} has no pass {_shorten(self.requested)!r}, it has {_list_names(self.names)}: name one "
+                    "of these"
                 )
             raise ProgramError(
                 f"{self.path} has no cutting block, at least 1 is needed: give a program whose G1 blocks turn C"
@@ -414,7 +387,6 @@ class _Reader:
         return self.selected, self.selected_digest
 
     def _file(self, path: Path) -> None:
-        """Follow one file."""
         if path in self.stack or len(self.stack) >= MAX_CALL_DEPTH:
             raise ProgramError(
                 f"{path} is called by itself or more than {MAX_CALL_DEPTH} calls deep: give every pass its own "
@@ -422,7 +394,7 @@ class _Reader:
             )
         self.calls[path] = self.calls.get(path, 0) + 1
         if self.calls[path] > MAX_CALLS:
-            raise self._error(f"calls {_short(path.name)} more than {MAX_CALLS} times", "write out its passes")
+            raise self._error(f"calls {_shorten(path.name)} more than {MAX_CALLS} times", "write out its passes")
         self.stack.append(path)
         outer, self.state[LINES] = self.state[LINES], 0
         before, loops, self.coded = self.real.copy(), set(self.loops), False
@@ -460,7 +432,6 @@ class _Reader:
         self.stack.pop()
 
     def _require_ends(self, path: Path, loops: list[int]) -> None:
-        """Raise unless each loop within which a file ends has its END further on."""
         if not loops:
             return
         tail = path.read_bytes().upper().rpartition(b"WHILE")[2].decode("latin-1")
@@ -471,7 +442,6 @@ class _Reader:
             del self.loops[label]
 
     def _warn_of_missing_end(self, path: Path, loops: list[int]) -> None:
-        """Note that a file has no end code, and whether it ends within a line or a loop."""
         with path.open("rb") as file:
             file.seek(-min(path.stat().st_size, MAX_LINE_BYTES), 2)
             last = file.read().rpartition(b"\n")[2].decode("latin-1")
@@ -485,7 +455,6 @@ class _Reader:
         )
 
     def _warn_of_blocks_after_end(self, path: Path, position: int) -> None:
-        """Note the number of blocks that move axes after the end code of a file."""
         blocks = 0
         with path.open("rb") as file:
             file.seek(position)
@@ -526,7 +495,6 @@ class _Reader:
         yield buffer, data, carried + 1
 
     def _error(self, what: str, remedy: str) -> ProgramError:
-        """Return an error with file and line."""
         where = self.stack[-1] if self.stack else self.path
         return ProgramError(f"{where} line {int(self.state[LINES]) or 1} {what}: {remedy}")
 
@@ -572,10 +540,9 @@ class _Reader:
                 kernel.quantise(part[row], scale, 0.0, 0, units, each * column)
                 if each == 2:
                     kernel.quantise(part[5 + row], scale, 0.0, 0, units, each * column + 1)
-            self.digest.update(hashed_rows(units, part[4]))
+            self.digest.update(bytes_to_hash(units, part[4]))
 
     def _open(self, *, timed: bool) -> None:
-        """Begin a cut at the current position."""
         self.cuts += 1
         # As many points as the header states, limited by the length of the text, plus one, so that the array is not
         # enlarged when full.
@@ -622,7 +589,7 @@ class _Reader:
             return
         if previous is not None and previous.blocks > 1 and cut.named and previous.name == cut.name:
             raise self._error(
-                f"ends a second cut in pass {_short(cut.name)}, of {cut.blocks} blocks after {previous.blocks}, only "
+                f"ends a second cut in pass {_shorten(cut.name)}, of {cut.blocks} blocks after {previous.blocks}, only "
                 "one is allowed",
                 "name a pass for every cut",
             )
@@ -632,7 +599,6 @@ class _Reader:
 
     # ------------------------------------------------------------------ lines
     def _line(self, text: str) -> None:
-        """Follow one line of any kind."""
         if "\x00" in text:
             raise self._error("holds binary data", "give a program in plain text")
         if "\r" in text.rstrip():  # a line end for some controllers, a blank for others
@@ -640,7 +606,7 @@ class _Reader:
                 "has a carriage return (CR) within the line, lines must end with LF or CR LF",
                 "save the program with such line ends",
             )
-        text = self._undeleted(text)
+        text = self._apply_block_delete(text)
         if name := _pass_name(text):
             self._marker(*name)
         calls: list[str] = []
@@ -649,7 +615,7 @@ class _Reader:
         if calls:
             self._call_from(block.strip(), calls, after)
         else:
-            self._bare(block)
+            self._follow_block(block)
 
     def _part(self, part: re.Match[str], calls: list[str]) -> str:
         """Return the replacement of a comment, or of a call, which is added to ``calls``."""
@@ -665,10 +631,10 @@ class _Reader:
         repeat = REPEAT.fullmatch(after[0].strip())
         if repeat is None or len(calls) > 1 or re.search("[DHLPQ]", block):
             raise self._error(
-                f"calls {_short(calls[0])} with more words, only L and a number of repetitions, 1 to 999, is allowed",
+                f"calls {_shorten(calls[0])} with more words, only L and a number of repetitions, 1 to 999, is allowed",
                 "write the other words, or the other call, in a separate block",
             )
-        self._bare(block)
+        self._follow_block(block)
         if self.over or self.ended:
             raise self._error("ends and calls a file", "write the call in a separate block")
         for _ in range(int(repeat[1] or 1)):
@@ -676,8 +642,7 @@ class _Reader:
             if self.ended:
                 return
 
-    def _bare(self, bare: str) -> None:
-        """Follow a block without comments."""
+    def _follow_block(self, bare: str) -> None:
         if bare.startswith("%"):
             bare = self._tape_mark(bare)
         if not bare:
@@ -688,7 +653,7 @@ class _Reader:
         if not (self.dialect.velocities and self._native(bare)) and not self._statement(bare):
             self._words(bare)
 
-    def _undeleted(self, text: str) -> str:
+    def _apply_block_delete(self, text: str) -> str:
         """Return a line without its block-delete slash, or nothing if the line is skipped."""
         slash = DELETED.match(text)
         if slash is None:
@@ -748,7 +713,6 @@ class _Reader:
             self.tool_change = ""
 
     def _sibling(self, name: str) -> Path | None:
-        """Return a file in the folder of the program, if it exists."""
         name = name.strip()
         if len(name) > 255 or Path(name).name != name or "\\" in name:
             return None
@@ -759,7 +723,8 @@ class _Reader:
         path = self._sibling(name)
         if path is None:
             raise self._error(
-                f"calls {_short(name)}, which is not in the same folder", "put all files of the program into one folder"
+                f"calls {_shorten(name)}, which is not in the same folder",
+                "put all files of the program into one folder",
             )
         if self.header_pass is not None:
             # Sub-programs of other passes are skipped: each names its pass in its first lines.
@@ -770,7 +735,7 @@ class _Reader:
                 return
         self._file(path)
 
-    def _parsed(self, bare: str) -> list[tuple[str, float]]:
+    def _parse_words(self, bare: str) -> list[tuple[str, float]]:
         """Return the words of a block, and store its velocities."""
         words: list[tuple[str, float]] = []
         self.speeds = {}
@@ -800,8 +765,7 @@ class _Reader:
         return words
 
     def _words(self, bare: str) -> None:
-        """Follow a block of words."""
-        words = self._parsed(bare)
+        words = self._parse_words(bare)
         codes = [value for letter, value in words if letter == "G"]
         for letter, value in words:
             if letter == "M":
@@ -848,7 +812,6 @@ class _Reader:
         self._lose("XYZ")
 
     def _g(self, code: float) -> None:
-        """Follow one G code, as far as it affects the motion of the tool."""
         if code in {0, 1}:
             self.state[LINEAR] = int(code)
         elif code in {93, 94}:
@@ -884,7 +847,6 @@ class _Reader:
         self.state[FEED_MODE] = mode
 
     def _block(self, codes: list[float], values: dict[str, float]) -> None:
-        """Follow the axis words of a block."""
         axes = {letter: values[letter] for letter in AXES if letter in values}
         if MACHINE_G & set(codes):
             self._close()
@@ -920,7 +882,6 @@ class _Reader:
             self.real[FEED] = self.speed_feed
 
     def _lose(self, letters: Iterable[str]) -> None:
-        """Mark the positions of axes as unknown."""
         for letter in letters:
             k = AXES.index(letter)
             if not np.isnan(self.real[k]):
@@ -928,7 +889,6 @@ class _Reader:
             self.real[k] = np.nan
 
     def _coordinates(self, codes: list[float], axes: dict[str, float], *, feed: bool) -> None:
-        """Follow a block that changes the coordinates."""
         if shifts := SHIFT_G & set(codes):
             if any(axes.values()) or (axes and 50 in shifts) or any(self._is_set(letter) for letter in axes):
                 raise self._error(
@@ -962,7 +922,6 @@ class _Reader:
         self._note_shift()
 
     def _unset(self) -> None:
-        """Return to the initial coordinates."""
         self.real[:4] += self.shift
         self.shift[:] = 0
         self._lose(sorted(self.begun))

@@ -6,33 +6,27 @@ import hashlib
 import math
 import os
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import BinaryIO, Literal
 
 import numpy as np
 
-from turnwright._arrays import rows_of_numbers
+from turnwright._arrays import Floats, Ints, rows_of_numbers
 from turnwright._kernels import table as table_kernel, text as text_kernel
 from turnwright._validate import positive
 from turnwright.errors import ProgramError
+from turnwright.machine import Machine
 from turnwright.path import Motion
 from turnwright.post.approach import PLUNGE_FEED, entry_path, entry_shares
-from turnwright.post.dialect import dialect_of
-from turnwright.post.header import NO_HASH, convention_line, inspect_nc, plain, require_regular, software
+from turnwright.post.convention import convention_line, in_part_axes, reading, short_steps
+from turnwright.post.dialect import Dialect, dialect_of
+from turnwright.post.header import NO_HASH, SOFTWARE, ProgramHeader, inspect_nc, plain, program_hash, require_regular
 from turnwright.post.reader import read_nc
 from turnwright.post.writer import CHUNK_POINTS, ProgramFiles, _disk_error, _velocity, write_nc
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from os import PathLike
-    from typing import BinaryIO
-
-    from turnwright._arrays import Floats, Ints
-    from turnwright.machine import Machine
-    from turnwright.post.dialect import Dialect
-    from turnwright.post.header import ProgramHeader
-    from turnwright.progress import Progress
+from turnwright.progress import Progress
 
 __all__ = ["FastToolFiles", "read_fast_tool", "write_fast_tool"]
 
@@ -103,19 +97,11 @@ def write_fast_tool(
 ) -> FastToolFiles:
     """Write the lathe program without W, see `write_nc` and `Motion.lathe`, and a table of W for the fast tool.
 
-    A fast tool with a second axis U, which adds to X, has one more column.
-
-    The table is a text file, part.fast.csv for part.nc. By position it has a row of radius, angle and height for every
-    point of the motion: radius and angle are X and C (within one turn) of the program, with the same decimals, so that
-    the controller of the tool reads both from the scales of the lathe; between two rows heights are linear in the
-    angle. For a plunge, the table begins with the revolution at the radius where the cut begins, which is valid for
-    every turn of the plunge. By time it has one height every 1/``rate_hz`` s, linear in between; the first one belongs
-    to the first point of the cut, where the approach of the program ends. Heights add to Z, out of the part, whatever
-    the convention of the lathe, and U to the distance from the axis; the last decimal is 0.1 nm. The header describes
-    this and has the hashes of the rows and of the program.
-
-    The table is written to a temporary file before the program and moved into place after it; if writing fails,
-    nothing changes.
+    The table is a text file, part.fast.csv for part.nc, and its header describes it. By position it has a row of
+    radius, angle (those of the program) and height for every point of the motion, after the revolution of a plunge;
+    between two rows heights are linear in the angle. By time it has one height every 1/``rate_hz`` s from the first
+    point of the cut on, linear in between. Heights add to Z, out of the part, whatever the convention of the lathe. A
+    second axis U, which adds to the distance from the axis, has one more column. If writing fails, nothing changes.
 
     Parameters
     ----------
@@ -157,9 +143,11 @@ def write_fast_tool(
     _require_straight(motion, dialect)
     lathe_heights, table_motion = entry_heights, motion
     if depth is not None:
-        lathe_heights, entered = _with_entry(motion, entry_heights)
+        lathe_heights, entered = _prepend_entry(motion, entry_heights)
         table_motion = entered if by == "position" else motion
-    rows, decimals, off = _position(table_motion, machine, dialect) if by == "position" else _stream(motion, rate_hz)
+    rows, decimals, off = (
+        _make_position_rows(table_motion, machine, dialect) if by == "position" else _make_stream_rows(motion, rate_hz)
+    )
     counts = rows.shape[0], table_motion.time.size - motion.time.size
     try:
         try:
@@ -198,7 +186,7 @@ def _require_straight(motion: Motion, dialect: Dialect) -> None:
         )
 
 
-def _with_entry(motion: Motion, heights: Floats | None) -> tuple[Floats | None, Motion]:
+def _prepend_entry(motion: Motion, heights: Floats | None) -> tuple[Floats | None, Motion]:
     """Return the lathe's heights in a plunge, if ``heights`` are given, and the motion with one turn before it."""
     turned, axes = entry_path(motion)
     lathe, fast = entry_shares(motion, axes["Z"] + axes["W"] if heights is None else np.asarray(heights, np.float64))
@@ -210,7 +198,7 @@ def _with_entry(motion: Motion, heights: Floats | None) -> tuple[Floats | None, 
     return None if heights is None else lathe, Motion(time=time, axes=entered, machine=motion.machine)
 
 
-def _position(motion: Motion, machine: Machine, dialect: Dialect) -> tuple[Ints, Ints, float]:
+def _make_position_rows(motion: Motion, machine: Machine, dialect: Dialect) -> tuple[Ints, Ints, float]:
     """Return radius, angle and height in units of their last decimals, the decimals, and the rounding error."""
     convention = machine.convention
     letters = _fast_axes(motion)
@@ -235,7 +223,7 @@ def _position(motion: Motion, machine: Machine, dialect: Dialect) -> tuple[Ints,
     return rows, decimals, off
 
 
-def _stream(motion: Motion, rate_hz: float | None) -> tuple[Ints, Ints, float]:
+def _make_stream_rows(motion: Motion, rate_hz: float | None) -> tuple[Ints, Ints, float]:
     """Return the heights at a constant rate in units of their last decimal, the decimals, and the largest deviation."""
     rate = positive(rate_hz or 0.0, "rate_hz", "Hz")
     time = motion.time - motion.time[0]
@@ -259,7 +247,6 @@ def _stream(motion: Motion, rate_hz: float | None) -> tuple[Ints, Ints, float]:
 
 
 def _fast_axes(motion: Motion) -> list[str]:
-    """Return the letters of the fast tool's axes, in the order of their columns."""
     return [letter for letter in AXIS_COLUMNS if letter in motion.axes]
 
 
@@ -300,7 +287,7 @@ def _head(
         names = COLUMNS["time"]
     lines = [
         SIGNATURE,
-        f"# SOFTWARE: {software()}",
+        f"# SOFTWARE: {SOFTWARE}",
         f"# MACHINE: {plain(machine.name)}",
         f"# CONVENTION: {convention_line(machine)}",
         *lines_of_kind,
@@ -315,7 +302,6 @@ def _head(
 
 
 def _body(file: BinaryIO, rows: Ints, decimals: Ints) -> str:
-    """Write the rows and return their hash."""
     digest = hashlib.sha256()
     for start in range(0, rows.shape[0], CHUNK_POINTS):
         part = rows[start : start + CHUNK_POINTS]
@@ -356,8 +342,7 @@ def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Pro
             "with the machine that it was written for"
         )
     info = inspect_nc(path)
-    program_hash = hashlib.sha256("\n".join(cut.hash for cut in info.passes).encode()).hexdigest()
-    if not fields["PROGRAM"].endswith(f"SHA256 {program_hash}"):
+    if not fields["PROGRAM"].endswith(f"SHA256 {program_hash(info.passes)}"):
         raise ProgramError(f"{file} belongs to another program than {path}: write both again")
     motion = read_nc(path, machine, progress=progress)
     if fields["BY"] == "TIME":
@@ -377,7 +362,7 @@ def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Pro
         if match is None or int(match[0]) > len(table) - 2:
             raise ProgramError(f"{file} does not state how many of its {len(table)} rows are the entry: write it again")
         table = table[int(match[0]) :]
-        time = _turned(file, table, motion, machine)
+        time = _find_row_times(file, table, motion, machine)
         blocks = None
         rows = dict(zip(names, table.T, strict=True))
     axes = {letter: np.interp(time, motion.time, values) for letter, values in motion.axes.items()}
@@ -385,12 +370,10 @@ def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Pro
     return Motion(time=time, axes={**axes, **fast}, machine=machine, stated_blocks=blocks)
 
 
-def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> Floats:
+def _find_row_times(file: Path, table: Floats, motion: Motion, machine: Machine) -> Floats:
     """Return the time of the program at each row of a table by position."""
-    convention = machine.convention
-    step = np.diff(table[:, 1])
-    degrees = np.concatenate([[0.0], np.cumsum(step - 360 * np.rint(step / 360))]) + table[0, 1]
-    c = convention.c_sense * (np.deg2rad(degrees) - convention.clocking)
+    c = np.concatenate([[0.0], np.cumsum(short_steps(table[:, 1]))]) + table[0, 1]
+    in_part_axes({"C": c}, machine)
     c += 2 * np.pi * np.rint((motion.axes["C"][0] - c[0]) / (2 * np.pi))
     if not (np.diff(c) * motion.sense > 0).all():
         raise ProgramError(f"{file} turns C in another sense than its program: write both again")
@@ -401,7 +384,7 @@ def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> Floa
             f"{np.rad2deg(motion.axes['C'][0]):.3f} deg, as its number of entry rows was edited: write both again"
         )
     time: Floats = np.interp(motion.sense * c, ahead, motion.time)
-    x = np.interp(motion.sense * c, ahead, motion.axes["X"]) * convention.x_side
+    x = np.interp(motion.sense * c, ahead, motion.axes["X"]) * machine.convention.x_side
     off = np.abs(x - table[:, 0])
     worst = int(np.argmax(off))
     if off[worst] > RADIUS_TOL_MM or abs(c[-1] - motion.axes["C"][-1]) > END_TOL_RAD:
@@ -414,12 +397,9 @@ def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> Floa
 
 
 def _read(file: Path) -> tuple[dict[str, str], list[str], Floats]:
-    """Return the header fields of a table, the names of its columns, and its rows."""
-    try:
+    with reading(file):
         require_regular(file)
         data = file.read_bytes()
-    except OSError as error:
-        raise ProgramError(f"{file} cannot be read ({error.strerror}): check its name and place") from error
     text = data[: 1 << 14].decode("latin-1")
     fields = dict(re.findall(r"^# ([A-Z0-9 ]+): (.*)$", text, re.MULTILINE))
     needed = ("BY", "CONVENTION", "ROWS", "PROGRAM", "SHA256")

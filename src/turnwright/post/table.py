@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import io
 import warnings
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import rows_of_numbers
-from turnwright.errors import InputError, ProgramError
+from turnwright._arrays import Floats, rows_of_numbers
+from turnwright.errors import ProgramError
+from turnwright.machine import Machine
 from turnwright.path import Motion
+from turnwright.post.convention import motion_of, reading, short_steps
 from turnwright.post.header import ProgramWarning, require_regular
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from turnwright._arrays import Bools, Floats
-    from turnwright.machine import Machine
 
 __all__ = ["read_table"]
 
@@ -72,12 +68,14 @@ def read_table(
     for column in values.values():
         moved[1:] |= np.diff(column) != 0
     values, rows = {letter: column[moved] for letter, column in values.items()}, rows[moved]
-    turning = _steps(values["C"]) != 0
+    turning = short_steps(values["C"]) != 0
     cutting = np.flatnonzero(turning)
     if not cutting.size:
         raise ProgramError(f"{path} never moves C, at least 1 row must: give a table of a C-axis motion")
     first, last = int(cutting[0]), int(cutting[-1]) + 1
-    _refuse_standstill(path, turning[first:last], rows[first + 1 :])
+    if not turning[first:last].all():
+        bad = rows[first + 1 + int(np.argmin(turning[first:last]))]
+        raise ProgramError(f"{path} line {bad} moves the tool within a cut while C stands still: split the table there")
     dropped = len(rows) - (last + 1 - first)
     if dropped:
         warnings.warn(
@@ -86,49 +84,28 @@ def read_table(
             stacklevel=2,
         )
     axes = {letter: column[first : last + 1].copy() for letter, column in values.items()}
-    steps = _steps(axes["C"])
+    steps = short_steps(axes["C"])
     if (np.abs(steps) == 180).any() or not ((steps > 0).all() or (steps < 0).all()):
         bad = int(np.flatnonzero((np.abs(steps) == 180) | (steps * steps[0] <= 0))[0])
         raise ProgramError(
             f"{path} line {rows[first + bad + 1]} turns C back or by half a turn, the sense of rotation must not "
             "change: split the table"
         )
-    convention = machine.convention
-    angle = np.concatenate([[0.0], np.cumsum(steps)]) + axes["C"][0]
-    axes["C"] = convention.c_sense * (np.deg2rad(angle) - convention.clocking)
-    axes["X"] *= convention.x_side
-    axes["Z"] *= convention.z_sign
+    turned = np.concatenate([[0.0], np.cumsum(steps)])
+    axes["C"] = turned + axes["C"][0]
     time = (
-        np.arange(len(angle)) / block_rate_hz
+        np.arange(len(turned)) / block_rate_hz
         if block_rate_hz is not None
-        else np.abs(angle - angle[0]) / (6 * speeds[0])  # 1 rev/min is 6 deg/s
+        else np.abs(turned) / (6 * speeds[0])  # 1 rev/min is 6 deg/s
     )
-    try:
-        return Motion(time=time, axes=axes, machine=machine)
-    except InputError as error:
-        raise ProgramError(f"{path} does not hold a motion: {error}") from error
-
-
-def _steps(degrees: Floats) -> Floats:
-    """Return the steps of C, reduced to at most half a turn. (n - 1,) [deg]."""
-    step = np.diff(degrees)
-    return np.asarray(step - 360 * np.rint(step / 360))
-
-
-def _refuse_standstill(path: Path, turning: Bools, rows: np.ndarray) -> None:
-    """Raise if C stands still between cutting rows."""
-    if not turning.all():
-        bad = rows[int(np.flatnonzero(~turning)[0])]
-        raise ProgramError(f"{path} line {bad} moves the tool within a cut while C stands still: split the table there")
+    return motion_of(path, axes, time, machine)
 
 
 def _columns(path: Path) -> dict[str, Floats]:
-    """Return the columns by axis letter."""
     try:
-        require_regular(path)
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise ProgramError(f"{path} cannot be read ({error.strerror}): check its name and place") from error
+        with reading(path):
+            require_regular(path)
+            text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ProgramError(f"{path} is not a table of text: give comma-separated numbers") from error
     head, _, body = text.partition("\n")

@@ -9,20 +9,21 @@ import re
 import shutil
 import tempfile
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from io import BytesIO
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, TypeAlias
+from typing import BinaryIO, TypeAlias
 
 import numpy as np
 
 from turnwright._arrays import Floats, Ints
 from turnwright._kernels import text as text_kernel, tracking as tracking_kernel
 from turnwright.errors import ProgramError
-from turnwright.machine import FAST
+from turnwright.machine import FAST, Machine
 from turnwright.path import Motion
 from turnwright.post.approach import (
     DOWN_FEED,
@@ -33,25 +34,20 @@ from turnwright.post.approach import (
     approach_to,
     link_seconds,
 )
-from turnwright.post.dialect import dialect_of
-from turnwright.post.digest import hashed_rows
+from turnwright.post.convention import axis_signs
+from turnwright.post.dialect import Dialect, dialect_of
 from turnwright.post.header import (
     ENTRY,
     NO_HASH,
     SUB_SIGNATURE,
     ProgramHeader,
     ProgramPass,
+    bytes_to_hash,
     language,
     lines,
+    program_hash,
 )
 from turnwright.progress import Progress, cores
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from os import PathLike
-
-    from turnwright.machine import Machine
-    from turnwright.post.dialect import Dialect
 
 __all__ = ["ProgramFiles", "write_nc"]
 
@@ -94,13 +90,11 @@ class ProgramFiles:
     @property
     def hash(self) -> str:
         """SHA-256 of the program, over the hashes of its passes, one per line."""
-        return hashlib.sha256("\n".join(cut.hash for cut in self.passes).encode()).hexdigest()
+        return program_hash(self.passes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Pass:
-    """A motion with the settings for writing its words."""
-
     name: str
     motion: Motion
     letters: tuple[str, ...]
@@ -125,7 +119,6 @@ class _Pass:
         return float(units / 10.0**places)
 
     def word(self, letter: str, value: float) -> str:
-        """Return one word of the approach."""
         places = self.dialect.decimals[letter]
         units = self.units(letter, value)
         if letter == "C" and self.dialect.wrapped:
@@ -154,16 +147,13 @@ def write_nc(
 
     Positions and block times are fixed-point numbers, rounded to the last decimal of the dialect. Every pass begins
     with an approach from ``clearance`` above its highest point and ends with a retract to that height. From 0.1 mm
-    above the material the tool plunges while C turns: at the radius where the pass begins, it follows the heights of
-    one revolution plus a falling offset. The offset falls per revolution by at most the feed of the pass (or 1 um), and
-    in no block faster than ``plunge_feed``. `run` computes these heights exactly, from part and tool. Without
-    ``entry_heights`` they are extrapolated from the first three revolutions of the motion; C then turns slower than in
-    the pass, down to one revolution per minute, so that the extrapolation error keeps the plunge feed too. A cumulative
-    C begins within one turn of 0 and continues from pass to pass, so that the spindle never unwinds.
+    above the material the tool plunges while C turns, at the radius where the pass begins, by at most the feed of the
+    pass (or 1 um) per revolution and in no block faster than ``plunge_feed``. Without ``entry_heights`` the heights of
+    this revolution are extrapolated from the motion, and C turns slower where necessary. A cumulative C begins within
+    one turn of 0 and continues from pass to pass, so that the spindle never unwinds.
 
-    All files are written to a temporary folder and moved into place, the main program last, when the program is
-    complete; if writing fails, the target folder is unchanged. Sub-programs of an earlier program of the same name that
-    this one does not call are removed.
+    If writing fails, the target folder is unchanged. Sub-programs of an earlier program of the same name that this one
+    does not call are removed.
 
     Parameters
     ----------
@@ -198,7 +188,7 @@ def write_nc(
 
     Sources
     -------
-    The sources of the dialects are in their modules. Oracle of the formatting: Python's decimal module.
+    The sources of the dialects are in `DIALECTS`. Oracle of the formatting: Python's decimal module.
 
     Examples
     --------
@@ -242,17 +232,9 @@ def write_nc(
     try:
         header = header or ProgramHeader()
         header = replace(header, date=header.date or datetime.now(UTC).date().isoformat())
-        job = _Job(
-            folder,
-            path,
-            dialect=dialect,
-            machine=machine,
-            header=header,
-            limit=limit,
-            progress=progress,
-        )
+        job = _Job(folder, path, dialect, machine, header, limit, progress)
         written = job.write(passes)
-        _put_in_place(folder, path.parent, [path.name, *written], _stale(path, written))
+        _put_in_place(folder, path.parent, [path.name, *written], _find_stale_files(path, written))
         return job.summary(written)
     except OSError as error:
         raise _disk_error(path, error) from error
@@ -261,7 +243,6 @@ def write_nc(
 
 
 def _disk_error(path: Path, error: OSError) -> ProgramError:
-    """Return the error for a failure of the file system."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return ProgramError(
             f"the disk is full while writing {path}, nothing was changed there: free some space, or write elsewhere"
@@ -283,7 +264,6 @@ def _approaches(
     plunge_feed: float,
     entry_heights: Floats | Mapping[str, Floats | None] | None,
 ) -> dict[str, Approach]:
-    """Return the approaches to all passes by name."""
     approaches = {}
     depths = dict.fromkeys(motions, depth) if depth is None or isinstance(depth, int | float) else depth
     around = entry_heights if isinstance(entry_heights, Mapping) else dict.fromkeys(motions, entry_heights)
@@ -301,15 +281,11 @@ def _approaches(
 def _passes(
     motions: Mapping[str, Motion], machine: Machine, dialect: Dialect, approaches: Mapping[str, Approach]
 ) -> list[_Pass]:
-    """Return the passes with their settings, or raise where they cannot be written."""
     if not motions:
         raise ProgramError("a program has 0 passes, it needs at least 1: give a motion")
     convention = machine.convention
     factors = {
-        "C": float(np.rad2deg(convention.c_sense)),
-        "X": float(convention.x_side),
-        "Y": 1.0,
-        "Z": float(convention.z_sign),
+        letter: float(np.rad2deg(sign) if letter == "C" else sign) for letter, sign in axis_signs(machine).items()
     }
     clocking = float(np.rad2deg(convention.clocking))
     shifts = {"C": clocking, "X": 0.0, "Y": 0.0, "Z": 0.0}
@@ -368,7 +344,6 @@ def _require_sizes(
     name: str, numbers: Mapping[str, Floats], factors: Mapping[str, float], shifts: Mapping[str, float], what: str,
     remedy: str,
 ) -> None:  # fmt: skip
-    """Raise if a scaled and shifted number of an axis is too large for a word."""
     for letter, values in numbers.items():
         largest = max(abs(values.min()), abs(values.max())) * abs(factors[letter]) + abs(shifts.get(letter, 0.0))
         if largest > MAX_POSITION:
@@ -395,31 +370,26 @@ def _velocity(motion: Motion) -> dict[str, Floats]:
 
 
 def _file_part(name: str) -> str:
-    """Return a pass name in the form for file names."""
     return name.replace(" ", "-")
 
 
+@dataclass(slots=True)
 class _Job:
-    """One program being written into a temporary folder."""
-
-    def __init__(
-        self,
-        folder: Path,
-        path: Path,
-        *,
-        dialect: Dialect,
-        machine: Machine,
-        header: ProgramHeader,
-        limit: int,
-        progress: Progress | None,
-    ) -> None:
-        self.folder, self.path, self.dialect, self.machine = folder, path, dialect, machine
-        self.header, self.limit, self.progress = header, limit, progress
-        self.lines = self.bytes = self.done = self.total = 0
-        self.links_s = 0.0
-        self.entries: list[ProgramPass] = []
-        self.approaches: dict[str, Approach] = {}
-        self.begins: list[str] = []
+    folder: Path  # temporary
+    path: Path
+    dialect: Dialect
+    machine: Machine
+    header: ProgramHeader
+    limit: int
+    progress: Progress | None
+    lines: int = 0
+    bytes: int = 0
+    done: int = 0
+    total: int = 0
+    links_s: float = 0.0
+    entries: list[ProgramPass] = field(default_factory=list)
+    approaches: dict[str, Approach] = field(default_factory=dict)
+    begins: list[str] = field(default_factory=list)
 
     def write(self, passes: list[_Pass]) -> list[str]:
         """Write all files into the folder; return the names of the sub-programs in the order of their calls."""
@@ -466,7 +436,6 @@ class _Job:
         return lines(self.header, self.machine, self.dialect, self.entries, approaches, self.begins, self.links_s)
 
     def summary(self, written: list[str]) -> ProgramFiles:
-        """Return a summary of the program, with the final paths."""
         return ProgramFiles(
             files=tuple(self.path.parent / name for name in [self.path.name, *written]),
             lines=self.lines,
@@ -497,7 +466,6 @@ class _Job:
         self.bytes += len(data)
 
     def _approach(self, one: _Pass) -> list[str]:
-        """Return the lines of the approach, down to the start of the plunge, with C at rest."""
         start, dialect = one.approach.start, self.dialect
         others = " ".join(one.word(letter, start[letter]) for letter in ("X", "Y") if letter in one.letters)
         return [
@@ -513,7 +481,6 @@ class _Job:
         return [f"( PASS: {one.name}{ENTRY} )", *self.dialect.cut_resume]
 
     def _plunge(self, one: _Pass) -> list[str]:
-        """Return the blocks of a plunge."""
         motion = one.approach.plunge
         if motion is None:
             return []
@@ -530,7 +497,6 @@ class _Job:
         return [*self.dialect.cut_end, *self.dialect.straight(clear, DOWN_FEED, "CLEAR OF THE PART")]
 
     def _sub_programs(self, one: _Pass) -> tuple[list[str], str]:
-        """Write one pass into numbered files; return their names and the hash."""
         points, plunge = one.motion.time.size, self._plunge(one)
         each = self.limit - 30
         count = -(-(len(plunge) + points - 1) // each)
@@ -591,9 +557,9 @@ class _Job:
             rows = quantise(start, stop)
             out = np.empty((stop - start) * (prefix.size + 24 * (letters.size + 1)) + 8, dtype=np.uint8)
             size = text_kernel.format_blocks(rows, letters, decimals, prefix, leading, mantissa, places, out)
-            return stop - start, hashed_rows(rows, duration), out[:size].data
+            return stop - start, bytes_to_hash(rows, duration), out[:size].data
 
-        digest.update(hashed_rows(quantise(0, 1), np.zeros(1)))
+        digest.update(bytes_to_hash(quantise(0, 1), np.zeros(1)))
         self._count(1)
         state = np.zeros(3, dtype=np.int64)
         threads = cores()
@@ -640,7 +606,6 @@ class _Job:
 
 
 def _step_error(one: _Pass, index: int) -> ProgramError:
-    """Return the error for a block that turns C too little or too far."""
     places = one.dialect.decimals["C"]
     angle = one.motion.axes["C"]
     step = abs(one.units("C", float(angle[index])) - one.units("C", float(angle[index - 1]))) / 10.0**places
@@ -675,7 +640,7 @@ def _in_order(
             future.cancel()
 
 
-def _stale(path: Path, written: list[str]) -> list[str]:
+def _find_stale_files(path: Path, written: list[str]) -> list[str]:
     """Return sub-programs of an earlier program of this name, so that they are not run by mistake."""
     pattern = re.compile(re.escape(path.stem) + r"\.[A-Za-z0-9_-]+\.\d{3,}" + re.escape(path.suffix))
     stale = []

@@ -6,40 +6,37 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from turnwright._arrays import Bools, Floats, Ints
 from turnwright._kernels import adaptive as kernel
-from turnwright._validate import check_numbers, positive
-from turnwright.errors import GougeError, InputError, LimitError
-from turnwright.path import Spiral
-from turnwright.placing import touch
+from turnwright.edge import Edge
+from turnwright.errors import GougeError, InputError
+from turnwright.machine import Machine
+from turnwright.part import Part
+from turnwright.path import Path, Spiral
+from turnwright.placing import Tips, touch_down
+from turnwright.progress import Progress
 from turnwright.speed_profile import Speeds
 from turnwright.strategy.base import Strategy
 from turnwright.strategy.fast import FastToolServo
+from turnwright.strategy.sampling import (
+    REFINEMENT_RATIO,
+    TURN,
+    WIDEST_STEP,
+    check_count,
+    check_interval,
+    check_samples,
+)
+from turnwright.tool import Tool
 from turnwright.units import Flag, Size, Speed
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Bools, Floats, Ints
-    from turnwright.machine import Machine
-    from turnwright.part import Part
-    from turnwright.path import Path
-    from turnwright.progress import Progress
-    from turnwright.tool import Tool
 
 __all__ = ["AdaptiveToolServo"]
 
-TURN = 2 * math.pi
-
-MAX_POINTS = 300_000_000
-"""Most points of a spiral. More are a wrong unit: no controller takes such a program, and no memory holds it."""
-
-MAX_SAMPLES = 1 << 24
-"""Most samples of a block of a path; a rougher path does not fit into memory."""
-
-WIDEST_STEP = TURN / 12
-"""Largest angle between two points, so that the direction of each move of C is unambiguous. [rad]"""
+LENGTHS = "scallop and chord"
+"""Fields whose wrong unit gives too many points."""
 
 END_ANGLE_RAD = TURN / 24
 """After the last revolution the radius comes to rest within this angle, so that the outermost tip, which sets the rim
@@ -106,9 +103,6 @@ RIM_INTERVAL_RAD = 2e-5
 """Close to the rim of a surface with ridges the height is accurate to some tenths of a nanometre only. In intervals of
 at most this angle [rad] an error up to the chord over RIM_SAMPLING_FACTOR is therefore accepted."""
 
-REFINEMENT_RATIO = 8
-"""If more than one in this many intervals of a path needs refinement, the whole path is sampled more closely."""
-
 SAMPLES_PER_BLOCK = 16
 """Samples per cubic of a program: its largest error between them is within a hundredth of that at the samples."""
 
@@ -122,32 +116,18 @@ MIN_CHORD_MM = 1e-10
 PREVIEW_REVS = 16
 """Revolutions from which the number of points is estimated, so that a wrong unit is detected at once."""
 
-MIN_INTERVAL_RAD = 1e-9
-"""A path that no cubic follows over this angle has a jump. [rad]"""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AdaptiveToolServo(Strategy):
     r"""Adaptive tool servo: every cusp as high as the scallop allows, as few points as the chord allows.
 
-    *Feed.* On each of many spokes, the next tip is placed where its edge meets the edge of the previous revolution
-    exactly ``scallop`` above the surface, measured along z above the real surface at that place. A revolution begins
-    where the previous one ends, so every step starts from the spiral's own previous revolution. A cubic spline in the
-    cumulative angle through all tips gives a radius with two continuous derivatives everywhere. The tip starts at rest
-    on the axis and takes half a revolution to its steady advance, so that passes on both sides of the axis are nowhere
-    further apart than the others. The spiral ends with the revolution after which no point inside the clear aperture is
-    higher than the scallop. Spokes that reach the rim before the last one blend into a constant step and come to rest,
-    so slowly that the jerk of X is little higher than inside.
+    Neighbouring edges meet exactly ``scallop`` above the surface, and each point is the furthest from the previous one
+    for which the interpolation of the controller keeps within ``chord`` of the exact height of the tip *at the radius
+    where it then is*. With linear interpolation the points may be off the path by the chord (`Path.lift`).
 
-    *Points along the path.* Each point is the furthest from the previous one for which the interpolation of the
-    controller keeps within ``chord`` of the exact height of the tip *at the radius where it then is*. With linear
-    interpolation the points may be up to the chord above or below the path (`Path.lift`), so that the lines pass on
-    both sides of it: steps are longer by up to :math:`\sqrt 2`.
-
-    The scallop is kept on surfaces without slope discontinuities; over those of a lens array no smooth radius can keep
-    it. Where the contact changes from one piece to another, the step of the previous piece is continued, so that cusps
-    in a sharp valley or at a ridge are those of a constant feed of that step. On the pieces themselves the scallop is
-    kept.
+    The scallop is kept on surfaces without slope discontinuities. Where the contact changes from one piece of a lens
+    array to another, the step of the previous piece is continued, so that cusps in a sharp valley or at a ridge are
+    those of a constant feed of that step. The fields of every strategy are those of `Strategy`.
 
     Parameters
     ----------
@@ -166,16 +146,6 @@ class AdaptiveToolServo(Strategy):
         "servo": X follows the steps. "split": the same tip, with X in steady motion and the difference on U, the second
         axis of a fast tool. "steady": the largest constant feed that keeps every cusp within the scallop; only the
         points adapt, and X needs no servo. `FastToolServo` takes either of the last two as its plan.
-    spindle_rpm
-        Spindle speed; ``None`` for the highest one that keeps every limit of the machine. [rev/min]
-    spindle_speeds
-        Spindle speed over the radius, in place of one speed: each with the radius at which it is reached.
-    along
-        The tool is placed along "z".
-    inside_out
-        Cut from the centre to the rim.
-    sense
-        +1 where the azimuth of the part under the tool grows, -1 where it falls.
 
     Raises
     ------
@@ -212,23 +182,12 @@ class AdaptiveToolServo(Strategy):
     along: Literal["z"] = "z"
 
     def __post_init__(self) -> None:
-        check_numbers(self)
-        self._check_speed()
-        for name, unit in (("scallop", "mm"), ("chord", "mm"), ("spindle_rpm", "rev/min")):
-            value = getattr(self, name)
-            if value is not None or name != "spindle_rpm":
-                positive(value, name, unit)
+        self._check_fields()
         if self.chord < MIN_CHORD_MM:
             raise InputError(
                 f"chord is {self.chord:g} mm, the limit is {MIN_CHORD_MM:g} mm, as heights are computed to 1e-12 mm: "
                 "check its unit"
             )
-        for name, choices in (("interpolation", ("linear", "hermite")), ("x_motion", ("servo", "split", "steady"))):
-            if getattr(self, name) not in (*choices, *([None] if name == "interpolation" else [])):
-                listed = " or ".join(f'"{choice}"' for choice in choices)
-                raise InputError(f"{name} is {getattr(self, name)!r}, it must be {listed}")
-        if self.sense not in (-1, 1):
-            raise InputError(f"sense is {self.sense!r}, it must be 1 or -1")
 
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
         """Return the spiral for a part and a tool.
@@ -246,14 +205,15 @@ class AdaptiveToolServo(Strategy):
             raise InputError('interpolation is not set, it must be "linear" or "hermite": set that of the controller')
         way = self.sense if self.inside_out else -self.sense
         steady = self.x_motion == "steady"
-        steps = _Steps(part, tool, self.scallop if steady else SCALLOP_FRACTION * self.scallop, self.sense, way)
+        edge = tool.cutting_edge(self.sense)
+        steps = _Steps(part, edge, self.scallop if steady else SCALLOP_FRACTION * self.scallop, way)
         curve, end = steps.march(steady=steady, progress=progress)
         # From here on the rim is that of the outermost tip, for every tip, as when the path is placed. A smaller rim
         # would depend on which samples are placed together.
         steps.rim = max(part.radius, curve.outermost())
         turned, lift = _set_points(self, steps, curve, end, progress)
         radius, rate = curve.at(turned)
-        radius = radius - tool.offset[0]
+        radius = radius - edge.dx
         angle = self.sense * turned
         if not self.inside_out:
             angle = self.sense * (math.ceil(turned[-1] / TURN) * TURN - turned[::-1])
@@ -365,24 +325,22 @@ class _Steps:
     Radii are those of the real tip, not of X.
     """
 
-    def __init__(self, part: Part, tool: Tool, scallop: float, sense: int, way: int) -> None:
+    def __init__(self, part: Part, edge: Edge, scallop: float, way: int) -> None:
         self.kernel = kernel
         self.ridges = part.surface.in_pieces
         self.miss = RIDGE_SAMPLING_FACTOR if self.ridges else SAMPLING_FACTOR
-        self.part, self.tool, self.scallop, self.sense, self.way = part, tool, scallop, sense, way
-        self.edge = tool.cutting_edge(sense)
-        low, high = tool.arc
-        height = tool.edge(np.array([low, high]))[2] - self.edge.dz
+        self.part, self.edge, self.scallop, self.way = part, edge, scallop, way
+        height = edge.points([edge.low, edge.high])[2] - edge.dz
         if scallop >= height.min():
             raise GougeError(
                 f"scallop is {scallop:g} mm, the arc of the tool is only {height.min():.4g} mm high, so cuts do not "
                 "overlap: set a smaller scallop, or take a tool with a larger nose_radius or included angle"
             )
-        self.flat = math.sqrt(8 * tool.actual_radius * scallop)
-        self.width = tool.actual_radius * (math.sin(high) - math.sin(low))
+        self.flat = math.sqrt(8 * edge.radius * scallop)
+        self.width = edge.radius * (math.sin(edge.high) - math.sin(edge.low))
         feature = part.surface.feature_size
         self.spokes = 4 * math.ceil(max(MIN_SPOKES, SPOKES_PER_FEATURE * TURN * part.radius / feature) / 4)
-        _check_count(part.radius / self.flat * self.spokes)
+        check_count(part.radius / self.flat * self.spokes, LENGTHS)
         azimuth = way * (TURN / self.spokes * np.arange(self.spokes) + math.pi)
         self.azimuth, self.cosine, self.sine = azimuth, np.cos(azimuth), np.sin(azimuth)
         self.every = np.arange(self.spokes)
@@ -391,14 +349,14 @@ class _Steps:
         with np.errstate(all="ignore"):
             _, zx, zy = part.surface.evaluate(part.radius * self.cosine, part.radius * self.sine, 1)
         slope = np.nan_to_num(zx * self.cosine + zy * self.sine, nan=0.0, posinf=0.0, neginf=0.0)
-        rim_offset = tool.actual_radius * float((slope / np.sqrt(1 + slope * slope)).min())
+        rim_offset = edge.radius * float((slope / np.sqrt(1 + slope * slope)).min())
         self.blend_steps, self.stop_steps = BLEND_STEPS, STOP_STEPS
         self.rim = part.radius + max(-rim_offset, 0.0) + STOP_STEPS * self.flat / 2
-        if not self._continues(self.rim + tool.actual_radius * max(math.sin(high), -math.sin(low))):
+        if not self._continues(self.rim + edge.radius * max(math.sin(edge.high), -math.sin(edge.low))):
             self.blend_steps, self.stop_steps = SHORT_BLEND_STEPS, SHORT_STOP_STEPS
             self.rim = max(part.radius, part.radius - rim_offset + SHORT_STOP_STEPS * self.flat / 2)
         # The tip's height on rings, from `first` on, as far as computed so far.
-        self.ring = min(feature / RINGS_PER_FEATURE, part.radius / MIN_RINGS, tool.actual_radius / RINGS_PER_NOSE)
+        self.ring = min(feature / RINGS_PER_FEATURE, part.radius / MIN_RINGS, edge.radius / RINGS_PER_NOSE)
         self.first, self.inner, self.bend, self.lag = 0, 0.0, 0.0, 0.0
         self.height = np.empty((0, self.spokes))
         self.slope = np.empty((0, self.spokes))
@@ -418,7 +376,7 @@ class _Steps:
         with np.errstate(all="ignore"):
             *_, zxx, zxy, zyy = surface.evaluate(x, y, 2)
             bend = (zxx + zyy) / 2 + np.hypot((zxx - zyy) / 2, zxy)
-        return bool(bend.max() < MAX_CURVATURE_RATIO / self.tool.actual_radius)
+        return bool(bend.max() < MAX_CURVATURE_RATIO / self.edge.radius)
 
     def placed(self, angle: Floats, radius: Floats) -> tuple[Floats, Floats, Floats]:
         """Return the tip's height, its derivative by the angle at constant radius, and by the radius. Each (n,)."""
@@ -426,8 +384,8 @@ class _Steps:
 
     def _place_with_pieces(self, angle: Floats, radius: Floats) -> tuple[Floats, Floats, Floats, Ints]:
         """Return the same, and the piece of the surface that the edge touches, -1 between two pieces. Each (n,)."""
-        surface, sense = self.part.surface, self.sense
-        at = touch(surface, self.tool, angle=angle, radius=radius - self.edge.dx, sense=sense, rim=self.rim)
+        surface = self.part.surface
+        at = touch_down(surface, self.edge, Tips.at(angle, radius - self.edge.dx), self.rim)
         with np.errstate(all="ignore"):
             _, zx, zy = surface.evaluate(at.x, at.y, 1)
         around = zy * at.x - zx * at.y
@@ -484,12 +442,7 @@ class _Steps:
     def find_step(self, radius: Floats, step: Floats) -> tuple[Floats, Floats]:
         """Return on every spoke the largest step to the next tip, and the radius at which both edges meet.
 
-        Parameters
-        ----------
-        radius
-            Radius of the tip. (m,) [mm]
-        step
-            First guess of the step. (m,) [mm]
+        ``radius`` is that of the tip, ``step`` a first guess of the step. Each (m,) [mm]
         """
         ways = (self.cosine, self.sine)
         # Rings from this radius on are needed until the next revolution.
@@ -497,7 +450,9 @@ class _Steps:
         tip, along = self._tips(radius)
         # The contact on the edge follows from the slope of the tip's height along the spoke.
         slope = along / self.edge.rake_cos
-        low = radius + self.tool.actual_radius * np.clip(slope / np.sqrt(1 + slope * slope), *np.sin(self.tool.arc))
+        low = radius + self.edge.radius * np.clip(
+            slope / np.sqrt(1 + slope * slope), math.sin(self.edge.low), math.sin(self.edge.high)
+        )
         crest, high = low + step / 2, low + self.width
         low = low.copy()
         for _ in range(60):
@@ -525,7 +480,6 @@ class _Steps:
         return step, crest
 
     def _lies_on_one_piece(self, radius: Floats, new: Floats, crest: Floats) -> Bools:
-        """Return where the edge touches a single piece on all rings of the step, crest included."""
         if not self.ridges:
             return np.ones(radius.size, dtype=np.bool_)
         self._tips(new)
@@ -574,7 +528,7 @@ class _Steps:
             if inside.size:
                 short = total + int(inside[-1]) + 1
             total += self.spokes
-            _check_count(total)
+            check_count(total, LENGTHS)
             # One revolution after the last crest inside the rim, every spoke has a pass that reaches the rim. The tip
             # comes to rest, and the samples continue for the step that passes the end.
             if total >= short + self.spokes * (1 + (END_ANGLE_RAD + WIDEST_STEP) / TURN) + 2:
@@ -628,7 +582,7 @@ def _set_points(
         1 - 3 / steps.miss - (1 / RIM_SAMPLING_FACTOR if steps.ridges else 0) - (CUBIC_CHORD_FRACTION if hermite else 0)
     )
     if not hermite:
-        _check_count(_estimate_point_count(steps, curve, end, slack * (2 if off else 1)))
+        check_count(_estimate_point_count(steps, curve, end, slack * (2 if off else 1)), LENGTHS)
     nodes, lifts = [np.zeros(1)], [np.zeros(1)]
     for low, high, per_turn in _split_into_blocks(steps, curve, end):
         # The block starts at the sample before the last node, so that block borders need no nodes.
@@ -645,7 +599,7 @@ def _set_points(
             count = kernel.on_path(path, begin, stop, slack, steps.bend, WIDEST_STEP, hermite, at)
         nodes.append(at[1:count].copy())
         lifts.append(lift[1:count].copy())
-        _check_count(sum(part.size for part in nodes))
+        check_count(sum(part.size for part in nodes), LENGTHS)
         if progress is not None:
             progress(round(500 * (1 + min(high / end, 1.0))), 1000)
     return np.concatenate(nodes), np.concatenate(lifts) if off else None
@@ -687,13 +641,9 @@ def _sample_path(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, 
     """Sample a path until cubics between the samples, and straight lines between those, have a negligible error.
 
     On a smooth path, the error of a cubic over two intervals at the sample between them is 16 times the error of the
-    cubics over each interval; at a slope discontinuity it is at least as large as theirs.
-
-    Returns
-    -------
-    ndarray
-        Angle turned, height, its derivative, radius, its derivative, slope of the height along the radius, and
-        the allowed error of the radius. (7, n)
+    cubics over each interval; at a slope discontinuity it is at least as large as theirs. Returned are angle turned,
+    height, its derivative, radius, its derivative, slope of the height along the radius, and the allowed error of the
+    radius. (7, n)
     """
 
     def placed(turned: Floats) -> Floats:
@@ -714,20 +664,13 @@ def _sample_path(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, 
             break
         if path.shape[1] == turned.size and coarse.size > path.shape[1] // REFINEMENT_RATIO:
             # Twice as many even samples, at the same azimuths in every revolution, are faster than scattered ones.
-            _check_samples(2 * turned.size, chord)
+            check_samples(2 * turned.size, chord)
             turned = np.linspace(turned[0], turned[-1], 2 * turned.size - 1)
             path = placed(turned)
             continue
         middle = (path[0, coarse] + path[0, coarse + 1]) / 2
-        narrow = path[0, coarse + 1] - path[0, coarse]
-        if narrow.min() < MIN_INTERVAL_RAD:
-            where = middle[np.argmin(narrow)] / TURN
-            raise InputError(
-                f"the path jumps {where:.3f} turns from the inner end, so no points keep the chord tolerance of "
-                f"{chord:g} mm: use a strategy with points_per_rev or arc_length, or a tool with a smaller included "
-                "angle"
-            )
-        _check_samples(path.shape[1] + coarse.size, chord)
+        check_interval(path[0, coarse + 1] - path[0, coarse], middle, chord)
+        check_samples(path.shape[1] + coarse.size, chord)
         path = np.insert(path, coarse + 1, placed(middle), axis=1)
     t, z, dz, x, dx, s = path
     if hermite:
@@ -737,7 +680,7 @@ def _sample_path(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, 
             steps.miss / (8 * chord) * (_measure_bulge(t, z, dz) + np.abs(s[:-1]) * _measure_bulge(t, x, dx))
         )
     parts = np.maximum(np.ceil(pieces), 1).astype(np.int64)
-    _check_samples(int(parts.sum()), chord)
+    check_samples(int(parts.sum()), chord)
     out = np.empty((7, int(parts.sum()) + 1))
     kernel.refine(np.vstack([path, curve.lateral_tolerance(t)]), parts, out)
     return out
@@ -763,21 +706,3 @@ def _measure_bulge(t: Floats, z: Floats, dz: Floats) -> Floats:
     rise = np.diff(z)
     a, b = h * dz[:-1], h * dz[1:]
     return np.maximum(np.abs(6 * rise - 4 * a - 2 * b), np.abs(2 * a + 4 * b - 6 * rise))
-
-
-def _check_samples(count: int, chord: float) -> None:
-    """Raise if the samples of a rough path do not fit into memory."""
-    if count > MAX_SAMPLES:
-        raise LimitError(
-            f"a block of the path takes {count:.3g} samples for a chord of {chord:g} mm, the limit is "
-            f"{MAX_SAMPLES:.3g}: allow a larger chord, or use a strategy with points_per_rev or arc_length"
-        )
-
-
-def _check_count(count: float) -> None:
-    """Raise if a spiral has more points than any controller takes."""
-    if count > MAX_POINTS:
-        raise LimitError(
-            f"the spiral takes {count:.3g} points or samples, the limit is {MAX_POINTS:.0e}: check the units of "
-            "scallop and chord"
-        )

@@ -6,38 +6,36 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin
 
 import numpy as np
 
+from turnwright._arrays import Floats, Ints
 from turnwright._tables import Stated, forget_adapters, types_of, written, written_by
+from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
-from turnwright.path import Spiral
+from turnwright.machine import Machine
+from turnwright.part import Part
+from turnwright.path import Path, Spiral
+from turnwright.progress import Progress
 from turnwright.speed_profile import SpeedProfile
+from turnwright.strategy.sampling import sample_turns
+from turnwright.tool import Tool
+from turnwright.units import unit
 
 if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
     from pydantic_core import CoreSchema
 
-    from turnwright._arrays import Floats
-    from turnwright.machine import Machine
-    from turnwright.part import Part
-    from turnwright.path import Path
-    from turnwright.progress import Progress
-    from turnwright.tool import Tool
-
-__all__ = ["STRATEGIES", "Strategy", "sample_turns"]
+__all__ = ["STRATEGIES", "Strategy"]
 
 STRATEGIES: dict[str, type[Strategy]] = {}
 """The strategies by the ``kind`` that a job file states; each class is added when its module is imported."""
 
 
-def sample_turns(turned: float, turns: int, per_turn: int) -> Floats:
-    """Return sample points of single revolutions, evenly over a cut, as revolutions from its first point. (n,)."""
-    last_start = max(turned - 1, 0.0)
-    first = np.round(np.linspace(0, last_start, max(min(turns, int(last_start) + 1), 1)))
-    at = first[:, None] + np.arange(per_turn + 1) / per_turn
-    return np.unique(np.append(at[at < turned], turned))
+def _some_points(spiral: Spiral, at: Ints) -> Spiral:
+    y = None if spiral.y is None else spiral.y[at]
+    return Spiral(angle=spiral.angle[at], radius=spiral.radius[at], y=y)
 
 
 class Strategy(Stated, ABC):
@@ -47,18 +45,18 @@ class Strategy(Stated, ABC):
     `axes`. `place` puts the edge into contact along its spiral, and `drive` turns its axes into a motion; neither
     depends on the class. A strategy with a ``kind`` can be stated in a job file: its fields carry their units.
 
-    Attributes
+    Parameters
     ----------
     spindle_rpm
         Spindle speed; ``None`` for the highest one that keeps every limit of the machine. [rev/min]
     spindle_speeds
-        Spindle speed over the radius, in place of one speed.
+        Spindle speed over the radius, in place of one speed: each with the radius at which it is reached.
     sense
         +1 where the azimuth of the part under the tool grows, -1 where it falls.
     inside_out
-        Whether the part is cut from the centre to the rim.
+        Cut from the centre to the rim.
     along
-        Direction in which `place` brings the tool into contact: "z" or "normal".
+        How the tool is placed on the surface: along "z" or along the "normal" of the surface.
     """
 
     __slots__ = ()
@@ -96,13 +94,7 @@ class Strategy(Stated, ABC):
         return self
 
     def with_fields(self, **fields: Any) -> Strategy:
-        """Return the strategy with some fields replaced, its own or those of its plan, as a pass states them.
-
-        Raises
-        ------
-        InputError
-            If it has no such field, or a value is not allowed.
-        """
+        """Return the strategy with some fields replaced, its own or those of its plan, as a pass states them."""
         if foreign := sorted(fields.keys() - types_of(type(self)).keys()):
             raise InputError(f"{', '.join(foreign)} is set, which the {self.kind} does not have: remove it")
         if fields.keys() & {"spindle_rpm", "spindle_speeds"}:
@@ -120,39 +112,24 @@ class Strategy(Stated, ABC):
     def glimpse(self, part: Part, tool: Tool, *, turns: int, per_turn: int) -> Spiral:
         """Return some of the points of `spiral` for a preview: single revolutions, evenly from first to last.
 
-        Parameters
-        ----------
-        part, tool
-            See `spiral`.
-        turns
-            Most revolutions.
-        per_turn
-            Most points of each.
+        At most ``turns`` revolutions of at most ``per_turn`` points.
         """
         spiral = self.spiral(part, tool)
         turned = np.abs(spiral.angle - spiral.angle[0]) / (2 * np.pi)
         wanted = sample_turns(float(turned[-1]), turns, per_turn)
         near = np.clip(np.searchsorted(turned, wanted), 1, turned.size - 1)
         near = np.unique(near - (wanted - turned[near - 1] < turned[near] - wanted))
-        y = None if spiral.y is None else spiral.y[near]
-        return Spiral(angle=spiral.angle[near], radius=spiral.radius[near], y=y)
+        return _some_points(spiral, near)
 
     def extent(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> tuple[int, Spiral]:
-        """Return the number of points of `spiral`, and its outermost revolution with the point at the other end.
-
-        Parameters
-        ----------
-        part, tool, progress
-            See `spiral`.
-        """
+        """Return the number of points of `spiral`, and its outermost revolution with the point at the other end."""
         spiral = self.spiral(part, tool, progress=progress)
         size = spiral.angle.size
         inwards = spiral.radius[0] > spiral.radius[-1]
         away = np.abs(spiral.angle - spiral.angle[0 if inwards else -1])
         turn = np.flatnonzero(away <= 2 * np.pi)
         at = np.unique([*turn, size - 1 if inwards else 0])
-        y = None if spiral.y is None else spiral.y[at]
-        return size, Spiral(angle=spiral.angle[at], radius=spiral.radius[at], y=y)
+        return size, _some_points(spiral, at)
 
     @abstractmethod
     def axes(self, path: Path) -> dict[str, Floats]:
@@ -173,8 +150,23 @@ class Strategy(Stated, ABC):
         rates = {"C": np.ones(path.angle.size), "X": path.radius_rate, "Z": path.z_rate}
         return rates if path.y_rate is None else {**rates, "Y": path.y_rate}
 
-    def _check_speed(self) -> None:
-        """Raise if both a single spindle speed and a speed profile are set."""
+    def _check_fields(self) -> None:
+        """Raise unless numbers are finite, sizes above 0, thicknesses at least 0, choices known, the speed unique."""
+        check_numbers(self)
+        for name, stated in types_of(type(self)).items():
+            value = getattr(self, name)
+            kinds = [kind for kind in (stated, *get_args(stated)) if kind is not type(None)]
+            choices = next((get_args(kind) for kind in kinds if get_origin(kind) is Literal), ())
+            if choices and value not in choices and (value is not None or type(None) not in get_args(stated)):
+                listed = " or ".join(f'"{choice}"' if isinstance(choice, str) else str(choice) for choice in choices)
+                raise InputError(f"{name} is {value!r}, it must be {listed}")
+            limits = [one for kind in kinds for one in getattr(kind, "__metadata__", ()) if isinstance(one, unit)]
+            for limit in limits if value is not None else ():
+                symbol = limit.units[0].replace("rpm", "rev/min")
+                if limit.above == 0:
+                    positive(value, name, symbol)
+                if value < limit.least:
+                    raise InputError(f"{name} is {value:g} {symbol}, it must be at least {limit.least:g} {symbol}")
         if self.spindle_rpm is not None and self.spindle_speeds is not None:
             raise InputError("spindle_speed and spindle_speeds are both given, only one can be right: remove one")
 

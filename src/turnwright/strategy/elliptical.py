@@ -10,21 +10,15 @@ while the rake plane still contains the radial line of azimuth :math:`\theta`. Z
 
 *Valleys.* The height of the tip is the greatest of the heights at which the edge would touch each lenslet alone,
 :math:`Z = \max_i Z_i(\rho, \psi, \theta)`. It has a slope discontinuity where the edge leaves one lenslet and touches
-the next, :math:`D = Z_j - Z_i = 0`. A nose of finite radius touches at a distance from its tip, so this is not where
-the tip passes the border of two cells. The valley also moves: while the tip is at rest on the part, the rake plane
-turns and the radius changes, and the azimuth :math:`\Psi(\theta)` of the valley changes at the rate
-:math:`q = -D_\theta/D_\psi`, some hundredths of the spindle speed. A tip at rest relative to the part would leave a
-slope discontinuity of :math:`D_\theta` in Z, hundreds of nanometres per radian; therefore the tip is at rest relative
-to the moving valley.
+the next, :math:`D = Z_j - Z_i = 0`. While the tip is at rest on the part, the azimuth :math:`\Psi(\theta)` of the
+valley changes at the rate :math:`q = -D_\theta/D_\psi`; the tip is at rest relative to the moving valley.
 
 *The swing.* With passing moments :math:`t_k` and valleys :math:`\Psi_k(\theta)`, expanded to their second derivative,
 
 .. math:: \psi = (1 - \sigma)\,\Psi_k + \sigma\,\Psi_{k+1}, \qquad \sigma = s - \frac{\sin 2\pi s}{2\pi}, \qquad
    s = \frac{\theta - t_k}{t_{k+1} - t_k} .
 
-The first and second derivatives of :math:`\sigma` vanish at both ends, so that :math:`\psi - \Psi_k` passes zero with
-the third power: D has no slope there, and Z no slope discontinuity. No drift accumulates, since every valley is passed
-at its own moment.
+The first and second derivatives of :math:`\sigma` vanish at both ends, so that Z has no slope discontinuity.
 
 Sources
 -------
@@ -38,30 +32,26 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, TypedDict
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import frozen
-from turnwright._validate import check_numbers, positive
+from turnwright._arrays import Bools, Floats, Ints, frozen
+from turnwright._validate import check_numbers
+from turnwright.edge import Edge
 from turnwright.errors import InputError, LimitError
-from turnwright.path import Spiral
-from turnwright.placing import follow, touch
+from turnwright.part import Part
+from turnwright.path import Path, Spiral
+from turnwright.placing import Tips, follow, touch_down
+from turnwright.progress import Progress
 from turnwright.speed_profile import Speeds
 from turnwright.strategy.base import Strategy
+from turnwright.strategy.sampling import TURN
 from turnwright.strategy.slow import SlowToolServo
+from turnwright.tool import Tool
 from turnwright.units import Count, Feed, Flag, Size, Speed, Step, Thickness, unit
 
-if TYPE_CHECKING:
-    from turnwright._arrays import Bools, Floats, Ints
-    from turnwright.part import Part
-    from turnwright.path import Path
-    from turnwright.progress import Progress
-    from turnwright.tool import Tool
-
 __all__ = ["QuasiEllipticalToolServo", "Valleys"]
-
-TURN = 2 * math.pi
 
 SAMPLES_PER_FEATURE = 8
 """Samples of the path per feature size in which valleys are detected."""
@@ -162,10 +152,10 @@ class Valleys:
 class QuasiEllipticalToolServo(Strategy):
     r"""Quasi-elliptical tool servo: a slow tool servo whose tool swings along the cut and rests at each sharp valley.
 
-    Points and radii are those of a `SlowToolServo`; only the azimuth of the tip differs. Between two valleys that are
-    an arc w apart, the swing has an amplitude of at most :math:`w/2\pi` and an acceleration of at most
-    :math:`2\pi\rho^2\omega^2/w`. Where a path cuts a corner of a cell, w is short and the Y axis would have to jump.
-    The policy for such short intervals is chosen by ``short``:
+    Points and radii are those of a `SlowToolServo`, as are the fields not listed here; only the azimuth of the tip
+    differs. Between two valleys that are an arc w apart, the swing has an amplitude of at most :math:`w/2\pi` and an
+    acceleration of at most :math:`2\pi\rho^2\omega^2/w`. Where a path cuts a corner of a cell, w is short and the Y
+    axis would have to jump. The policy for such short intervals is chosen by ``short``:
 
     * ``short="merge"``: valleys less than ``shortest`` apart are replaced by one between them; the tool passes each of
       them slowly, and Z keeps a part of the slope discontinuities.
@@ -177,12 +167,8 @@ class QuasiEllipticalToolServo(Strategy):
 
     Parameters
     ----------
-    feed, spindle_rpm, spindle_speeds, points_per_rev, arc_length, max_step, inside_out, sense, lead_in
-        See `SlowToolServo`; "slow" requires ``spindle_rpm``.
-    along
-        The tool is placed along "z".
     short
-        Policy for short intervals between valleys: "merge", "skip" or "slow".
+        Policy for short intervals between valleys: "merge", "skip" or "slow", which requires ``spindle_rpm``.
     shortest
         Length of an arc below which an interval is short, for "merge" and "skip". [mm]
     y_acceleration
@@ -210,6 +196,7 @@ class QuasiEllipticalToolServo(Strategy):
     kind = "quasi-elliptical tool servo"
     example = MappingProxyType({"feed": "8 um/rev", "points_per_rev": 1440, "short": "skip", "shortest": "10 um"})
     ways = ("points_per_rev", "arc_length", "max_step")
+    like = SlowToolServo
     feed: Feed
     short: Literal["merge", "skip", "slow"]
     shortest: Size | None = None
@@ -225,20 +212,15 @@ class QuasiEllipticalToolServo(Strategy):
     lead_in: Thickness | None = None
 
     def __post_init__(self) -> None:
-        check_numbers(self)
-        self._check_speed()
+        self._check_fields()
         self._make_slow_servo()
-        if self.short not in ("merge", "skip", "slow"):
-            raise InputError(f'short is {self.short!r}, it must be "merge", "skip" or "slow"')
         needed, other = ("y_acceleration", "shortest") if self.short == "slow" else ("shortest", "y_acceleration")
         if getattr(self, needed) is None or getattr(self, other) is not None:
             raise InputError(f'short="{self.short}" takes {needed} and not {other}: set {needed} alone')
         if self.short == "slow" and self.spindle_rpm is None:
             raise InputError('short="slow" needs spindle_rpm, none is set: set the spindle speed')
-        positive(getattr(self, needed), needed, "mm/s^2" if self.short == "slow" else "mm")
 
     def _make_slow_servo(self) -> SlowToolServo:
-        """Return the servo without the swing."""
         return SlowToolServo(
             feed=self.feed, spindle_rpm=self.spindle_rpm, points_per_rev=self.points_per_rev,
             arc_length=self.arc_length, max_step=self.max_step, inside_out=self.inside_out, sense=self.sense,
@@ -295,7 +277,7 @@ class QuasiEllipticalToolServo(Strategy):
             longest=MAX_SWING_FEATURES * part.surface.feature_size,
             moment=edges, line=edges, rate=np.ones(2), bend=np.zeros(2),
         )  # fmt: skip
-        reader = _Reader(base, part, tool)
+        reader = _Reader(base, part, tool.cutting_edge(base.sense))
         step = part.surface.feature_size / SAMPLES_PER_FEATURE
         turn = max(math.ceil(TURN * float(np.abs(base.radius).max()) / step), MIN_SAMPLES_PER_REV)
         count = math.ceil((end - begin) / TURN * turn)
@@ -323,7 +305,6 @@ class QuasiEllipticalToolServo(Strategy):
         return swung, crossings, at_rest
 
     def _select_valleys(self, found: _Crossings, course: _Course) -> _Crossings:
-        """Return the valleys at which the tool is to rest."""
         # The tool cannot rest at a grazed valley, nor at the ends of the path, where half a swing does not fit.
         room = course.half(found.line)
         stands = found.select(
@@ -434,7 +415,6 @@ class _Crossings(NamedTuple):
     sweep_after: Floats
 
     def select(self, which: Ints | Bools) -> _Crossings:
-        """Return some of the crossings."""
         return _Crossings(*(values[which] for values in self))
 
 
@@ -450,7 +430,6 @@ class _Side(NamedTuple):
     piece: Ints
 
     def select(self, which: Ints | Bools) -> _Side:
-        """Return some of the ends."""
         return _Side(*(values[which] for values in self))  # type: ignore[arg-type]
 
 
@@ -501,7 +480,6 @@ class _Course(NamedTuple):
         return 0.5 * (low + high)
 
     def spiral(self, angle: Floats) -> Spiral:
-        """Return the position of the tip at some spindle angles, with its derivatives."""
         at = self.sense * angle
         psi, rate = self.azimuth(at)
         radius, swing = self.radius(at), self.sense * (psi - at)
@@ -524,34 +502,20 @@ class _Course(NamedTuple):
         return np.unique(self.find_meeting(fixed, np.zeros(1), self.moment[k], self.moment[k + 1]))
 
 
-class _Pose(TypedDict):
-    """Position of the tool, as `touch` takes it. Each (n,)."""
-
-    angle: Floats
-    radius: Floats
-    y: Floats
-
-
 class _Reader:
-    """Finder of the valleys in the path of a tip."""
-
-    def __init__(self, base: Spiral, part: Part, tool: Tool) -> None:
-        self.surface = part.surface
-        self.tool = tool
-        self.sense = base.sense
+    def __init__(self, base: Spiral, part: Part, edge: Edge) -> None:
+        self.surface, self.edge, self.sense = part.surface, edge, base.sense
         # The rim that `place` uses for all tips.
-        self.rim = max(part.radius, float(np.abs(base.radius + tool.offset[0]).max()))
+        self.rim = max(part.radius, float(np.abs(base.radius + edge.dx).max()))
 
-    def _pose(self, course: _Course, at: Floats, psi: Floats) -> _Pose:
+    def _tips(self, course: _Course, at: Floats, psi: Floats) -> Tips:
         swing = self.sense * (psi - at)
         radius = course.radius(at)
-        return {"angle": self.sense * at, "radius": radius * np.cos(swing), "y": radius * np.sin(swing)}
+        return Tips(self.sense * at, radius * np.cos(swing), radius * np.sin(swing))
 
-    def _touch_course(self, course: _Course, at: Floats) -> _Side:
-        """Return the contacts of the edge at some moments of a course."""
+    def _touch_along(self, course: _Course, at: Floats) -> _Side:
         psi = course.azimuth(at)[0]
-        pose = self._pose(course, at, psi)
-        top = touch(self.surface, self.tool, **pose, sense=self.sense, rim=self.rim)
+        top = touch_down(self.surface, self.edge, self._tips(course, at, psi), self.rim)
         piece = self.surface.piece(top.x, top.y)
         assert piece is not None  # noqa: S101 - only called for a surface in pieces
         return _Side(at, psi, top.z, top.sweep, top.x, top.y, piece)
@@ -579,8 +543,7 @@ class _Reader:
             heights, by_azimuth, by_moment = np.empty((3, 2, at.size))
             for side, way in enumerate((-1, 1)):
                 there = psi + way * offset
-                pose = self._pose(course, at, there)
-                near = follow(self.surface, self.tool, **pose, sweep=sweeps[side], sense=self.sense)
+                near = follow(self.surface, self.edge, self._tips(course, at, there), sweeps[side])
                 by_azimuth[side], by_moment[side] = self._find_slopes(course, at, there, near.x, near.y)
                 heights[side] = near.z - way * offset * by_azimuth[side]
                 sweeps[side] = np.where(np.isfinite(near.z), near.sweep, sweeps[side])
@@ -594,7 +557,7 @@ class _Reader:
 
     def crossings(self, course: _Course, at: Floats) -> _Crossings:
         """Return the valleys that a course passes, ascending, as detected between the samples at ``at``."""
-        looked = self._touch_course(course, at)
+        looked = self._touch_along(course, at)
         k = np.flatnonzero(looked.piece[1:] != looked.piece[:-1])
         low, high = looked.select(k), looked.select(k + 1)
         valleys = []
@@ -608,7 +571,7 @@ class _Reader:
             wide = (high.psi - low.psi) * np.abs(
                 course.radius(low.at)
             ) > self.surface.feature_size / SAMPLES_PER_FEATURE
-            middle = self._touch_course(course, np.where(wide, inside, met.at))
+            middle = self._touch_along(course, np.where(wide, inside, met.at))
             # A third piece may rise above the valley of two: then there is a valley on both sides of it.
             third = (middle.piece != low.piece) & (middle.piece != high.piece)
             with np.errstate(invalid="ignore"):
@@ -616,7 +579,7 @@ class _Reader:
                 valleys.append(met.select(good & (met.steep * (1 - met.rate) > MIN_JUMP)))
             failed = ~(wide | third | good)
             if failed.any():
-                for values, others in zip(middle, self._touch_course(course, inside[failed]), strict=True):
+                for values, others in zip(middle, self._touch_along(course, inside[failed]), strict=True):
                     values[failed] = others
             more = ~good & (high.at - low.at > MIN_INTERVAL_RAD)
             first, second = more & (middle.piece != low.piece), more & (middle.piece != high.piece)
@@ -624,11 +587,8 @@ class _Reader:
                 _join_sides(low.select(first), middle.select(second)),
                 _join_sides(middle.select(first), high.select(second)),
             )
-        every = (
-            _Crossings(*(np.concatenate(parts) for parts in zip(*valleys, strict=True)))
-            if valleys
-            else _make_empty_crossings()
-        )
+        none = _Crossings(*np.empty((7, 0)))
+        every = _Crossings(*(np.concatenate(parts) for parts in zip(none, *valleys, strict=True)))
         return every.select(np.argsort(every.at, kind="stable"))
 
     def _between(self, course: _Course, low: _Side, high: _Side) -> _Crossings:
@@ -657,7 +617,6 @@ class _Reader:
 
 
 def _match_valleys(found: _Crossings, stands: _Crossings) -> Bools:
-    """Return which valleys are among those at which the tool rests."""
     if stands.at.size == 0:
         return np.zeros(found.at.size, dtype=np.bool_)
     after = np.clip(np.searchsorted(stands.at, found.at), 1, max(stands.at.size - 1, 1))
@@ -671,7 +630,3 @@ def _match_valleys(found: _Crossings, stands: _Crossings) -> Bools:
 
 def _join_sides(*sides: _Side) -> _Side:
     return _Side(*(np.concatenate(parts) for parts in zip(*sides, strict=True)))
-
-
-def _make_empty_crossings() -> _Crossings:
-    return _Crossings(*np.empty((7, 0)))

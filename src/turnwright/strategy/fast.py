@@ -4,29 +4,30 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright._tables import Merged
-from turnwright._validate import check_numbers
+from turnwright._validate import check_numbers, thing
 from turnwright.errors import InputError
+from turnwright.machine import Machine
+from turnwright.part import Part
+from turnwright.path import Path, Spiral
+from turnwright.progress import Progress
 from turnwright.strategy.base import Strategy
 from turnwright.strategy.slow import SlowToolServo
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Floats
-    from turnwright.machine import Machine
-    from turnwright.part import Part
-    from turnwright.path import Path, Spiral
-    from turnwright.progress import Progress
-    from turnwright.speed_profile import SpeedProfile
-    from turnwright.tool import Tool
+from turnwright.tool import Tool
 
 __all__ = ["FastToolServo", "OverPlan"]
 
 STEADY_TOL_MM = 1e-9
 """Largest deviation of the radius from a steady advance."""
+
+
+def _of_plan(text: str, name: str) -> Any:
+    return property(lambda servo: getattr(servo.plan, name), doc=text)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,33 +45,13 @@ class OverPlan(Strategy):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        if not isinstance(self.plan, Strategy):
-            raise InputError(f"plan is {self.plan!r}, it must be a strategy, such as a SlowToolServo")
+        thing(self.plan, Strategy, "plan")
 
-    @property
-    def spindle_rpm(self) -> float | None:  # type: ignore[override] # a field of the plan
-        """Spindle speed of the plan. [rev/min]."""
-        return self.plan.spindle_rpm
-
-    @property
-    def spindle_speeds(self) -> SpeedProfile | None:  # type: ignore[override]
-        """Spindle speed of the plan over the radius."""
-        return self.plan.spindle_speeds
-
-    @property
-    def sense(self) -> int:  # type: ignore[override]
-        """Sense of rotation of the plan."""
-        return self.plan.sense
-
-    @property
-    def inside_out(self) -> bool:  # type: ignore[override]
-        """Whether the plan goes from the centre to the rim."""
-        return self.plan.inside_out
-
-    @property
-    def along(self) -> Literal["z", "normal"]:  # type: ignore[override]
-        """Direction in which the tool of the plan is placed."""
-        return self.plan.along
+    spindle_rpm = _of_plan("Spindle speed of the plan. [rev/min].", "spindle_rpm")
+    spindle_speeds = _of_plan("Spindle speed of the plan over the radius.", "spindle_speeds")
+    sense = _of_plan("Sense of rotation of the plan.", "sense")
+    inside_out = _of_plan("Whether the plan goes from the centre to the rim.", "inside_out")
+    along = _of_plan("Direction in which the tool of the plan is placed.", "along")
 
     @property
     def moves_fast_tool(self) -> bool:
@@ -101,13 +82,6 @@ class OverPlan(Strategy):
         return self.plan.extent(part, tool, progress=progress)
 
     def _plan_axes(self, path: Path) -> dict[str, Floats]:
-        """Return the axes of the plan.
-
-        Raises
-        ------
-        InputError
-            If the plan moves a fast tool itself.
-        """
         axes = self.plan.axes(path)
         if "W" in axes:
             raise InputError(f"the plan is a {type(self.plan).__name__}, which moves W itself: use its plan")

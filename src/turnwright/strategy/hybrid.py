@@ -5,28 +5,24 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 import numpy as np
 
-from turnwright._arrays import rounding
-from turnwright._validate import whole as whole_number
+from turnwright._arrays import Floats, rounding
+from turnwright._validate import thing, whole as whole_number
 from turnwright.errors import InputError
-from turnwright.machine import Axis
-from turnwright.placing import touch
+from turnwright.machine import Axis, Machine
+from turnwright.part import Part
+from turnwright.path import Path, Spiral
+from turnwright.placing import Tips, touch_down
+from turnwright.progress import Progress
+from turnwright.strategy.base import Strategy
 from turnwright.strategy.fast import OverPlan
 from turnwright.strategy.split import find_smoothest
 from turnwright.surface import Surface
 from turnwright.tool import Tool
 from turnwright.units import Count
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Floats
-    from turnwright.machine import Machine
-    from turnwright.part import Part
-    from turnwright.path import Path, Spiral
-    from turnwright.progress import Progress
-    from turnwright.strategy.base import Strategy
 
 __all__ = ["HybridToolServo"]
 
@@ -35,17 +31,10 @@ __all__ = ["HybridToolServo"]
 class HybridToolServo(OverPlan):
     r"""Hybrid tool servo: a fast tool on the axis W, carried by the slide Z; W and Z add up to the path.
 
-    The tool is placed once, on the whole surface, and the motion is split afterwards. Separate nose radius compensation
-    on a base and on its lenses, with the heights added, would have an error of about :math:`R s_1 s_2` for the slopes
-    :math:`s_1` and :math:`s_2` of both along the radius: tens of nanometres. The motion is split in one of two ways.
-
-    *By design*: Z follows the tip on the ``base`` alone, as if there were no lenses, and W is the difference, with the
-    middle of its range at 0.
-
-    *Computed*, with the limits of the ``fast`` axis: Z is the motion of least jerk that keeps W within its travel, and
-    within its speed and acceleration if the plan has a spindle speed. Where no limit is active, Z takes the part that
-    is slower than a revolution, see `turnwright.strategy.split`. The split ignores the bandwidth: a motion too fast for
-    the slide is on W in either case. `check_limits` checks the bandwidth of W and Z.
+    The tool is placed once, on the whole surface, and the motion is split afterwards. *By design*, Z follows the tip on
+    the ``base`` alone, and W is the difference, with the middle of its range at 0. *Computed*, with the limits of the
+    ``fast`` axis, Z is the motion of least jerk that keeps W within its travel, and within its speed and acceleration
+    if the plan has a spindle speed. `check_limits` checks the bandwidth of W and Z.
 
     Parameters
     ----------
@@ -89,8 +78,8 @@ class HybridToolServo(OverPlan):
             self._raise_split_error()
         for name, kind in (("base", Surface), ("tool", Tool), ("fast", Axis)):
             value = getattr(self, name)
-            if value is not None and not isinstance(value, kind):
-                raise InputError(f"{name} is {value!r}, it must be of the class {kind.__name__}")
+            if value is not None:
+                thing(value, kind, name)
         if self.fast is not None and (self.fast.low is None or self.fast.high is None):
             raise InputError(
                 f"the fast tool travels from {self.fast.low} to {self.fast.high} mm, both ends are needed to split a "
@@ -110,13 +99,7 @@ class HybridToolServo(OverPlan):
         )
 
     def adapted_to(self, tool: Tool, machine: Machine) -> Strategy:
-        """Return the strategy with the tool for its base, or without a base with the limits of the machine's W axis.
-
-        Raises
-        ------
-        InputError
-            If the strategy has no base and the machine no W axis.
-        """
+        """Return the strategy with the tool for its base, or without a base with the limits of the machine's W axis."""
         plan = self.plan.adapted_to(tool, machine)
         if self.fast is not None:
             return replace(self, plan=plan)
@@ -130,13 +113,7 @@ class HybridToolServo(OverPlan):
         return replace(self, plan=plan, fast=machine.axes["W"])
 
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
-        """Return the spiral of the plan.
-
-        Raises
-        ------
-        InputError
-            If neither base and tool nor fast is set.
-        """
+        """Return the spiral of the plan, or raise if neither base and tool nor fast is set."""
         if self._split_fields not in (["base", "tool"], ["fast"]):
             self._raise_split_error()
         return OverPlan.spiral(self, part, tool, progress=progress)
@@ -170,7 +147,8 @@ class HybridToolServo(OverPlan):
             z, rate = find_smoothest(turned, tip, self.fast, omega)  # type: ignore[arg-type]
             return z, path.sense * rate
         rim = float(np.abs(path.radius).max())
-        at = touch(self.base, self.tool, angle=path.angle, radius=path.radius, y=path.y, sense=path.sense, rim=rim)
+        tips = Tips.at(path.angle, path.radius, path.y)
+        at = touch_down(self.base, self.tool.cutting_edge(path.sense), tips, rim)
         fast_height = tip - at.z
         z = at.z + (fast_height.min() + fast_height.max()) / 2
         zx, zy = self.base.gradient(at.x, at.y)

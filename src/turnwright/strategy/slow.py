@@ -3,50 +3,44 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright._kernels import chord as kernel
-from turnwright._validate import check_numbers, positive, whole as whole_number
-from turnwright.errors import GougeError, InputError, LimitError
-from turnwright.path import Spiral
-from turnwright.placing import tip_height
-from turnwright.progress import require_memory
+from turnwright._validate import whole as whole_number
+from turnwright.edge import Edge
+from turnwright.errors import GougeError, InputError
+from turnwright.part import Part
+from turnwright.path import Path, Spiral
+from turnwright.placing import Tips, touch_down
+from turnwright.progress import Progress, require_memory
 from turnwright.speed_profile import Speeds
-from turnwright.strategy.base import Strategy, sample_turns
+from turnwright.strategy.base import Strategy
+from turnwright.strategy.sampling import (
+    REFINEMENT_RATIO,
+    TURN,
+    WIDEST_STEP,
+    check_count,
+    check_interval,
+    check_samples,
+    sample_turns,
+)
+from turnwright.tool import Tool
 from turnwright.units import Count, Feed, Flag, Size, Speed, Step, Thickness
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from turnwright._arrays import Floats
-    from turnwright.part import Part
-    from turnwright.path import Path
-    from turnwright.progress import Progress
-    from turnwright.tool import Tool
-
 __all__ = ["SlowToolServo"]
-
-TURN = 2 * math.pi
-
-MAX_POINTS = 300_000_000
-"""Most points of a spiral. More are a wrong unit: no controller takes such a program, and no memory holds it."""
 
 BYTES_PER_POINT = 160
 """Memory for a point of a path with its contact and motion, 20 numbers."""
 
 BYTES_PER_SAMPLE = 24
 """Memory for a sample of a path from which the points are selected."""
-
-MAX_SAMPLES = 1 << 24
-"""Most samples of a piece of a path by chord; a rougher path does not fit into memory."""
-
-WIDEST_STEP = TURN / 12
-"""Largest angle between two points by chord, so that the direction of each move of C is unambiguous. [rad]"""
 
 SAMPLING_FACTOR = 36
 """A path is sampled finely enough where its possible bulge between samples is below the tolerance over this factor. The
@@ -57,12 +51,6 @@ CUBIC_FACTOR = 300
 
 MAX_CUBIC_PARTS = 8
 """Most parts of an interval that a cubic interpolates, so that at least two samples per program point are placed."""
-
-REFINEMENT_RATIO = 8
-"""If more than one in this many intervals of a path is not smooth, the whole path is sampled more closely."""
-
-MIN_INTERVAL_RAD = 1e-9
-"""A path that is not straight over this angle has a jump. [rad]"""
 
 BLOCK_SAMPLES = 1 << 17
 """Samples of the path from which points are selected together."""
@@ -75,29 +63,22 @@ RIM_AZIMUTHS = 3600
 class SlowToolServo(Strategy):
     r"""Slow tool servo (slow slide servo): C turns steadily, X advances by the feed per turn, Z follows the surface.
 
-    The tip runs along an Archimedean spiral between the rim and the axis. Its inner end is exact: the commanded radius
-    there is ``-tool.offset[0]``, at which the real tip is on the axis, less the overrun. Its outer end is the radius of
-    the clear aperture plus the lead-in, moved outward by less than one step if this makes every step equal.
-
-    The points are set in one of four ways:
+    The tip runs along an Archimedean spiral between the rim and the axis. The inner end is exact; the outer end is
+    moved outward by less than one step if this makes every step equal. The points are set in one of four ways:
 
     * ``points_per_rev``: constant angle, the same azimuths in every revolution, starting at azimuth 0.
     * ``arc_length``: constant length along the spiral. Near the centre the angle between points grows without bound.
     * ``arc_length`` and ``max_step``: constant arc length outside. Inside, where the angle would exceed ``max_step``,
       constant angle (the largest fraction of a revolution that does not).
     * ``chord``: the fewest points for which straight lines in machine axes between them keep within ``chord`` of the
-      exact path. X and C are linear along the spiral, so the error is that of Z alone.
+      exact path.
+
+    The fields of every strategy are those of `Strategy`.
 
     Parameters
     ----------
     feed
         Advance of X per spindle revolution. [mm/rev]
-    spindle_rpm
-        Spindle speed; ``None`` for the highest one that keeps every limit of the machine. [rev/min]
-    spindle_speeds
-        Spindle speed over the radius, in place of one speed: each with the radius at which it is reached.
-    along
-        How the tool is placed on the surface: along "z" or along the "normal" of the surface.
     points_per_rev
         Program points per revolution.
     arc_length
@@ -106,20 +87,14 @@ class SlowToolServo(Strategy):
         Largest angle between program points, with ``arc_length`` or ``chord``; with ``chord`` alone it is 30 deg. [rad]
     chord
         Largest height between the exact path and straight lines between the points, for a path along z. [mm]
-    inside_out
-        Cut from the centre to the rim.
-    sense
-        +1 where the azimuth of the part under the tool grows, -1 where it falls.
     lead_in
         Distance outside the clear aperture at which the tip starts. ``None`` for the least distance that cuts the rim:
         half a feed, so that the outermost cusp is no higher than the others, plus, where the surface falls towards the
         rim, the distance by which the edge touches inside its tip. A value that is set is used exactly; an error is
         raised if it would leave a band uncut. [mm]
     overrun
-        Distance beyond the axis at which the tip ends, or starts. An Archimedean spiral that ends on the axis leaves up
-        to 1.5 feeds between its innermost passes, so that a cusp within a feed of the axis is up to 2.25 times as high
-        as the others. With an overrun of a quarter of a feed no gap is wider than a feed. It is 0 by default, since the
-        part moves against the back of the edge beyond the axis. [mm]
+        Distance beyond the axis at which the tip ends, or starts. A quarter of a feed keeps the cusp at the axis as low
+        as the others. It is 0 by default, since the part moves against the back of the edge beyond the axis. [mm]
 
     Raises
     ------
@@ -129,8 +104,7 @@ class SlowToolServo(Strategy):
     Sources
     -------
     [Li2018]_ section 2 (spiral, constant angle and constant arc), [Troutman2016]_ section 6.3 (chord). Erratum to
-    Troutman's Eq. 6.5: its curvature of the arc diverges at the centre; the height of the arc between two points a
-    step :math:`\Delta\theta` apart is :math:`z_{\theta\theta}\Delta\theta^2/8`, so the step is
+    Troutman's Eq. 6.5: its curvature of the arc diverges at the centre; the step is
     :math:`\sqrt{8\,\mathrm{chord} / \max|z_{\theta\theta}|}`, with the tip's own height, not the surface's.
 
     >>> servo = SlowToolServo(feed=0.025, points_per_rev=3600, lead_in=0.0)
@@ -159,13 +133,7 @@ class SlowToolServo(Strategy):
     overrun: Thickness = 0.0
 
     def __post_init__(self) -> None:
-        check_numbers(self)
-        self._check_speed()
-        positive(self.feed, "feed", "mm/rev")
-        for name, unit in (("spindle_rpm", "rev/min"), ("arc_length", "mm"), ("max_step", "rad"), ("chord", "mm")):
-            value = getattr(self, name)
-            if value is not None:
-                positive(value, name, unit)
+        self._check_fields()
         ways = [name for name in ("points_per_rev", "arc_length", "chord") if getattr(self, name) is not None]
         if len(ways) != 1:
             raise InputError(
@@ -181,16 +149,6 @@ class SlowToolServo(Strategy):
                 )
             if self.max_step > TURN / 8:
                 raise InputError(f"max_step is {math.degrees(self.max_step):g} deg, the limit is 45 deg")
-        if self.sense not in (-1, 1):
-            raise InputError(f"sense is {self.sense!r}, it must be 1 or -1")
-        self._check_ends()
-
-    def _check_ends(self) -> None:
-        """Raise if the spiral would begin inside the clear aperture, or end far from the axis."""
-        if self.lead_in is not None and self.lead_in < 0:
-            raise InputError(
-                f"lead_in is {self.lead_in:g} mm, it must be at least 0 mm (the edge of the clear aperture)"
-            )
         if not 0 <= self.overrun <= self.feed:
             raise InputError(
                 f"overrun is {self.overrun:g} mm, the limits are 0 mm and one feed, {self.feed:g} mm: a quarter of a "
@@ -209,16 +167,17 @@ class SlowToolServo(Strategy):
         LimitError
             If there are more points than any controller takes.
         """
-        self._require_overlap(tool)
+        edge = tool.cutting_edge(self.sense)
+        self._require_overlap(edge)
         if self.points_per_rev is not None:
-            last = self._find_last_point(part, tool, self.points_per_rev)
+            last = self._find_last_point(part, edge, self.points_per_rev)
             if progress is not None:
                 progress(0, last + 1)
-            spiral = self._select_points(_number_points(last), last, self.points_per_rev, tool)
+            spiral = self._select_points(_number_points(last), last, self.points_per_rev, edge)
         else:
-            end, start = self._find_ends(part, tool)
+            end, start = self._find_ends(part, edge)
             if self.chord is not None:
-                turned = self._set_points_by_chord(part, tool, end, start, progress)
+                turned = self._set_points_by_chord(part, edge, end, start, progress)
             else:
                 turned = self._set_points_by_arc(end, start, progress)
             angle = turned if self.inside_out else turned[-1] - turned[::-1]
@@ -231,60 +190,58 @@ class SlowToolServo(Strategy):
         """Return some of the points of `spiral`; with ``points_per_rev``, without computing all of them."""
         if self.points_per_rev is None:
             return super(SlowToolServo, self).glimpse(part, tool, turns=turns, per_turn=per_turn)
-        last = self._find_last_point(part, tool, self.points_per_rev)
+        edge = tool.cutting_edge(self.sense)
+        last = self._find_last_point(part, edge, self.points_per_rev)
         wanted = sample_turns(last / self.points_per_rev, turns, per_turn)
-        return self._select_points(np.unique(np.round(wanted * self.points_per_rev)), last, self.points_per_rev, tool)
+        return self._select_points(np.unique(np.round(wanted * self.points_per_rev)), last, self.points_per_rev, edge)
 
     def extent(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> tuple[int, Spiral]:
         """Return the size of `spiral` and its ends; with ``points_per_rev``, without computing the other points."""
         if self.points_per_rev is None:
             return super(SlowToolServo, self).extent(part, tool, progress=progress)
-        self._require_overlap(tool)
-        last = self._find_last_point(part, tool, self.points_per_rev)
+        edge = tool.cutting_edge(self.sense)
+        self._require_overlap(edge)
+        last = self._find_last_point(part, edge, self.points_per_rev)
         turn = np.arange(min(self.points_per_rev, last) + 1.0)
         at = np.unique(np.append(last - turn, 0) if self.inside_out else np.append(turn, last))
-        return last + 1, self._select_points(at, last, self.points_per_rev, tool)
+        return last + 1, self._select_points(at, last, self.points_per_rev, edge)
 
-    def _require_overlap(self, tool: Tool) -> None:
-        """Raise unless neighbouring revolutions overlap."""
-        low, high = tool.arc
-        width = tool.actual_radius * (math.sin(high) - math.sin(low))
+    def _require_overlap(self, edge: Edge) -> None:
+        width = edge.radius * (math.sin(edge.high) - math.sin(edge.low))
         if self.feed >= width:
             raise GougeError(
                 f"feed {self.feed:g} mm per rev is at least the width of the edge {width:.4g} mm, so cuts do not "
                 "overlap: use a smaller feed, or a tool with a larger nose_radius or included angle"
             )
 
-    def _find_last_point(self, part: Part, tool: Tool, per_turn: int) -> int:
-        """Return the index of the last point for a constant number of points per revolution."""
-        end, start = self._find_ends(part, tool)
+    def _find_last_point(self, part: Part, edge: Edge, per_turn: int) -> int:
+        end, start = self._find_ends(part, edge)
         return _count_steps((start - end) / self.feed * per_turn)
 
-    def _select_points(self, at: Floats, last: int, per_turn: int, tool: Tool) -> Spiral:
-        """Return points of `spiral` by their indices. (n,)."""
+    def _select_points(self, at: Floats, last: int, per_turn: int, edge: Edge) -> Spiral:
         step = TURN / per_turn
         turned = (at if self.inside_out else last - at) * step
-        return Spiral(angle=self.sense * (at * step), radius=self._inner_end(tool) + self.feed / TURN * turned)
+        return Spiral(angle=self.sense * (at * step), radius=self._inner_end(edge) + self.feed / TURN * turned)
 
-    def _inner_end(self, tool: Tool) -> float:
+    def _inner_end(self, edge: Edge) -> float:
         """Return the commanded radius of the inner end. [mm]."""
-        return -tool.offset[0] - self.overrun
+        return -edge.dx - self.overrun
 
-    def _find_ends(self, part: Part, tool: Tool) -> tuple[float, float]:
+    def _find_ends(self, part: Part, edge: Edge) -> tuple[float, float]:
         """Return the commanded radii of the inner end and of the outer end, before the steps are made equal. [mm]."""
-        return self._inner_end(tool), part.radius + self._find_lead_in(part, tool)
+        return self._inner_end(edge), part.radius + self._find_lead_in(part, edge)
 
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes at the points of a path: C the azimuth [rad], X the radius, Z the height [mm]."""
         return {"C": path.angle, "X": path.radius, "Z": path.z}
 
-    def _find_lead_in(self, part: Part, tool: Tool) -> float:
+    def _find_lead_in(self, part: Part, edge: Edge) -> float:
         """Return the distance outside the clear aperture at which the tip starts. [mm]."""
         azimuth = np.linspace(0, TURN, RIM_AZIMUTHS, endpoint=False)
         cosine, sine = np.cos(azimuth), np.sin(azimuth)
         zx, zy = part.surface.gradient(part.radius * cosine, part.radius * sine)
-        sweep = np.clip(np.arctan(zx * cosine + zy * sine), *tool.arc)
-        needed = max(0.0, float(np.max(-tool.actual_radius * np.sin(sweep))) - tool.offset[0])
+        sweep = np.clip(np.arctan(zx * cosine + zy * sine), edge.low, edge.high)
+        needed = max(0.0, float(np.max(-edge.radius * np.sin(sweep))) - edge.dx)
         if self.lead_in is None:
             return needed + self.feed / 2
         # The outermost revolution cuts as far inward as its neighbours: a lead-in shorter by a feed still cuts the rim.
@@ -314,7 +271,7 @@ class SlowToolServo(Strategy):
         return np.concatenate([inside, _invert_spiral_length(outside) - inner])
 
     def _set_points_by_chord(
-        self, part: Part, tool: Tool, end: float, start: float, progress: Progress | None
+        self, part: Part, edge: Edge, end: float, start: float, progress: Progress | None
     ) -> Floats:
         """Return the angles turned from the inner end of the fewest points for the chord. (n,) [rad]."""
         pitch = self.feed / TURN
@@ -328,14 +285,8 @@ class SlowToolServo(Strategy):
 
         def height(turned: Floats) -> Floats:
             angle = turned if self.inside_out else total - turned
-            return tip_height(
-                part.surface,
-                tool,
-                angle=self.sense * angle,
-                radius=end + pitch * turned,
-                sense=self.sense,
-                rim=max(part.radius, pitch * total - self.overrun),
-            )
+            tips = Tips.at(self.sense * angle, end + pitch * turned)
+            return touch_down(part.surface, edge, tips, max(part.radius, pitch * total - self.overrun)).z
 
         pieces = [np.zeros(1)]
         # The last two steps of a block may be short, as they end at its border, and would limit the block rate of the
@@ -358,34 +309,16 @@ class SlowToolServo(Strategy):
             pieces.append(piece[0, keep[1:count]])
             if progress is not None:
                 progress(round(float(turned[-1]) / TURN), round(total / TURN))
-        _check_count(sum(part.size for part in pieces))
-        _require_room(sum(part.size for part in pieces))
+        count = sum(part.size for part in pieces)
+        check_count(count, "the feed and of the chord")
+        _require_room(count)
         return np.concatenate(pieces)
 
 
-def _check_count(count: float) -> None:
-    """Raise if a spiral has more points than any controller takes."""
-    if count > MAX_POINTS:
-        raise LimitError(
-            f"the spiral has {count:.3g} points, the limit is {MAX_POINTS:.0e}: check the units of the feed and of "
-            "the step"
-        )
-
-
 def _require_room(count: float, bytes_each: int = BYTES_PER_POINT) -> None:
-    """Raise if there is too little memory for a path of this many points and its motion."""
     require_memory(
         bytes_each * count, f"a path of {count:.3g} points", "take a larger feed, fewer points, or another computer"
     )
-
-
-def _check_samples(count: int, tolerance: float) -> None:
-    """Raise if the samples of a rough path do not fit into memory."""
-    if count > MAX_SAMPLES:
-        raise LimitError(
-            f"a piece of the path takes {count:.3g} samples for a chord of {tolerance:g} mm, the limit is "
-            f"{MAX_SAMPLES:.3g}: allow a larger chord, or set points_per_rev or arc_length"
-        )
 
 
 def _number_points(count: float, bytes_each: int = BYTES_PER_POINT) -> Floats:
@@ -396,8 +329,7 @@ def _number_points(count: float, bytes_each: int = BYTES_PER_POINT) -> Floats:
 
 
 def _count_steps(steps: float) -> int:
-    """Return the number of steps, rounded up (except for rounding errors)."""
-    _check_count(steps)
+    check_count(steps, "the feed and of the step")
     return max(math.ceil(steps - 1e-6), 0)
 
 
@@ -427,12 +359,8 @@ def _sample_with_cubics(
     The error of a cubic through four even samples, around an interval or on one side of it, is at most 1/24 of the
     fourth difference on a smooth path. At a slope discontinuity it is less than the greater of two neighbouring fourth
     differences, which is used as the bound. Samples at the same azimuths in every revolution are placed at a fraction
-    of the cost of scattered ones.
-
-    Returns
-    -------
-    turned, z, doubt
-        Angles [rad], heights (n,) [mm] and the largest error of the heights [mm].
+    of the cost of scattered ones. Returned are angles [rad], heights (n,) [mm] and the largest error of the heights
+    [mm].
     """
     while True:
         z = height(turned)
@@ -447,10 +375,10 @@ def _sample_with_cubics(
         smooth = (doubt <= tolerance / CUBIC_FACTOR) & (parts <= MAX_CUBIC_PARTS)
         if np.count_nonzero(~smooth) <= max(smooth.size // REFINEMENT_RATIO, 4):
             break
-        _check_samples(2 * turned.size, tolerance)
+        check_samples(2 * turned.size, tolerance)
         turned = np.linspace(turned[0], turned[-1], 2 * smooth.size + 1)
     most = max(2, math.ceil(parts[smooth].max(initial=0.0)))
-    _check_samples(smooth.size * most, tolerance)
+    check_samples(smooth.size * most, tolerance)
     fine = np.repeat(z[:-1, None], most, axis=1)
     for number, first in enumerate((-1, -2, 0)):
         rows = np.flatnonzero(smooth & (side == number))
@@ -472,11 +400,7 @@ def _refine_samples(
 
     The bound of the bulge from the straight line between two samples is half the step times the change of slope to
     either neighbour. It is four times the bulge of a smooth path, and at least that of a slope discontinuity inside.
-
-    Returns
-    -------
-    turned, z, bulge
-        Angles [rad], heights [mm] and the largest bulge next to each sample [mm]. Each (n,)
+    Returned are angles [rad], heights [mm] and the largest bulge next to each sample [mm]. Each (n,)
     """
     turned, z, doubt = _sample_with_cubics(turned, height, tolerance)
     while True:
@@ -487,18 +411,13 @@ def _refine_samples(
         coarse = np.flatnonzero(bulge > tolerance / SAMPLING_FACTOR)
         if coarse.size == 0:
             return turned, z, np.maximum(np.append(bulge, 0.0), np.append(0.0, bulge)) + 2 * doubt
-        if step[coarse].min() < MIN_INTERVAL_RAD:
-            where = turned[coarse[np.argmin(step[coarse])]] / TURN
-            raise InputError(
-                f"the path jumps {where:.3f} turns from the inner end, so no points keep the chord tolerance of "
-                f"{tolerance:g} mm: set points_per_rev or arc_length, or use a tool with a smaller included angle"
-            )
+        check_interval(step[coarse], turned[coarse], tolerance)
         # The bulge of a smooth path falls with the square of the step, that of a slope discontinuity with the step: the
         # latter takes some more iterations.
         parts = np.clip(np.ceil(np.sqrt(bulge[coarse] / tolerance * SAMPLING_FACTOR)), 2, 8).astype(np.int64)
         which = np.repeat(np.arange(coarse.size), parts - 1)
         rank = np.arange(which.size) - np.repeat(np.cumsum(parts - 1) - (parts - 1), parts - 1) + 1
-        _check_samples(turned.size + which.size, tolerance)
+        check_samples(turned.size + which.size, tolerance)
         new = turned[coarse[which]] + step[coarse[which]] * (rank / parts[which])
         at = coarse[which] + 1
         turned, z = np.insert(turned, at, new), np.insert(z, at, height(new))

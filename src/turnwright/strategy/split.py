@@ -6,12 +6,6 @@ With h(t) the height of both together over the angle t turned, in radians, the s
     \mathrm{low} \le h - Z \le \mathrm{high}, \;
     \omega\,|h' - Z'| \le \mathrm{speed}, \; \omega^2\,|h'' - Z''| \le \mathrm{acceleration}
 
-The first term is the jerk of the slide, which excites vibration and determines the following error of a servo with
-feed-forward. The second term makes the minimum unique: where no limit is active, the slide takes the fraction
-:math:`1/(1 + n^6)` of the harmonic n of a revolution, so nearly all of the slower motion and nothing of the faster
-motion. The fast tool thus makes the motion that repeats in every revolution, about the middle of its stroke, and the
-slide takes only what exceeds the limits of the tool.
-
 This is a strictly convex quadratic program in the coefficients of a cubic spline over even cells. Its matrices have
 three lower diagonals besides the main one, so a step of the interior-point method takes linear time.
 
@@ -24,20 +18,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from turnwright._arrays import Floats, Ints
 from turnwright._kernels import split as kernel
 from turnwright.errors import LimitError
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Floats, Ints
-    from turnwright.machine import Axis
+from turnwright.machine import Axis
+from turnwright.strategy.sampling import TURN
 
 __all__ = ["find_smoothest"]
-
-TURN = 2 * math.pi
 
 CELLS_PER_REV = (64, 256)
 """Cells of the spline per revolution; the second number is used only if the first cannot keep the limits."""
@@ -99,18 +90,10 @@ class _Rows:
 
 
 def find_smoothest(turned: Floats, height: Floats, fast: Axis, omega: float | None) -> tuple[Floats, Floats]:
-    """Return the height of the slow slide, and its derivative by the angle turned.
+    """Return the height of the slow slide [mm], and its derivative by the angle turned. Each (n,).
 
-    Parameters
-    ----------
-    turned
-        Angle turned, ascending from 0. (n,) [rad]
-    height
-        Height of slide and tool together. (n,) [mm]
-    fast
-        Limits of the fast tool, with both ends of its travel.
-    omega
-        Spindle speed; ``None`` if it is not known yet, then only the travel is limited. [rad/s]
+    ``turned`` ascends from 0 (n,) [rad]; ``height`` is that of slide and tool together (n,) [mm]. Without the spindle
+    speed ``omega`` [rad/s] only the travel of the fast tool is limited.
 
     Raises
     ------
@@ -149,7 +132,6 @@ def find_smoothest(turned: Floats, height: Floats, fast: Axis, omega: float | No
 
 
 def _find_coefficients(kinds: list[_Limit], step: float, cells: int) -> Floats | None:
-    """Return the coefficients of the slow part, or ``None`` if the limits cannot be kept."""
     _, turned, height, low, high = kinds[0]
     size = cells + 3
     weight = np.gradient(turned)
@@ -191,7 +173,6 @@ def _find_coefficients(kinds: list[_Limit], step: float, cells: int) -> Floats |
 def _set_up_limits(
     kinds: list[_Limit], seen: list[list[Ints]], step: float, cells: int, unit: float, level: float
 ) -> _Rows:
-    """Return the inequalities at the samples in the program."""
     parts: list[tuple[Ints, Floats, Floats, Floats]] = []
     for kind, chosen in zip(kinds, seen, strict=True):
         if not chosen:
@@ -208,7 +189,6 @@ def _set_up_limits(
 
 
 def _solve_banded(band: Floats, right: Floats) -> Floats:
-    """Solve a system with lower diagonals."""
     from scipy.linalg import solveh_banded  # noqa: PLC0415 - costly to import
 
     solved: Floats = solveh_banded(band, right, lower=True, check_finite=False)
