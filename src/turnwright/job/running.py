@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-from bisect import bisect_right
 from dataclasses import fields, replace
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -23,7 +22,6 @@ from turnwright.job.programs import predicted_motion, rounding
 from turnwright.job.result import Pass, Preview, Result
 from turnwright.job.shape import part_shape
 from turnwright.job.verdict import judge
-from turnwright.path import Spiral
 from turnwright.placing import place
 from turnwright.strategy import SlowToolServo
 from turnwright.units import say_length
@@ -32,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from os import PathLike
 
-    from turnwright._arrays import Floats
+    from turnwright._arrays import Ints
     from turnwright.access import Access
     from turnwright.cutting import ChipMap
     from turnwright.job.approach import Entry
@@ -91,7 +89,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         motions[cut.name] = cut.motion
         passes.append(cut.as_pass(_check_chips(cut, chips, warnings)))
     plotted_path, least = _thin(line.path), float(line.path.clearance.min())
-    plotted_motion, turns = _part_of(line.motion, _every_nth(line.motion.time.size)), _revolutions(line.motion)
+    plotted_motion, turns = line.motion.select(_every_nth(line.motion.time.size)), _revolutions(line.motion)
     del cut
     line.finishing.forget("spiral", "path")
 
@@ -193,7 +191,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
             size, spiral = servo.extent(part, tool, progress=tell)
             if _widens(servo):
                 PassPlan(job, cut).require_steps()
-            place(_outermost(spiral), part, tool, along=job.strategy.along)  # raises where the surface ends
+            place(spiral, part, tool, along=job.strategy.along)  # raises where the surface ends
         profile, stated = servo.spindle_speeds, servo.spindle_rpm
         if stated is not None and stated > machine.spindle_rpm:
             sentence = (
@@ -292,17 +290,6 @@ def _widens(servo: Strategy) -> bool:
     return isinstance(plan, SlowToolServo) and plan.arc_length is not None and plan.max_step is None
 
 
-def _outermost(spiral: Spiral) -> Spiral:
-    """Return the revolution farthest from the axis."""
-    angle, size = spiral.angle, spiral.angle.size
-    inwards = spiral.radius[0] > spiral.radius[-1]
-    # The angle is monotonic, so bisection finds where the revolution ends: a job is checked while it is typed.
-    away = range(size) if inwards else range(size - 1, -1, -1)
-    count = bisect_right(away, 2 * np.pi, key=lambda at: abs(float(angle[at] - angle[away[0]])))
-    at = slice(0, count) if inwards else slice(size - count, size)
-    return Spiral(angle=spiral.angle[at], radius=spiral.radius[at], y=None if spiral.y is None else spiral.y[at])
-
-
 def _thin(path: Path) -> Path:
     """Return a path with few enough points for a plot."""
     at = _every_nth(path.angle.size)
@@ -310,18 +297,8 @@ def _thin(path: Path) -> Path:
     return replace(path, **{name: getattr(path, name)[at] for name in stated})
 
 
-def _part_of(motion: Motion, at: slice) -> Motion:
-    """Return a copy of some points of a motion, so that the whole can be freed."""
-
-    def take(values: Mapping[str, Floats]) -> dict[str, Floats]:
-        return {letter: one[at].copy() for letter, one in values.items()}
-
-    velocity = None if motion.velocity is None else take(motion.velocity)
-    return replace(motion, time=motion.time[at].copy(), axes=take(motion.axes), velocity=velocity, stated_blocks=None)
-
-
-def _every_nth(size: int) -> slice:
-    return slice(None, None, max(1, math.ceil(size / PLOT_POINTS)))
+def _every_nth(size: int) -> Ints:
+    return np.arange(0, size, max(1, math.ceil(size / PLOT_POINTS)))
 
 
 def _revolutions(motion: Motion) -> tuple[Motion, ...]:
@@ -331,7 +308,7 @@ def _revolutions(motion: Motion) -> tuple[Motion, ...]:
     turns = []
     for start in (0.0, last_start / 2, last_start):
         first, last = np.searchsorted(angle, (start, start + 2 * np.pi + 1e-9))
-        turns.append(_part_of(motion, slice(max(int(first) - 1, 0), int(last) + 1)))
+        turns.append(motion.select(np.arange(max(int(first) - 1, 0), min(int(last) + 1, angle.size))))
     return tuple(turns)
 
 

@@ -28,7 +28,7 @@ from turnwright.motion import require_variable
 from turnwright.part import Part
 from turnwright.pose import Pose
 from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED, dialect_of
-from turnwright.speed_profile import Speeds
+from turnwright.speed_profile import Speeds, check_one_speed
 from turnwright.strategy import STRATEGIES, Strategy
 from turnwright.surface import FAMILIES, Surface
 from turnwright.tool import Tool, Waviness, WavinessTable
@@ -151,8 +151,7 @@ class PassTable(Table):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        if self.spindle_rpm is not None and self.spindle_speeds is not None:
-            raise JobError("only one of spindle_speed and spindle_speeds can be stated, got both: remove one")
+        check_one_speed(self)
 
     def repeats(self, stock: float) -> int:
         """Return the number of repetitions of the pass that remove ``stock`` [mm] down to its allowance."""

@@ -312,10 +312,7 @@ class _Rings:
         for ring, piece in enumerate(self.pieces):
             first, last = np.searchsorted(turned, self.turned[[piece.start, piece.stop - 1]])
             blocks = slice(max(int(first) - MARGIN_BLOCKS, 0), int(last) + 1 + MARGIN_BLOCKS)
-            axes = {letter: values[blocks] for letter, values in motion.axes.items()}
-            velocity = motion.velocity and {letter: values[blocks] for letter, values in motion.velocity.items()}
-            section = replace(motion, time=motion.time[blocks], axes=axes, velocity=velocity, stated_blocks=None)
-            highest[ring] = max(check_limits(section, machine).utilisation.values())
+            highest[ring] = max(check_limits(motion.select(blocks), machine).utilisation.values())
         return highest
 
     def profile(self, speed: Floats) -> SpeedProfile:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from turnwright._arrays import Floats, Ints
     from turnwright.job.prediction import Prediction
     from turnwright.job.schema import Job, Patch
-    from turnwright.path import Motion, Path
+    from turnwright.path import Motion
     from turnwright.strategy import Strategy
 
 __all__ = ["can_predict_window", "predict_window"]
@@ -139,31 +139,8 @@ def predict_window(job: Job, name: str) -> Prediction | None:
 
 def _motion(job: Job, servo: Strategy, spiral: Spiral, keep: Ints) -> Motion:
     """Return the motion through some of the points; the speed is arbitrary for straight lines."""
-    some = Spiral(angle=spiral.angle[keep], radius=spiral.radius[keep])
-    path = place(some, job.part.aimed, job.tool)
-    return drive(path, _Steady(servo), job.machine)
-
-
-class _Steady(NamedTuple):
-    """A strategy at an arbitrary constant speed."""
-
-    servo: Strategy
-
-    @property
-    def spindle_rpm(self) -> float:
-        """Spindle speed. [rev/min]."""
-        return self.servo.spindle_rpm or 1.0
-
-    @property
-    def spindle_speeds(self) -> None:
-        """``None``: the speed is constant."""
-
-    def axes(self, path: Path) -> dict[str, Floats]:
-        """Return the axes of the strategy."""
-        return self.servo.axes(path)
-
-    def rates(self, _path: Path) -> None:
-        """Return ``None``: no controller with velocities is used here."""
+    path = place(spiral.select(keep), job.part.aimed, job.tool)
+    return drive(path, servo.stating(spindle_rpm=servo.spindle_rpm or 1.0), job.machine)
 
 
 def _edge(job: Job, spiral: Spiral) -> _Edge:

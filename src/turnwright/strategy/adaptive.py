@@ -15,7 +15,7 @@ from turnwright._validate import check_numbers, positive
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.path import Spiral
 from turnwright.placing import touch
-from turnwright.speed_profile import Speeds
+from turnwright.speed_profile import Speeds, check_one_speed
 from turnwright.strategy.base import Strategy
 from turnwright.strategy.fast import FastToolServo
 from turnwright.units import Flag, Size, Speed
@@ -213,7 +213,7 @@ class AdaptiveToolServo(Strategy):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        self._check_speed()
+        check_one_speed(self)
         for name, unit in (("scallop", "mm"), ("chord", "mm"), ("spindle_rpm", "rev/min")):
             value = getattr(self, name)
             if value is not None or name != "spindle_rpm":

@@ -134,8 +134,7 @@ class Strategy(Stated, ABC):
         wanted = sample_turns(float(turned[-1]), turns, per_turn)
         near = np.clip(np.searchsorted(turned, wanted), 1, turned.size - 1)
         near = np.unique(near - (wanted - turned[near - 1] < turned[near] - wanted))
-        y = None if spiral.y is None else spiral.y[near]
-        return Spiral(angle=spiral.angle[near], radius=spiral.radius[near], y=y)
+        return spiral.select(near)
 
     def extent(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> tuple[int, Spiral]:
         """Return the number of points of `spiral`, and its outermost revolution with the point at the other end.
@@ -151,8 +150,7 @@ class Strategy(Stated, ABC):
         away = np.abs(spiral.angle - spiral.angle[0 if inwards else -1])
         turn = np.flatnonzero(away <= 2 * np.pi)
         at = np.unique([*turn, size - 1 if inwards else 0])
-        y = None if spiral.y is None else spiral.y[at]
-        return size, Spiral(angle=spiral.angle[at], radius=spiral.radius[at], y=y)
+        return size, spiral.select(at)
 
     @abstractmethod
     def axes(self, path: Path) -> dict[str, Floats]:
@@ -172,11 +170,6 @@ class Strategy(Stated, ABC):
             return None
         rates = {"C": np.ones(path.angle.size), "X": path.radius_rate, "Z": path.z_rate}
         return rates if path.y_rate is None else {**rates, "Y": path.y_rate}
-
-    def _check_speed(self) -> None:
-        """Raise if both a single spindle speed and a speed profile are set."""
-        if self.spindle_rpm is not None and self.spindle_speeds is not None:
-            raise InputError("spindle_speed and spindle_speeds are both given, only one can be right: remove one")
 
     @classmethod
     def table_keys(cls) -> Mapping[str, Any]:

@@ -47,7 +47,7 @@ from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError, LimitError
 from turnwright.path import Spiral
 from turnwright.placing import follow, touch
-from turnwright.speed_profile import Speeds
+from turnwright.speed_profile import Speeds, check_one_speed
 from turnwright.strategy.base import Strategy
 from turnwright.strategy.slow import SlowToolServo
 from turnwright.units import Count, Feed, Flag, Size, Speed, Step, Thickness, unit
@@ -226,7 +226,7 @@ class QuasiEllipticalToolServo(Strategy):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        self._check_speed()
+        check_one_speed(self)
         self._make_slow_servo()
         if self.short not in ("merge", "skip", "slow"):
             raise InputError(f'short is {self.short!r}, it must be "merge", "skip" or "slow"')

@@ -16,7 +16,7 @@ from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.path import Spiral
 from turnwright.placing import tip_height
 from turnwright.progress import require_memory
-from turnwright.speed_profile import Speeds
+from turnwright.speed_profile import Speeds, check_one_speed
 from turnwright.strategy.base import Strategy, sample_turns
 from turnwright.units import Count, Feed, Flag, Size, Speed, Step, Thickness
 
@@ -160,7 +160,7 @@ class SlowToolServo(Strategy):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        self._check_speed()
+        check_one_speed(self)
         positive(self.feed, "feed", "mm/rev")
         for name, unit in (("spindle_rpm", "rev/min"), ("arc_length", "mm"), ("max_step", "rad"), ("chord", "mm")):
             value = getattr(self, name)
