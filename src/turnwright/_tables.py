@@ -92,7 +92,6 @@ class Stated:
 
     @classmethod
     def _written(cls, value: Any, *, whole: bool) -> dict[str, Any]:
-        """Return the table that describes a value."""
         return written(value, whole=whole)
 
     @classmethod
@@ -126,13 +125,7 @@ class Stated:
 
 
 class Merged:
-    """Annotation of a field whose keys stand among those of its owner.
-
-    Parameters
-    ----------
-    stated
-        The class that these keys describe.
-    """
+    """Annotation of a field whose keys, those of the class ``stated``, stand among those of its owner."""
 
     __slots__ = ("stated",)
 
@@ -171,10 +164,7 @@ def written_by(write: Callable[..., Any]) -> Any:
 class ByName:
     """Annotation of a value that a job describes by a name or a file, and by what differs from it.
 
-    Parameters
-    ----------
-    table
-        The class of the job's table; its ``build`` makes the value and its ``table_of`` the table again.
+    ``table`` is the class of the job's table: its ``build`` makes the value, its ``table_of`` the table again.
     """
 
     __slots__ = ("table",)
@@ -367,14 +357,7 @@ def flat(table: Any, prefix: str = "") -> Any:
 class Plausible(Keyed):
     """Annotation of sizes of error sources (standard deviations), by the name of the source; in a file by its key.
 
-    Parameters
-    ----------
-    units
-        Unit of each source.
-    texts
-        Description of each source, for forms.
-    slopes
-        Sources whose size is an angle that may also be given as a slope.
+    Each source has its unit, and a description for forms; the size of ``slopes`` may also be given as a slope.
     """
 
     __slots__ = ("slopes", "texts", "units")
@@ -413,13 +396,7 @@ class Plausible(Keyed):
 
 
 def named(value: Any) -> str | None:
-    """Return the name by which a job refers to a value that was read from a file.
-
-    Raises
-    ------
-    InputError
-        If the value was not read from a file.
-    """
+    """Return the name by which a job refers to a value that was read from a file; raise if it was not."""
     if value is None or isinstance(value, str):
         return value
     if not (file := getattr(value, "file", "")):
@@ -486,7 +463,6 @@ def written(value: Any, *, whole: bool = False, base: Any = None) -> dict[str, A
 
 
 def _inner(value: Any, name: str, *, whole: bool) -> dict[str, Any]:
-    """Return the keys of a field that stand among those of its owner."""
     entry, required = getattr(value, name), merged(type(value))[name]
     if type(entry) is not required:
         raise InputError(

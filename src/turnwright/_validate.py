@@ -53,19 +53,7 @@ def check_numbers(instance: Any, *, inf: Collection[str] = (), nan: Collection[s
     """Raise unless every number in the fields of a dataclass is finite, and an integer where its type is.
 
     Arrays, tuples, lists and mappings are searched too; numeric keys of a mapping must be integers. Derived fields
-    (``init=False``) are not checked.
-
-    Parameters
-    ----------
-    instance
-        A dataclass with its fields as the caller gave them.
-    inf, nan
-        Names of the fields that may hold infinity or nan.
-
-    Raises
-    ------
-    InputError
-        With the field and the number.
+    (``init=False``) are not checked; the fields named in ``inf`` and ``nan`` may hold infinity or nan.
     """
     kind: Any = type(instance)
     for name, scalar, may_lack, integer in _fields_of(kind):

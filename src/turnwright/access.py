@@ -5,19 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from turnwright._arrays import Floats, Ints
 from turnwright.errors import DomainError, InputError
+from turnwright.part import Part
 from turnwright.placing import touch
+from turnwright.progress import Progress
+from turnwright.tool import Tool
 from turnwright.units import say_length
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Floats, Ints
-    from turnwright.part import Part
-    from turnwright.progress import Progress
-    from turnwright.tool import Tool
 
 __all__ = ["Access", "AccessFinding", "check_access", "check_depths"]
 
@@ -43,7 +41,6 @@ AXIS_RADIUS_MM = 1e-5
 
 DISCONTINUITY_TOL = 1e-6
 """A jump of the slope below this, or of the height below as many mm, is rounding."""
-
 
 DEPTH_POINTS = 3000
 """Points at which the chip is compared with the edge before the search is refined."""
@@ -140,12 +137,17 @@ class _Places(NamedTuple):
     step: float  # distance to the next ring [mm]
 
 
-class _Shape(NamedTuple):
-    """Curvature and slopes of the surface relative to the edge."""
+class Reach(NamedTuple):
+    """Requirements on a tool at single points of a part, see `check_access`. Each (n,)."""
 
-    curvature: Floats  # in the rake plane, positive concave [1/mm]
-    sweep: Floats  # on the nose [rad]
+    curvature: Floats  # in the rake plane, positive concave; limits the nose radius [1/mm]
+    sweep: Floats  # angle on the nose where the edge touches [rad]
     climb: Floats  # slope angle along the cutting direction, positive uphill [rad]
+
+    @property
+    def clearance(self) -> Floats:
+        """Required clearance angle; negative where the surface climbs along the cutting direction. (n,) [rad]."""
+        return -self.climb
 
 
 def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress | None = None) -> Access:
@@ -220,42 +222,37 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
     if sense not in (-1, 1):
         raise InputError(f"sense is {sense!r}, it must be 1 or -1: give the direction of the azimuth under the tool")
 
-    def shape(radius: Floats, angle: Floats) -> _Shape:
-        return _shape(part, tool, sense, radius, angle)
+    def shape(radius: Floats, angle: Floats) -> Reach:
+        return _reach(part, tool, sense, radius, angle)
 
-    places = _places(part)
-    chunks = math.ceil(places.radius.size / CHUNK_POINTS)
-    total = chunks + 1
+    places, report = _places(part), progress or (lambda _done, _total: None)
+    starts = range(0, places.radius.size, CHUNK_POINTS)
+    total = len(starts) + 1
     parts = []
-    for number, chunk in enumerate(_chunks(places.radius.size)):
-        if progress is not None:
-            progress(number, total)
+    for number, start in enumerate(starts):
+        report(number, total)
+        chunk = slice(start, start + CHUNK_POINTS)
         parts.append(shape(places.radius[chunk], places.angle[chunk]))
-    sampled = _Shape(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-    if progress is not None:
-        progress(chunks, total)
+    sampled = Reach(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    report(total - 1, total)
     maxima = _find_maxima(shape, sampled, places, part.radius)
     (curvature, curved), (high, at_high), (minus_low, at_low), (steep, climbing), (minus_fall, falling) = maxima
-    if progress is not None:
-        progress(total, total)
+    report(total, total)
 
     limit = 1 / curvature if curvature > 0 else math.inf
     needed, at_needed = (2 * high, at_high) if high >= minus_low else (2 * minus_low, at_low)
     clearance = max(minus_fall, 0.0)
     rakes = (tool.rake - steep, tool.rake + minus_fall)
+    rake_words = (
+        f"the rake relative to the surface ranges from {_deg(rakes[0])} {_at(climbing)} to {_deg(rakes[1])} "
+        f"{_at(falling)}"
+    )
     findings = [
         _nose(tool, limit, curved),
         _angle("included angle", "included", needed, tool.included, at_needed),
         _angle("clearance", "clearance", clearance, tool.clearance, falling),
         AccessFinding(
-            name="rake",
-            value=rakes[0],
-            limit=None,
-            margin=None,
-            where=climbing,
-            ok=True,
-            sentence=f"the rake relative to the surface ranges from {_deg(rakes[0])} {_at(climbing)} to "
-            f"{_deg(rakes[1])} {_at(falling)}",
+            name="rake", value=rakes[0], limit=None, margin=None, where=climbing, ok=True, sentence=rake_words
         ),
         *_borders(part, tool, places),
     ]
@@ -357,7 +354,6 @@ def largest_depth(
     done, total = 0, radius.size + REFINEMENTS * MAX_STARTS * REFINEMENT_STEPS.size**2
 
     def measure(radius: Floats, angle: Floats) -> Floats:
-        """Return the gap beyond the edge at some points, and report progress."""
         nonlocal done
         before = done
         report = None if progress is None else (lambda count, _all: progress(before + count, total))
@@ -436,30 +432,12 @@ def odd_sizes(part: Part, tool: Tool) -> tuple[str, ...]:
     return tuple(warnings)
 
 
-class Reach(NamedTuple):
-    """Requirements on a tool at single points of a part, see `check_access`. Each (n,)."""
-
-    curvature: Floats  # in the rake plane, positive concave; limits the nose radius [1/mm]
-    sweep: Floats  # angle on the nose where the edge touches [rad]
-    clearance: Floats  # clearance angle required; negative where the surface rises along the cutting direction [rad]
-
-
 def reach_at(part: Part, tool: Tool, *, x: Floats, y: Floats, sense: int = 1) -> Reach:
-    """Return the requirements of `check_access` at given points.
-
-    Parameters
-    ----------
-    part, tool, sense
-        See `check_access`.
-    x, y
-        Points on the part, not on its axis if the surface has no slope there. Each (n,) [mm]
-    """
-    curvature, sweep, climb = _shape(part, tool, sense, np.hypot(x, y), np.arctan2(y, x))
-    return Reach(curvature, sweep, -climb)
+    """Return the requirements of `check_access` at points off the axis. Each (n,) [mm]."""
+    return _reach(part, tool, sense, np.hypot(x, y), np.arctan2(y, x))
 
 
-def _shape(part: Part, tool: Tool, sense: int, radius: Floats, angle: Floats) -> _Shape:
-    """Return curvature and slopes of the surface relative to the edge. Each (n,)."""
+def _reach(part: Part, tool: Tool, sense: int, radius: Floats, angle: Floats) -> Reach:
     c, s = np.cos(angle), np.sin(angle)
     z, zx, zy, zxx, zxy, zyy = part.surface.evaluate(radius * c, radius * s, 2)
     with np.errstate(all="ignore"):  # values that are not finite are refused below
@@ -493,10 +471,10 @@ def _shape(part: Part, tool: Tool, sense: int, radius: Floats, angle: Floats) ->
     opening = np.maximum(up - back * fv, 1e-9)
     slope = fu / opening
     bend = (fuu + 2 * back * slope * fuv + (back * slope) ** 2 * fvv) / opening
-    return _Shape(bend / (1 + slope**2) ** 1.5, np.arctan(slope), np.arctan(sense * fv))
+    return Reach(bend / (1 + slope**2) ** 1.5, np.arctan(slope), np.arctan(sense * fv))
 
 
-MEASURES: tuple[Callable[[_Shape], Floats], ...] = (
+MEASURES: tuple[Callable[[Reach], Floats], ...] = (
     lambda shape: shape.curvature,
     lambda shape: shape.sweep,
     lambda shape: -shape.sweep,
@@ -506,12 +484,7 @@ MEASURES: tuple[Callable[[_Shape], Floats], ...] = (
 """Quantities whose maxima on the part are searched."""
 
 
-def _chunks(size: int) -> list[slice]:
-    return [slice(start, start + CHUNK_POINTS) for start in range(0, size, CHUNK_POINTS)]
-
-
 def _places(part: Part) -> _Places:
-    """Return the grid from which the search starts."""
     finest = math.sqrt(math.pi / MAX_GRID_POINTS) * part.radius
     step = max(min(part.radius / 48, part.surface.feature_size / 8), finest)
     rings = np.linspace(0, part.radius, math.ceil(part.radius / step) + 1)
@@ -523,7 +496,7 @@ def _places(part: Part) -> _Places:
 
 
 def _find_maxima(
-    shape: Callable[[Floats, Floats], _Shape], sampled: _Shape, places: _Places, rim: float
+    shape: Callable[[Floats, Floats], Reach], sampled: Reach, places: _Places, rim: float
 ) -> list[tuple[float, tuple[float, float]]]:
     """Return the largest value of each measure on the part, and its place (x, y).
 
@@ -583,28 +556,19 @@ def _deg(angle: float) -> str:
 
 
 def _nose(tool: Tool, limit: float, where: tuple[float, float]) -> AccessFinding:
-    """Check the nose radius."""
-    radius = tool.actual_radius
+    radius, name = tool.actual_radius, "nose radius"
     if math.isinf(limit):
         words = f"nose_radius is {radius:.4g} mm; the part is nowhere concave along the radius, so any nose fits"
-        return AccessFinding(
-            name="nose radius", value=radius, limit=limit, margin=limit, where=None, ok=True, sentence=words
-        )
+        return AccessFinding(name=name, value=radius, limit=limit, margin=limit, where=None, ok=True, sentence=words)
     ok = radius <= limit * (1 + 1e-9)
     words = f"nose_radius is {radius:.4g} mm, the limit is {limit:.4g} mm {_at(where)}"
+    words += "" if ok else f": use a nose_radius of at most {limit:.4g} mm"
     return AccessFinding(
-        name="nose radius",
-        value=radius,
-        limit=limit,
-        margin=limit - radius,
-        where=where,
-        ok=ok,
-        sentence=words + ("" if ok else f": use a nose_radius of at most {limit:.4g} mm"),
+        name=name, value=radius, limit=limit, margin=limit - radius, where=where, ok=ok, sentence=words
     )
 
 
 def _angle(name: str, field: str, needed: float, has: float | None, where: tuple[float, float]) -> AccessFinding:
-    """Check an angle of the tool."""
     words = f"{name} needs to be {_deg(needed)} {_at(where)}"
     ok = needed <= DISCONTINUITY_TOL if has is None else needed <= has
     if has is None:
@@ -640,7 +604,7 @@ def _borders(part: Part, tool: Tool, places: _Places) -> list[AccessFinding]:
         turn = np.nan_to_num(np.arctan(ax * c + ay * s) - np.arctan(bx * c + by * s))
     turn = np.where(jump > DISCONTINUITY_TOL, 0.0, turn)
 
-    def worst(name: str, sizes: Floats, words: Callable[[float, str], str]) -> list[AccessFinding]:
+    def find_worst(name: str, sizes: Floats, words: Callable[[float, str], str]) -> list[AccessFinding]:
         if not sizes.size or sizes.max() <= DISCONTINUITY_TOL:
             return []
         at = int(np.argmax(sizes))
@@ -660,4 +624,4 @@ def _borders(part: Part, tool: Tool, places: _Places) -> list[AccessFinding]:
             f"{fillet_um:.3g} um height remains"
         )
 
-    return worst("valley", turn, valley) + worst("step", jump, step)
+    return find_worst("valley", turn, valley) + find_worst("step", jump, step)

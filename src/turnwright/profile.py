@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
@@ -12,9 +12,6 @@ from numpy.polynomial.legendre import legvander
 from turnwright._arrays import Compared, Floats, frozen, is_even, same_length
 from turnwright._validate import check_numbers
 from turnwright.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 __all__ = ["Profile"]
 
@@ -63,13 +60,7 @@ class Profile(Compared):
 
     @property
     def step(self) -> float:
-        """Sampling step. [mm].
-
-        Raises
-        ------
-        InputError
-            If there are fewer than two points, or they are not evenly spaced.
-        """
+        """Sampling step; raises `InputError` unless there are two or more evenly spaced points. [mm]."""
         if not is_even(self.distance):
             raise InputError(
                 f"the profile has {self.distance.size} points{' in uneven steps' if self.distance.size > 1 else ''}, "

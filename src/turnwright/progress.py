@@ -27,15 +27,7 @@ PRIOR_WORK_S, MAX_PRIOR_FRACTION = 2.0, 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """A stage of a run that is still to be carried out.
-
-    Parameters
-    ----------
-    stage
-        Name under which the stage reports its progress.
-    work
-        Estimated time on a typical computer. [s]
-    """
+    """A stage of a run that is still to be carried out, and its estimated time on a typical computer. [s]."""
 
     stage: str
     work: float
@@ -253,13 +245,7 @@ def free_memory_gb(system: Path = Path("/")) -> float | None:
 
 
 def require_memory(needed: float, what: str, remedy: str) -> None:
-    """Raise unless as many bytes of memory are free.
-
-    Raises
-    ------
-    LimitError
-        With what needs the memory, how much is free, and the remedy.
-    """
+    """Raise `LimitError` unless as many bytes of memory are free, with what needs it and the remedy."""
     free = free_memory_gb()
     if free is not None and needed > free * 1e9:
         raise LimitError(

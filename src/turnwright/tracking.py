@@ -223,7 +223,6 @@ def precorrect(
 
 
 def _logged(missed: Mapping[str, ArrayLike], motion: Motion) -> dict[str, Floats]:
-    """Return a log as arrays, or raise if it does not fit the motion."""
     unknown = sorted(set(missed) - set(motion.axes))
     if unknown:
         raise InputError(
@@ -365,7 +364,6 @@ def _creeping(angle: Floats) -> Floats:
 def _follow(
     letter: str, position: Floats, velocity: Floats | None, time: Floats, machine: Machine, at: Floats
 ) -> Floats:
-    """Return the actual positions of an axis at times ``at``."""
     time, at = only_read(time), only_read(at)
     axis = machine.axes.get(letter)
     response = axis.response if axis is not None else None

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -11,13 +12,9 @@ from turnwright.errors import TurnwrightError
 from turnwright.job.comparison import strategies_of
 from turnwright.job.contributions import has_servos
 from turnwright.job.planning import stage_of
+from turnwright.job.schema import Job, PassTable
+from turnwright.part import Part
 from turnwright.progress import Step
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from turnwright.job.schema import Job, PassTable
-    from turnwright.part import Part
 
 __all__ = [
     "steps_of_comparison", "steps_of_correction", "steps_of_diagnosis", "steps_of_measurement", "steps_of_plan",
@@ -77,15 +74,7 @@ def steps_of_run(job: Job) -> tuple[Step, ...]:
 
 
 def steps_of_prediction(job: Job, *, tracking: bool | None = None) -> tuple[Step, ...]:
-    """Return the steps of `predict`.
-
-    Parameters
-    ----------
-    job
-        The job.
-    tracking
-        Whether servo tracking is simulated; as the job states if not given.
-    """
+    """Return the steps of `predict`, with servo tracking as the job states if not given."""
     points = _points(job, job.passes[-1])
     follows = job.simulation.tracking if tracking is None else tracking
     steps = [Step(stage="track", work=SERVOS_S * points)] if follows else []
@@ -135,13 +124,7 @@ def steps_of_comparison(job: Job) -> tuple[Step, ...]:
 
 
 def steps_of_measurement(heights: Sequence[float]) -> tuple[Step, ...]:
-    """Return the steps of `measure`, and of its report.
-
-    Parameters
-    ----------
-    heights
-        Approximate number of heights of each map.
-    """
+    """Return the steps of `measure`, and of its report, for maps of about so many heights each."""
     steps = []
     for count in heights:
         work = 0.2 + MEASURED_S * count / MILLION
@@ -150,26 +133,14 @@ def steps_of_measurement(heights: Sequence[float]) -> tuple[Step, ...]:
 
 
 def steps_of_diagnosis(heights: Sequence[float]) -> tuple[Step, ...]:
-    """Return the steps of `diagnose`, with the measurement of the parts and the report.
-
-    Parameters
-    ----------
-    heights
-        Approximate number of heights of each map.
-    """
+    """Return the steps of `diagnose`, with the measurement of the parts and the report."""
     *steps, report = steps_of_measurement(heights)
     explained = 2.0 + DIAGNOSED_S * min(sum(heights) / MILLION, 1.0)
     return (*steps, Step(stage="diagnose", work=explained), report)
 
 
 def steps_of_correction(heights: Sequence[float]) -> tuple[Step, ...]:
-    """Return the steps of `correct`, with measurement, diagnosis and the report.
-
-    Parameters
-    ----------
-    heights
-        Approximate number of heights of each map.
-    """
+    """Return the steps of `correct`, with measurement, diagnosis and the report."""
     *steps, report = steps_of_diagnosis(heights)
     return (*steps, Step(stage="prove the correction", work=8.0), Step(stage="simulate", work=3.0), report)
 

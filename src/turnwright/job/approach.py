@@ -21,26 +21,22 @@ its table begins with the revolution of the plunge.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright.errors import GougeError, LimitError
 from turnwright.generation import generate_polar
+from turnwright.job.schema import Job
 from turnwright.machine import FAST, Axis
+from turnwright.part import Part
+from turnwright.path import Motion
 from turnwright.placing import tip_height
 from turnwright.post import GAP, MOST_CLEARANCE, Approach, approach_to, entry_path, entry_shares
+from turnwright.tool import Tool
 from turnwright.units import say_length
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from turnwright._arrays import Floats
-    from turnwright.job.schema import Job
-    from turnwright.part import Part
-    from turnwright.path import Motion
-    from turnwright.tool import Tool
 
 __all__ = ["Entry", "entries_of"]
 
@@ -107,12 +103,8 @@ class Entry:
 def entries_of(job: Job, motions: Mapping[str, Motion]) -> dict[str, Entry]:
     """Plan how the tool enters the material in every pass, in the order of cutting.
 
-    Raises
-    ------
-    LimitError
-        If a pass can neither begin clear of the material nor plunge while C turns.
-    GougeError
-        If the edge gouges the finished surface in a plunge, unless the job accepts that.
+    Raises `LimitError` if a pass can neither begin clear of the material nor plunge while C turns, and `GougeError` if
+    the edge gouges the finished surface in a plunge, unless the job accepts that.
     """
     entries: dict[str, Entry] = {}
     before: Motion | None = None
@@ -267,7 +259,6 @@ def _plan_entry(job: Job, name: str, motion: Motion, before: Motion | None) -> E
 
 
 def _radial_section(part: Part, material: _Material, azimuth: float) -> dict[str, Floats]:
-    """Return a radial section of material and finished surface, see `Entry`."""
     count = material.angle.size
     nearest = round(azimuth / TURN * count) % count
     line, height, finished = [], [], []

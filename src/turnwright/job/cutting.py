@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
-from turnwright.cutting import check_ductile, chip_map, predict_chips
+from turnwright._arrays import Ints
+from turnwright.access import Access
+from turnwright.cutting import ChipMap, DuctileCheck, check_ductile, chip_map, predict_chips
 from turnwright.errors import InputError
+from turnwright.job.schema import Job, PassTable
+from turnwright.path import Motion
+from turnwright.progress import Progress
 from turnwright.units import say_length
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Ints
-    from turnwright.access import Access
-    from turnwright.cutting import ChipMap, DuctileCheck
-    from turnwright.job.schema import Job, PassTable
-    from turnwright.path import Motion
-    from turnwright.progress import Progress
 
 __all__ = ["PassChips", "chips_of", "predicted_chips"]
 

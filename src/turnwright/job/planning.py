@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path as File
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from turnwright.errors import JobError, LimitError, Stopped, TurnwrightError
 from turnwright.generation import generate_polar
@@ -26,19 +26,15 @@ from turnwright.job.named import with_interpolation
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.predicting import predict
 from turnwright.job.programs import read_back, written
+from turnwright.job.schema import Job
 from turnwright.job.speed import NEAR, ROUNDS, Servos, at_speed, few_lines, guess, largest, round_down
 from turnwright.job.verdict import Verdict, judge, missed
 from turnwright.motion import Limits, check_limits, drive
+from turnwright.path import Motion, Path, Spiral
+from turnwright.progress import StageProgress
 from turnwright.speed_profile import SpeedProfile
+from turnwright.strategy import Strategy
 from turnwright.units import write
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from turnwright.job.schema import Job
-    from turnwright.path import Motion, Path, Spiral
-    from turnwright.progress import StageProgress
-    from turnwright.strategy import Strategy
 
 __all__ = ["Plan", "Trial", "plan", "stage_of"]
 
@@ -190,7 +186,8 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
     why: TurnwrightError | None = None
     for name in (stated, *others):
         try:
-            best = _plan_interpolation(job if name == stated else _with_interpolation(job, name), form, sq, report)
+            machine = job.machine if name == stated else with_interpolation(job.machine, name)
+            best = _plan_interpolation(replace(job, machine=machine), form, sq, report)
         except Stopped:
             raise
         except TurnwrightError as error:
@@ -209,10 +206,6 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
 def stage_of(interpolation: str) -> str:
     """Return the name of the stage of a plan that tries an interpolation."""
     return f"points, speed and proof, {interpolation}"
-
-
-def _with_interpolation(job: Job, interpolation: str) -> Job:
-    return replace(job, machine=with_interpolation(job.machine, interpolation))
 
 
 def _plan_interpolation(job: Job, form: float, sq: float, report: StageProgress) -> Plan:
@@ -281,16 +274,9 @@ def _plan_target(job: Job, form: float, sq: float, tell: ReportFraction) -> Plan
 
 
 class _Search:
-    """Search for points and speed of a job.
+    """Search for points and speed of a job at a feed or scallop ``across``.
 
-    Parameters
-    ----------
-    job
-        The job.
-    across
-        The feed or the scallop. [mm]
-    roughest
-        Largest chord error that the finish allows. [mm]
+    ``roughest`` is the largest chord error that the finish allows. [mm]
     """
 
     def __init__(self, job: Job, across: float, roughest: float) -> None:
@@ -352,18 +338,13 @@ class _Search:
         return Plan(
             job=final,
             shares=break_down_error(
-                self.part,
-                self.tool,
-                points.spiral,
-                motion,
-                program_motion=program_motion,
-                nominal=reference,
+                self.part, self.tool, points.spiral, motion, program_motion=program_motion, nominal=reference,
                 pv_nm=predictions[0].pv_nm,
             ),
             verdicts=judge(final, predictions),
             limits=check_limits(motion, self.machine),
             tried=(),
-        )
+        )  # fmt: skip
 
     def _points(self, share: float) -> _Points:
         """Return the fewest points whose error, after interpolation by the controller, is within a share [mm]."""
@@ -427,12 +408,10 @@ class _Points:
 
 
 def _key(job: Job) -> tuple[str, str]:
-    """Return the key that sets the cusp height, and its unit."""
     return ("scallop", "mm") if hasattr(job.strategy.lays_out, "scallop") else ("feed", "mm/rev")
 
 
 def _fill_in(job: Job, across: float, ways: Mapping[str, float], speed: float | SpeedProfile | None = None) -> Job:
-    """Return the job with the chosen feed, points and speed in place of its own."""
     last, (key, _) = job.passes[-1], _key(job)
     freed: dict[str, Any] = dict.fromkeys(last.choices.keys() - {"lead_in"})
     several = isinstance(speed, SpeedProfile)
@@ -440,12 +419,8 @@ def _fill_in(job: Job, across: float, ways: Mapping[str, float], speed: float | 
     simulation = job.simulation
     if has_servos(job.actual_machine):  # the plan simulates them, so must a run
         simulation = replace(simulation, tracking=True)
-    return replace(
-        job,
-        strategy=strategy,
-        passes=(*job.passes[:-1], replace(last, **freed)),
-        simulation=simulation,
-    )
+    passes = (*job.passes[:-1], replace(last, **freed))
+    return replace(job, strategy=strategy, passes=passes, simulation=simulation)
 
 
 def _largest_feed(job: Job, form: float, sq: float) -> tuple[float, float]:

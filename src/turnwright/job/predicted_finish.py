@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright.generation import generate_points
 from turnwright.job.pass_plan import PassPlan
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Floats
-    from turnwright.job.schema import Job
-    from turnwright.path import Motion
+from turnwright.job.schema import Job
+from turnwright.path import Motion
 
 __all__ = ["across_feed", "cut_by", "feed_of", "finished", "motion_of"]
 
@@ -36,17 +32,7 @@ def cut_by(motion: Motion, real: Job, x: Floats, y: Floats) -> Floats:
 
 
 def finished(job: Job, real: Job, x: Floats, y: Floats) -> Floats:
-    """Return the heights after the finishing pass of a job with the tool and machine of another. (n,) [mm].
-
-    Parameters
-    ----------
-    job
-        The job as planned.
-    real
-        The job with the actual tool and machine.
-    x, y
-        Points. Each (n,) [mm]
-    """
+    """Return the heights after a job with the tool and machine of another, the actual ones. (n,) [mm]."""
     return cut_by(motion_of(job), real, x, y)
 
 

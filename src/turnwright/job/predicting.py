@@ -2,33 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright.errors import InputError
 from turnwright.generation import generate, generate_polar
+from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import finish_nm, lines, require_servos, without_servos
 from turnwright.job.extremes import find_extremes
 from turnwright.job.interpolated import interpolated, off_curves
 from turnwright.job.pass_plan import Watch
 from turnwright.job.prediction import Prediction
+from turnwright.job.schema import Job
+from turnwright.job.verdict import WHOLE
 from turnwright.metrology import roughness
+from turnwright.path import Motion
+from turnwright.progress import Progress, StageProgress
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
-
-    from turnwright._arrays import Floats
-    from turnwright.heightmap import HeightMap
-    from turnwright.job.schema import Job
-    from turnwright.path import Motion
-    from turnwright.progress import Progress, StageProgress
-
-__all__ = ["WHOLE", "followed", "predict"]
-
-WHOLE = "whole part"
-"""Name of the map of the whole part."""
+__all__ = ["followed", "predict"]
 
 
 def predict(

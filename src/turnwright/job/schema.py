@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path as File
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, cast
+from typing import Annotated, Any, Literal, TypeAlias, cast
 
 import numpy as np
 import tomli_w
 from annotated_types import Ge, Le
 from pydantic import Field, PlainValidator, Strict, ValidationError
 
+from turnwright._arrays import Floats
 from turnwright._faults import faults as faults_of, sentences
 from turnwright._io import bytes_of, read_toml, write_whole
 from turnwright._tables import adapter, read_by, types_of, written
@@ -33,11 +35,6 @@ from turnwright.strategy import STRATEGIES, Strategy
 from turnwright.surface import FAMILIES, Surface
 from turnwright.tool import Tool, Waviness, WavinessTable
 from turnwright.units import Angle, Count, Feed, Flag, Length, Size, Speed, Step, Text, Thickness, unit
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from turnwright._arrays import Floats
 
 __all__ = ["Job", "PassTable", "faults"]
 

@@ -7,25 +7,22 @@ from collections.abc import Callable
 from dataclasses import replace
 from decimal import Decimal
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright.errors import LimitError
 from turnwright.generation import generate_polar
+from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import FEWEST_ANGLES, lines, without_servos
+from turnwright.machine import Machine
 from turnwright.motion import check_limits, drive
+from turnwright.part import Part
+from turnwright.path import Motion, Path, Spiral
 from turnwright.speed_profile import SpeedProfile
+from turnwright.strategy import Strategy
+from turnwright.tool import Tool
 from turnwright.tracking import precorrect, track
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Floats
-    from turnwright.heightmap import HeightMap
-    from turnwright.machine import Machine
-    from turnwright.part import Part
-    from turnwright.path import Motion, Path, Spiral
-    from turnwright.strategy import Strategy
-    from turnwright.tool import Tool
 
 __all__ = ["NEAR", "ROUNDS", "Servos", "at_speed", "few_lines", "guess", "largest", "round_down"]
 
@@ -144,16 +141,9 @@ def largest(error: Callable[[float], float], limit: float, first: float, most: f
 
 
 class Servos:
-    """Surface errors from the servos of a machine, for motions over a part.
+    """Surface errors from the servos of a machine, for motions over a part that may be precorrected for them.
 
-    Parameters
-    ----------
-    part, tool, machine
-        Part, tool and machine.
-    spiral
-        Spiral of any of the motions: its feed sets the sampling of the surface, and azimuths keep clear of its ends.
-    corrected
-        Whether the motions are precorrected for the servos.
+    ``spiral`` is that of any of the motions: its feed sets the sampling, and azimuths keep clear of its ends.
     """
 
     def __init__(self, part: Part, tool: Tool, machine: Machine, *, spiral: Spiral, corrected: bool) -> None:
@@ -167,19 +157,9 @@ class Servos:
         return precorrect(nominal, self.machine) if self.corrected else nominal
 
     def constant(self, top: Motion, share: float) -> Motion:
-        """Return a motion at the highest constant speed within the limits and the share of the servos.
+        """Return a motion at the highest constant speed within the limits and the share of the servos [mm].
 
-        Parameters
-        ----------
-        top
-            At the highest speed within the limits of the machine.
-        share
-            Largest difference between the real surface and that of the motion. [mm]
-
-        Raises
-        ------
-        LimitError
-            If there is no such speed.
+        ``top`` is at the highest speed within the limits of the machine. Raises `LimitError` if there is no such speed.
         """
         nominal_surface = self._surface(top, self.ideal)
         speed = abs(float(top.axes["C"][-1] - top.axes["C"][0]) / float(top.time[-1] - top.time[0]))
@@ -205,19 +185,10 @@ class Servos:
     def varied(
         self, path: Path, servo: Strategy, machine: Machine, share: float, steady: Motion
     ) -> tuple[SpeedProfile, Motion] | None:
-        """Return the fastest speed over the radius within the limits and the share of the servos, and its motion.
+        """Return the fastest speed over the radius within the limits and the share of the servos [mm], and its motion.
 
-        The speed of every ring starts from the error of a motion at constant speed, and is then reduced or increased
-        iteratively by the error of the ring.
-
-        Parameters
-        ----------
-        path, servo, machine
-            Path, strategy, and machine with variable speed.
-        share
-            Largest difference between the real surface and that of the motion. [mm]
-        steady
-            Motion at a constant speed within the share.
+        The speed of every ring starts from the error of a motion at constant speed within the share, and is then
+        reduced or increased iteratively by the error of the ring.
         """
         top = drive(path, servo, machine)
         nominal_surface = self._surface(top, self.ideal)
@@ -305,7 +276,6 @@ class _Rings:
         )
 
     def utilisation(self, motion: Motion, machine: Machine) -> Floats:
-        """Return the highest utilisation of the limits in each ring."""
         highest = np.zeros(len(self.pieces))
         # A motion with ramps has more points than its path.
         turned = np.abs(motion.axes["C"] - motion.axes["C"][0])

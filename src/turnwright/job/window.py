@@ -14,22 +14,18 @@ has been generated, so the section is checked afterwards and widened until it su
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from turnwright._arrays import Floats, Ints
 from turnwright.job.predicting import predict
+from turnwright.job.prediction import Prediction
+from turnwright.job.schema import Job, Patch
 from turnwright.motion import drive
-from turnwright.path import Spiral
+from turnwright.path import Motion, Spiral
 from turnwright.placing import place
-from turnwright.strategy import FastToolServo, SlowToolServo
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Floats, Ints
-    from turnwright.job.prediction import Prediction
-    from turnwright.job.schema import Job, Patch
-    from turnwright.path import Motion
-    from turnwright.strategy import Strategy
+from turnwright.strategy import FastToolServo, SlowToolServo, Strategy
 
 __all__ = ["can_predict_window", "predict_window"]
 
@@ -102,14 +98,9 @@ def can_predict_window(job: Job) -> bool:
 
 
 def predict_window(job: Job, name: str) -> Prediction | None:
-    """Predict a window from the section of the finishing pass that cuts it; ``None`` if not exact or not faster.
+    """Predict a patch, or the "whole part", from a section of the finishing pass; ``None`` if not exact or not faster.
 
-    Parameters
-    ----------
-    job
-        A job for which `can_predict_window` is true.
-    name
-        Name of a patch, or "whole part", which needs only the points at the azimuths of its map.
+    The whole part needs only the points at the azimuths of its map. `can_predict_window` must be true.
     """
     part, tool = job.part.aimed, job.tool
     servo = job.servo(job.passes[-1])
