@@ -1,4 +1,4 @@
-"""Checks of arguments: numbers, angles, counts and ranges.
+"""Checks of arguments: numbers, angles, counts, ranges, paths, objects of Turnwright and callbacks.
 
 Every public dataclass calls `check_numbers` first in ``__post_init__``.
 """
@@ -8,12 +8,13 @@ from __future__ import annotations
 import dataclasses
 import math
 import numbers
+import os
 import re
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,12 +31,18 @@ __all__ = [
     "finite",
     "finite_tuple",
     "key_of",
+    "listener",
     "number",
+    "path",
     "plausible_sizes",
     "positive",
     "require_finite",
+    "span",
+    "thing",
     "whole",
 ]
+
+T = TypeVar("T")
 
 INTEGER_TYPE = re.compile(r"(int|Count|Ints|Natural|tuple\[int, \.\.\.\])( \| None)?")
 """Types of fields that hold integers."""
@@ -241,3 +248,34 @@ def whole(value: object, name: str, low: int, high: int | None = None) -> int:
             return integer
     limit = f"at least {low}" if high is None else f"{low} to {high}"
     raise InputError(f"{name} is {shown(value)}, it must be a whole number, {limit}: give one")
+
+
+def span(value: object, name: str) -> tuple[float, float]:
+    """Return two finite numbers in ascending order."""
+    if not isinstance(value, Sequence) or isinstance(value, str | bytes) or len(value) != 2:
+        raise InputError(f"{name} is {shown(value)}, it must be first and last: give two numbers")
+    low, high = (number(end, name) for end in value)
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise InputError(f"{name} is {low:g} to {high:g}, it must ascend: give finite values, the smaller first")
+    return low, high
+
+
+def path(value: object, name: str) -> str:
+    """Return the text of a path or a URL."""
+    text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
+    if not isinstance(text, str) or not text or "\0" in text:
+        raise InputError(f"{name} is {shown(value)}, it must be a path: give one")
+    return text
+
+
+def thing(value: T, kind: type[Any], name: str) -> T:
+    """Return a value if it is an instance of a class."""
+    if isinstance(value, kind):
+        return value
+    raise InputError(f"{name} is {shown(value)}, it must be a {kind.__name__}: give one")
+
+
+def listener(progress: object) -> None:
+    """Raise unless a progress callback can be called, or is None."""
+    if progress is not None and not callable(progress):
+        raise InputError(f"progress is a {type(progress).__name__}, it must be a function of (done, total): give one")

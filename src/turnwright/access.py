@@ -154,34 +154,19 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
     r"""Check whether a tool can cut a part: requirements, margins and the tightest places.
 
     At radius :math:`\rho` and azimuth :math:`\theta` let :math:`f_u = \partial f/\partial\rho` be the slope outward and
-    :math:`f_v = \partial f/\rho\,\partial\theta` the slope along growing azimuth.
+    :math:`f_v = \partial f/\rho\,\partial\theta` the slope along growing azimuth. The edge at rake :math:`\gamma` lies
+    in a plane that leans back from the vertical, so a height :math:`w` along it is at :math:`v = kw, z = cw` with
+    :math:`c = \cos\gamma, k = -s\sin\gamma` and :math:`s` the sense. There the surface has the slope and the curvature
 
-    Nose radius
-        The edge at rake :math:`\gamma` lies in a plane that leans back from the vertical, so a height :math:`w` along
-        it is at :math:`v = kw, z = cw` with :math:`c = \cos\gamma, k = -s\sin\gamma` and :math:`s` the sense. There
-        the surface has the slope and the curvature
+    .. math::
+        w' = \frac{f_u}{c - k f_v}, \qquad
+        w'' = \frac{f_{uu} + 2 k w' f_{uv} + k^2 w'^2 f_{vv}}{c - k f_v}, \qquad
+        \kappa = \frac{w''}{(1 + w'^2)^{3/2}}.
 
-        .. math::
-            w' = \frac{f_u}{c - k f_v}, \qquad
-            w'' = \frac{f_{uu} + 2 k w' f_{uv} + k^2 w'^2 f_{vv}}{c - k f_v}, \qquad
-            \kappa = \frac{w''}{(1 + w'^2)^{3/2}}.
-
-        Only concave places (:math:`\kappa > 0`) limit the nose, to :math:`1/\max\kappa`. Without rake that is
-        :math:`(1 + f_u^2)^{3/2} / f_{uu}`. Collisions of the edge away from the contact do not follow from the
-        curvature: placing the tool detects them exactly.
-    Sweep
-        The nose touches at the angle whose tangent is :math:`w'`. An included angle of twice the larger end covers it.
-    Clearance
-        The tool moves toward :math:`s\,v` over the part and its clearance face follows over the cut surface, rising at
-        the clearance angle :math:`\alpha`. Behind the edge the surface rises at :math:`-s f_v`, so where it falls along
-        the cutting direction it needs :math:`\tan\alpha \ge -s f_v`. This holds at every sweep of a cylindrical
-        clearance face; a conical one of the same angle clears a little more.
-    Rake
-        The surface climbs under the edge by :math:`\beta = \arctan(s f_v)`, so the rake relative to the surface is
-        :math:`\gamma - \beta`. As no limit holds for all materials, it is reported without a limit.
-
-    Where two pieces of the surface meet in a valley along the radius, no nose reaches the bottom: the finding gives the
-    height of the remaining fillet. A required included or clearance angle that is not given fails.
+    Only concave places (:math:`\kappa > 0`) limit the nose, to :math:`1/\max\kappa`. The nose touches at the angle
+    whose tangent is :math:`w'`. Collisions of the edge away from the contact do not follow from the curvature: placing
+    the tool detects them exactly. Clearance, rake and valleys: see the theory of access. A required included or
+    clearance angle that is not given fails.
 
     Parameters
     ----------
@@ -191,11 +176,6 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
         +1 where the azimuth of the part under the tool grows, -1 where it falls.
     progress
         Called with (done, total).
-
-    Raises
-    ------
-    InputError
-        If ``sense`` is not +1 or -1.
 
     Notes
     -----
@@ -276,36 +256,26 @@ def check_depths(
     sense: int = 1,
     progress: Progress | None = None,
 ) -> tuple[AccessFinding, ...]:
-    r"""Check for each pass whether its chip stays on the cutting edge.
+    r"""Check for each pass with a depth of cut whether its chip stays on the cutting edge.
 
     A pass cuts with the leading side of the edge: toward the axis, or outward where it is cut inside out. There the
     edge is the height :math:`g(u) = Z + e(u) - f(\rho + u)` above the finished surface, and cuts wherever that is less
-    than the depth of cut d. Beyond the end of the cutting edge it must not cut:
+    than the depth of cut d. Beyond the end of the cutting edge, its arc and the ``edge_length`` of its flanks, it must
+    not cut:
 
     .. math:: d \le \min_{\rho, \theta} \min_{u\text{ beyond the edge}} g(u) .
 
-    On the trailing side the previous revolution has already cut, up to the cusp.
+    On the trailing side the previous revolution has already cut, up to the cusp. Beyond the clear aperture the finished
+    surface continues at the slope of the rim where that rises outward, and level where it falls.
 
     Parameters
     ----------
-    part
-        The part; beyond the clear aperture its finished surface continues at the slope of the rim where that rises
-        outward, and level where it falls.
-    tool
-        The tool; its arc cuts, and the ``edge_length`` of its flanks if given.
+    part, tool, sense, progress
+        See `check_access`.
     depths
         Depth of cut of each pass, along z, by name. [mm]
     inside_out
         Whether the passes run from the centre to the rim.
-    sense
-        +1 where the spindle angle under the tool grows, -1 where it falls.
-    progress
-        Called with (done, total).
-
-    Returns
-    -------
-    tuple of AccessFinding
-        One for every pass with a depth of cut above 0.
 
     >>> from turnwright.part import Part
     >>> from turnwright.surface import Plane

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from turnwright._arrays import Bools, Floats, Ints, frozen, only_read
+from turnwright._arrays import Bools, Floats, Ints, frozen, only_read, same_length
 from turnwright._kernels import generation as kernel
 from turnwright._validate import check_azimuths
 from turnwright.edge import Edge
@@ -137,8 +137,7 @@ def generate_points(
         Heights; nan where no pass covers the point, as `generate` has it. (n,) [mm]
     """
     x, y = frozen(x, "x"), frozen(y, "y")
-    if x.shape != y.shape:
-        raise InputError(f"x has {x.size} points and y {y.size}: give as many of one as of the other")
+    same_length([("x", x), ("y", y)])
     return _finish(_in_tiles(_cut(motion, tool, machine), x, y, Tiles.of_points(x.size), progress))
 
 

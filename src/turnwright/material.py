@@ -81,8 +81,6 @@ _BY_RAKE = Columns(at_deg=math.pi / 180, factor=1.0)
 
 
 def _curve(curve: tuple[ArrayLike, ArrayLike], name: str) -> Curve:
-    if len(curve) != 2:
-        raise InputError(f"{name} has {len(curve)} parts, it needs 2: give positions and factors")
     at, factor = frozen(curve[0], f"{name} positions"), frozen(curve[1], f"{name} factors")
     if at.size < 2 or at.shape != factor.shape or not (np.diff(at) > 0).all() or not (factor > 0).all():
         raise InputError(
@@ -318,8 +316,6 @@ class Material(Stated, Value):
         if self.fracture_ratio is not None:
             positive(self.fracture_ratio, "fracture_ratio", "mm per mm of chip")
         ratios = tuple(between(ratio, "brittle_force", 0.0, 1.0, "of the force") for ratio in self.brittle_force)
-        if len(ratios) != 2:
-            raise InputError(f"brittle_force has {len(ratios)} values, it needs 2: give cutting force and thrust")
         object.__setattr__(self, "brittle_force", ratios)
         if min(ratios) < 1 and not self.brittle_plateau:
             raise InputError(f"material {self.name!r} has a brittle_force and no brittle_plateau: set that too")

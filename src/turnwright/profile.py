@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 
 from turnwright._arrays import Compared, Floats, frozen, is_even, same_length
-from turnwright._validate import check_numbers
+from turnwright._validate import check_numbers, whole
 from turnwright.errors import InputError
 
 __all__ = ["Profile"]
@@ -93,10 +93,7 @@ class Profile(Compared):
         InputError
             If the degree is not from 0 to 10, or there are too few valid heights.
         """
-        if isinstance(degree, bool) or not isinstance(degree, int) or not 0 <= degree <= MAX_DEGREE:
-            raise InputError(
-                f"the degree of a profile's polynomial is {degree!r}, the limits are 0 to {MAX_DEGREE}: choose between"
-            )
+        degree = whole(degree, "degree", 0, MAX_DEGREE)
         valid = ~np.isnan(self.z)
         if np.count_nonzero(valid) <= degree:
             raise InputError(

@@ -21,7 +21,7 @@ from turnwright.job.advice import open_questions
 from turnwright.job.contributions import pv_nm_of
 from turnwright.job.named import with_keys
 from turnwright.job.pass_plan import Watch
-from turnwright.job.predicted_finish import across_feed, feed_of, finished
+from turnwright.job.predicted_finish import across_feed, cut_by, feed_of, motion_of
 from turnwright.job.schema import Job
 from turnwright.job.seen import SeenTexture, design_as_seen, texture_as_seen
 from turnwright.job.verdict import Verdict, judge_form
@@ -642,7 +642,7 @@ def _average_over_cells(measured: Measured, job: Job) -> _Means:
     real = job if same_part(measured.job, job) else measured.job
     across = across_feed(measured.job, x, y)
     flat = [one.ravel() for one in across]
-    planned = finished(measured.job, real, *flat) - real.part.aimed.surface.sag(*flat)
+    planned = cut_by(motion_of(measured.job), real, *flat) - real.part.aimed.surface.sag(*flat)
     error -= planned.reshape(across[0].shape).mean(axis=1)
     heights = HeightMap(x=x, y=y, z=part.surface.sag(x, y) + error, name=measured.heights.name)
     return _Means(heights, noise * NM, averaged * NM)

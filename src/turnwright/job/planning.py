@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path as File
 from tempfile import TemporaryDirectory
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from turnwright.errors import JobError, LimitError, Stopped, TurnwrightError
 from turnwright.generation import generate_polar
@@ -30,10 +30,9 @@ from turnwright.job.schema import Job
 from turnwright.job.speed import NEAR, ROUNDS, Servos, at_speed, few_lines, guess, largest, round_down
 from turnwright.job.verdict import Verdict, judge, missed
 from turnwright.motion import Limits, check_limits, drive
-from turnwright.path import Motion, Path, Spiral
+from turnwright.path import Motion
 from turnwright.progress import StageProgress
 from turnwright.speed_profile import SpeedProfile
-from turnwright.strategy import Strategy
 from turnwright.units import write
 
 __all__ = ["Plan", "Trial", "plan", "stage_of"]
@@ -300,13 +299,13 @@ class _Search:
         splits = POINT_SHARES if self.answers else (1.0,)
         for share in sorted({min(split * residual, self.roughest) for split in splits}, reverse=True):
             points = self._points(share)
-            motion, tracking = points.top, residual - share
+            motion, tracking = points.plan.planned, residual - share
             tell(0.3)
             if self.answers:
                 self.servos = self.servos or Servos(
-                    self.part, self.tool, self.machine, spiral=points.spiral, corrected=self.corrected
+                    self.part, self.tool, self.machine, spiral=points.plan.spiral, corrected=self.corrected
                 )
-                motion = self.servos.constant(points.top, tracking)
+                motion = self.servos.constant(points.plan.planned, tracking)
             if best is not None and motion.time[-1] >= best[1].time[-1]:
                 break
             best = points, motion, tracking
@@ -320,9 +319,9 @@ class _Search:
             nominal = at_speed(nominal, speed / peak_rpm)
             if nominal.velocity is not None:  # at a lower speed the ramps are shorter
                 stated = _fill_in(self.job, self.across, points.ways, speed)
-                nominal = drive(points.path, stated.servo(stated.passes[-1]), self.machine)
+                nominal = drive(points.plan.path, stated.servo(stated.passes[-1]), self.machine)
         if self.servos is not None and self.varies:
-            variable = self.servos.varied(points.path, points.servo, self.job.machine, tracking, nominal)
+            variable = self.servos.varied(points.plan.path, points.plan.servo, self.job.machine, tracking, nominal)
             if variable is not None and variable[1].time[-1] < nominal.time[-1]:
                 speed, nominal = variable
         motion = nominal if self.servos is None else self.servos.commanded(nominal)
@@ -338,7 +337,7 @@ class _Search:
         return Plan(
             job=final,
             shares=break_down_error(
-                self.part, self.tool, points.spiral, motion, program_motion=program_motion, nominal=reference,
+                self.part, self.tool, points.plan.spiral, motion, program_motion=program_motion, nominal=reference,
                 pv_nm=predictions[0].pv_nm,
             ),
             verdicts=judge(final, predictions),
@@ -358,7 +357,7 @@ class _Search:
 
         def error_of(spacing: float) -> float:
             for other, points in tried.items():
-                if (expected := points.spiral.angle.size * other / spacing) > MAX_POINTS and other >= spacing:
+                if (expected := points.plan.spiral.angle.size * other / spacing) > MAX_POINTS and other >= spacing:
                     raise LimitError(
                         f"a path within {share * NM:.3g} nm needs {expected:.2g} points, the limit of a plan is "
                         f"{MAX_POINTS:.0e}: relax form_pv, or allow another interpolation"
@@ -374,16 +373,16 @@ class _Search:
             )
             raise LimitError(
                 f"the controller of {self.machine.name} cannot follow the path within {share * NM:.3g} nm: "
-                f"{tried[nearest].spiral.angle.size} points at {write(round_down(nearest), 'mm')} leave "
+                f"{tried[nearest].plan.spiral.angle.size} points at {write(round_down(nearest), 'mm')} leave "
                 f"{smallest * NM:.3g} nm: relax form_pv"
             )
         return tried[spacing]
 
     def _point_error(self, points: _Points) -> float:
         """Return the difference between the surfaces of the exact and of the interpolated path. [mm]."""
-        radius, angle = few_lines(self.part, points.spiral.feed, points.spiral.angle)
-        exact = exact_motion(points.spiral, self.part, self.tool, self.machine, angle)
-        real = interpolated(points.top, without_servos(self.machine, corrected=self.corrected))
+        radius, angle = few_lines(self.part, points.plan.spiral.feed, points.plan.spiral.angle)
+        exact = exact_motion(points.plan.spiral, self.part, self.tool, self.machine, angle)
+        real = interpolated(points.plan.planned, without_servos(self.machine, corrected=self.corrected))
         maps = [generate_polar(one, self.tool, radius=radius, angle=angle) for one in (exact, real)]
         return max_difference_nm(*maps) / NM
 
@@ -391,20 +390,15 @@ class _Search:
         """Return points at a chord or an arc length [mm], in motion at the highest speed within the limits."""
         ways = {"arc_length": spacing, "max_step": MAX_STEP_RAD} if self.evenly else {"chord": spacing}
         filled = _fill_in(self.job, self.across, ways)
-        plan = PassPlan(replace(filled, machine=self.machine))
-        return _Points(ways=ways, filled=filled, servo=plan.servo, spiral=plan.spiral, path=plan.path, top=plan.planned)
+        return _Points(ways, filled, PassPlan(replace(filled, machine=self.machine)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Points:
-    """Keys that set the points, their path, and their motion at the highest speed within the limits."""
+class _Points(NamedTuple):
+    """Keys that set the points, the job with them, and its plan at the highest speed within the limits."""
 
     ways: dict[str, float]
     filled: Job
-    servo: Strategy
-    spiral: Spiral
-    path: Path
-    top: Motion
+    plan: PassPlan
 
 
 def _key(job: Job) -> tuple[str, str]:

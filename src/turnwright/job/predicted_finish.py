@@ -10,7 +10,7 @@ from turnwright.job.pass_plan import PassPlan
 from turnwright.job.schema import Job
 from turnwright.path import Motion
 
-__all__ = ["across_feed", "cut_by", "feed_of", "finished", "motion_of"]
+__all__ = ["across_feed", "cut_by", "feed_of", "motion_of"]
 
 PLACES_PER_FEED = 8
 """Points across a feed; the error of their mean is at most 0.4/64 of the cusp height."""
@@ -29,11 +29,6 @@ def motion_of(job: Job) -> Motion:
 def cut_by(motion: Motion, real: Job, x: Floats, y: Floats) -> Floats:
     """Return the heights after a motion with the tool and machine of a job. (n,) [mm]."""
     return generate_points(motion, real.tool, x=x, y=y, machine=real.machine)
-
-
-def finished(job: Job, real: Job, x: Floats, y: Floats) -> Floats:
-    """Return the heights after a job with the tool and machine of another, the actual ones. (n,) [mm]."""
-    return cut_by(motion_of(job), real, x, y)
 
 
 def across_feed(job: Job, x: Floats, y: Floats, places: int = PLACES_PER_FEED) -> tuple[Floats, Floats]:

@@ -10,7 +10,7 @@ import numpy as np
 from turnwright._arrays import Floats, is_even
 from turnwright.heightmap import HeightMap
 from turnwright.instrument import Instrument
-from turnwright.job.predicted_finish import feed_of, finished
+from turnwright.job.predicted_finish import cut_by, feed_of, motion_of
 from turnwright.job.schema import Job
 from turnwright.metrology import filter_map
 from turnwright.pose import Pose
@@ -124,7 +124,7 @@ def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> SeenTexture | Non
     design = _inspected(job, u, v)
     inside = np.isfinite(design) & (np.hypot(u, v) <= job.part.radius)
     made = np.full(u.shape, np.nan)
-    made[inside] = finished(job, job, u[inside], v[inside])
+    made[inside] = cut_by(motion_of(job), job, u[inside], v[inside])
     surface = np.where(np.isfinite(made), design, np.nan)
     through = (instrument.see(HeightMap(x=grid.x, y=grid.y, z=one)).z for one in (made, surface))
     seen = next(through) - next(through)
