@@ -21,8 +21,6 @@ __all__ = ["faults", "keys_of", "read_table", "sentences", "suggestion"]
 T = TypeVar("T")
 
 MAX_FAULTS = 30
-"""Faults of a file that are reported at once."""
-
 _KINDS = {
     "float_type": "a plain number without a unit or quotes",
     "finite_number": "a finite number",

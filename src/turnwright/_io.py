@@ -21,7 +21,6 @@ MAX_TOML_BYTES = 1 << 20
 """Bytes of a TOML file; Python reads about a megabyte of TOML per second."""
 
 MAX_INTEGER_BITS = 14_000
-"""Bits of an integer; Python prints at most 4300 digits."""
 
 
 DUPLICATE_ERRORS = (
@@ -107,7 +106,6 @@ def write_whole(path: Path, text: str | bytes | memoryview) -> None:
 
 
 READ_TIMEOUT_S = 300
-
 READER = "import sys, {module} as reader; sys.exit(reader.main())"
 """Code of the separate process: the ``main`` of a module, which calls `answer_parent`."""
 

@@ -45,12 +45,10 @@ __all__ = [
 T = TypeVar("T")
 
 INTEGER_TYPE = re.compile(r"(int|Count|Ints|Natural|tuple\[int, \.\.\.\])( \| None)?")
-"""Types of fields that hold integers."""
 
 SCALAR_TYPE = re.compile(
     r"(int|float|Angle|Count|Feed|Length|Natural|Number|Radius|Size|Slope|Speed|Step|Thickness)( \| None)?"
 )
-"""Types of fields that hold one number."""
 
 MAX_SCALAR_CHECKS = 64
 """Entries of a list that are checked one by one; a longer list is converted to an array first."""
@@ -185,7 +183,6 @@ def between(value: float, name: str, low: float, high: float, unit: str) -> floa
 
 
 IN_RAD = "a plain number is in rad"
-"""The remedy for an angle beyond its limits."""
 
 MIN_DEGREE_STEP = 0.5
 """Step of a spiral from which an even divisor of 360 is taken for degrees: in radians, 12 points per revolution."""

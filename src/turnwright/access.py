@@ -20,16 +20,9 @@ from turnwright.units import say_length
 __all__ = ["Access", "AccessFinding", "check_access", "check_depths"]
 
 TURN = 2 * math.pi
-
 MAX_GRID_POINTS = 400_000
-"""Points of the grid from which the search starts."""
-
 CHUNK_POINTS = 20_000
-"""Points evaluated at a time, between two reports of progress."""
-
 MAX_STARTS = 32
-"""Best grid points from which the search is refined."""
-
 MAX_SLOPE = 1e6
 """Slope of a surface, in mm per mm; larger ones come from a wrong description."""
 
@@ -58,8 +51,6 @@ REFINEMENT_STEPS = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 """Steps from each point, in radial and circumferential direction, that a refinement tries."""
 
 FLANK_POINTS = 120
-"""Points along a flank, denser where it begins."""
-
 MAX_NOSE_RADIUS_MM = 20.0
 """Nose radius beyond which a unit error is likely."""
 

@@ -42,8 +42,6 @@ from turnwright.units import Length, Number, Text
 __all__ = ["Instrument"]
 
 MIN_STEPS_PER_RESOLUTION = 2
-"""Steps of a surface per resolved length of an instrument."""
-
 MIN_STEPS_PER_BALL = 10
 """Steps per stylus radius; between the points the ball dips by at most 1/800 of the radius."""
 
@@ -51,7 +49,6 @@ PADDING_LENGTHS = 40
 """Resolved lengths by which a surface is extended beyond its borders, as a diffraction image decays slowly."""
 
 MAX_BALL_POINTS = 1_000_000
-"""Points of the surface under the ball of a stylus."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,8 +27,6 @@ from turnwright.units import Angle, Flag, Length, Number, Text, plain, say_lengt
 __all__ = ["CriticalThickness", "CuttingCoefficient", "Lobes", "Material"]
 
 MAX_LOBES = 24
-"""Lobes per revolution; the symmetry of crystals gives fewer."""
-
 MAX_RAKE = np.deg2rad(80)
 """Largest rake of a table of factors, either way. [rad]"""
 

@@ -52,7 +52,6 @@ MAX_C_REVERSAL_RAD = 1e-3
 """Angle by which C may swing back at the start or end of a motion: a micrometre at a radius of one millimetre."""
 
 MAX_SAMPLES = 300_000_000
-"""Samples of a motion that fit into memory."""
 
 
 def track(

@@ -22,7 +22,6 @@ __all__ = [
 ]  # fmt: skip
 
 MILLION = 1e6
-
 ACCESS_S, DEPTH_S, APPROACH_S, REPORT_S = 0.6, 0.2, 0.3, 2.0
 PLAN_S, DRIVE_S, LIMITS_S, CHIPS_S, WRITE_S, READ_S = 0.12, 0.3, 0.06, 0.15, 0.18, 0.18
 """First row: per step. Second row: per million points of a pass. [s]"""
@@ -37,14 +36,10 @@ HEIGHTS_S, MEASURED_S, DIAGNOSED_S = 1.0, 1.5, 10.0
 """Per million heights: prediction, registration and diagnosis. [s]"""
 
 PROOFS = 2.5
-"""Typical number of simulations until a plan is proved."""
-
 RADII, ANGLES = 24, 72
 """Samples of the curvature of a surface along the spiral."""
 
 USUAL_POINTS = 360
-"""Points per revolution where the strategy does not state them."""
-
 FEWEST_POINTS = 36
 
 

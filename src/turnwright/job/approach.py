@@ -11,11 +11,9 @@ is on the safe side as long as no step hides a peak. Azimuths are spaced by an e
 surface, up to 1440 of them. The blank is unknown outside the clear aperture: it is assumed to continue at the slope of
 the rim where that rises outward, and level where it falls.
 
-A plunge stays at the radius where its pass begins. Its heights around the axis are exact: the edge is brought into
-contact with the part at every azimuth, and all heights are raised by the distance of the first point of the pass from
-contact, for example by the allowance. As an independent proof, the whole arc of the edge is compared with the finished
-surface at points of the last revolution. A fast tool adds the part of these heights that the slide does not follow:
-its table begins with the revolution of the plunge.
+A plunge stays at the radius where its pass begins, at heights that are exact around the axis; the theory of the program
+explains it. As an independent proof, the whole arc of the edge is compared with the finished surface at points of the
+last revolution.
 """
 
 from __future__ import annotations
@@ -41,16 +39,9 @@ from turnwright.units import say_length
 __all__ = ["Entry", "entries_of"]
 
 TURN = 2 * math.pi
-
 MIN_AZIMUTHS, MAX_AZIMUTHS = 180, 1440
-"""Azimuths at which the material is sampled; the more, the finer the features of the surface."""
-
 RADIAL_STEPS = 3000
-"""Steps of the radial line under the edge."""
-
 CLEAR_HEIGHT_MM = 5.0
-"""Height of the clear plane above the highest material. [mm]"""
-
 PLUNGE_DEPTH_TOL = 1e-6
 """Largest depth of the edge below the finished surface in a plunge, if its pass does not begin lower. [mm]"""
 

@@ -35,9 +35,7 @@ from turnwright.tool import Tool
 __all__ = ["Candidate", "Comparison", "compare", "strategies_of"]
 
 TURN = 2 * math.pi
-
 AS_IT_STANDS = "the job as it stands"
-"""Name of the job's own strategy in the comparison."""
 
 SHORT_STEP_FRACTION = 1e-4
 """Fraction of the steps of a plan by chord that may be shorter than the steps of the plan at a constant angle."""

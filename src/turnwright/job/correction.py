@@ -41,16 +41,12 @@ from turnwright.tool import Tool, WavinessTable
 __all__ = ["Correction", "correct"]
 
 MAX_PREDICTED_POINTS = 40_000
-"""Most points at which the corrected part is predicted."""
-
 PLANNED_SOURCES = frozenset(
     {"offset x", "offset y", "offset z", "radius error", "waviness", "squareness", "straightness"}
 )
 """Error sources that planning with the actual tool and machine corrects."""
 
 MAX_SIMULATED_PLACES = 600
-"""Most points at which draws are simulated in full."""
-
 MIN_ERROR_RATIO = 3.0
 """Least form error, as a multiple of the error worth correcting, for which a correction can gain anything."""
 
@@ -76,8 +72,6 @@ OUTLIER_SIGMA = 6.0
 """Standard deviations from which a residual is an outlier and not form, as in the fit of a diagnosis."""
 
 MAX_EXPLAINED_RATIO = 1.1
-"""Most by which the attributed error may exceed the measured error, as a factor."""
-
 NAMED_SIGMAS = 2.0
 """A contribution is named if it exceeds this many standard uncertainties."""
 
@@ -613,7 +607,6 @@ def _entry(one: Measured, names: Sequence[str], plan: _Plan) -> str:
 
 
 MAX_NAME_LENGTH = 60
-"""Most characters of a map's name in that entry."""
 
 
 def _sentences(

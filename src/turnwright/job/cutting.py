@@ -23,8 +23,6 @@ MAX_POINTS = 20_000
 chip thickness of the infrared lens and of an array of lenses by less than 0.1 %."""
 
 FIRST_REV_POINTS = 72
-"""Points of the first revolution among them."""
-
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 """Azimuth between successive points of a sunflower pattern, which has no gaps and no rows. [rad]"""
 

@@ -32,14 +32,8 @@ NM = 1e6
 GOLDEN = (math.sqrt(5) - 1) / 2
 
 RADII_PER_FEED = 8
-"""Radii of the scan per feed."""
-
 FEWEST_ANGLES, MOST_ANGLES = 72, 360
-"""Least and most azimuths of the scan."""
-
 AZIMUTHS_PER_FEATURE = 4
-"""Azimuths per feature size of the surface at the rim, within these limits."""
-
 SCAN_POINTS, SCAN_POINTS_OFF_PLANE = 500_000, 100_000
 """Most points of the scan, and of a scan with a tool that does not move in a plane through the axis."""
 
@@ -50,8 +44,6 @@ ZONES = (6, 8)
 """Zones along the radius and around the axis, the search starts from the best point of each."""
 
 OVERALL_STARTS = 24
-"""Number of the best points overall that the search starts from as well."""
-
 MIN_PLACES_PER_THREAD = 2048
 """Points of a chunk of work; smaller chunks take less time than their overhead."""
 
@@ -59,10 +51,8 @@ STAGES = 6
 """Steps of progress: four scans and two searches."""
 
 CLIMBERS, FINALISTS = 10, 4
-"""Number of points that the search climbs from, and that it refines."""
-
 CLIMBERS_OFF_PLANE, FINALISTS_OFF_PLANE = 4, 2
-"""The same for a tool that does not move in a plane through the axis; its points take ten times as long."""
+"""Points that the search climbs from and that it refines; off the plane each takes ten times as long."""
 
 RADIAL_LOOKS = 17
 """Radii of one step of the search along a radius; the next step is between the neighbours of the highest."""
@@ -86,8 +76,6 @@ REFINEMENTS, REFINEMENT_STEPS = 16, 9
 """Steps of the search around the axis and azimuths of each; each step is a third as wide as the one before."""
 
 HALVINGS = 50
-"""Bisections of the radius of the uncut core."""
-
 MIN_ALONG_MM = 1e-8
 """Least distance of a point from the edge of the uncut core, along the pass. [mm]"""
 

@@ -55,10 +55,7 @@ from turnwright.tool import Tool
 __all__ = ["Measured", "beyond_pose", "cutoff_of", "diagnose", "measure", "read_measurement", "same_part"]
 
 MAX_START_POINTS = 100_000
-"""Most points of the first registration, before outliers are removed."""
-
 NM = 1e6
-
 CELL_COUNT = 20_000
 """Cells of a part over which a diagnosis averages the errors."""
 
@@ -75,11 +72,7 @@ MAX_OUTLIER_FRACTION = 0.25
 """Most outliers, as a fraction of the heights; with more of them the map is of another part."""
 
 CHECK_POINTS = 3_000
-"""Points used to check that a map is of its part."""
-
 PLAUSIBLE_SIGMAS = 3.0
-"""Most form error that plausible errors can cause, in standard deviations."""
-
 DEPARTURE_FRACTION = 0.5
 """Most form error of a part, as a fraction of the departure of its design from the best-fit sphere or plane."""
 
@@ -93,7 +86,6 @@ CHECK_ADVICE = (
     "Check the unit of the heights, the pixel size, mirrored, inverted and rotation, whether heights that are missing "
     "are stored as 0, and the part."
 )
-"""Remedy for a map that does not match its part in any orientation."""
 
 MAX_TIE_RATIO = 1.2
 """Most ratio to the least form error for which an orientation fits equally well."""
@@ -113,10 +105,8 @@ MIN_SIGNATURE, RANK_TOL = 1e-12, 1e-6
 DOFS_OF_TERM = MappingProxyType(
     {"piston": ("z",), "tilt": ("tilt_x", "tilt_y"), "decentre": ("x", "y"), "clocking": ("rotation",)}
 )
-"""Degrees of freedom of a registration by the term of a diagnosis."""
 
 ZERNIKE_TERMS = 37
-"""Number of fringe Zernike terms of the form error."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -706,8 +696,7 @@ def _with_reference(heights: HeightMap, job: Job) -> tuple[HeightMap, Pose | Non
     settings = job.measurement
     if settings.quantity == "height":
         return heights, settings.pose
-    stated = settings.departure_from
-    reference = stated if isinstance(stated, Surface) else job.part.surface
+    reference = job.reference
     x, y = heights.points()
     valid = ~np.isnan(heights.z)
     pose = settings.pose

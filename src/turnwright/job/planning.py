@@ -43,7 +43,6 @@ ReportFraction: TypeAlias = Callable[[float], None]
 TURN = 2 * math.pi
 NM = 1e6
 CUSP_SQ_RATIO = math.sqrt(4 / 45)
-"""Ratio of Sq to height of parabolic cusps."""
 
 SPIRAL_POINTS_PER_REV = 72
 """Points per revolution of a spiral of which only the radii are used."""
@@ -86,8 +85,6 @@ CUSP_FRACTION = 0.1
 """Approximate fraction of the work for the largest feed, for the progress."""
 
 PROGRESS_STEPS = 1000
-"""Resolution of the progress."""
-
 FIRST_POINTS_PER_FEATURE = 6
 """Points per feature of the surface at which the search for fewer points begins."""
 

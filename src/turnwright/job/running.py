@@ -35,7 +35,6 @@ from turnwright.units import say_length
 __all__ = ["finishing_motion", "preview", "run"]
 
 PLOT_POINTS = 20_000
-"""Most points of a path that is kept for plots."""
 
 
 def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[str] | None = None) -> Result:

@@ -637,6 +637,12 @@ class Job(Table):
         return servo
 
     @property
+    def reference(self) -> Surface:
+        """The surface from which a map of departures is measured."""
+        stated = self.measurement.departure_from
+        return stated if isinstance(stated, Surface) else self.part.surface
+
+    @property
     def actual_tool(self) -> Tool:
         """The tool for the simulation: nominal plus deviations."""
         return replace(self.tool, **self.actual.tool.stated)

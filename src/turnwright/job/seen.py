@@ -14,19 +14,12 @@ from turnwright.job.predicted_finish import cut_by, feed_of, motion_of
 from turnwright.job.schema import Job
 from turnwright.metrology import filter_map
 from turnwright.pose import Pose
-from turnwright.surface import Surface
 
 __all__ = ["SeenTexture", "design_as_seen", "texture_as_seen"]
 
 MOST_POINTS = 20_000_000
-"""Most points of the design on a grid fine enough for the instrument model."""
-
 WINDOW_POINTS = 600_000
-"""Most points of the predicted cusps."""
-
 FEED_STEPS = 8
-"""Least steps of the predicted cusps per feed."""
-
 MARGIN_LENGTHS = 4
 """Margin of the surface around the map, in pixels or optical resolutions."""
 
@@ -37,8 +30,6 @@ CUTOFF_STEPS = 5
 """Least steps of a map per cutoff of the texture."""
 
 MIN_MEASURED_FRACTION = 0.5
-"""Least fraction of the window that is measured."""
-
 NM = 1e6
 
 
@@ -177,15 +168,11 @@ def _grid(x: Floats, y: Floats, limit: float, reach: float) -> _Grid | None:
 
 def _inspected(job: Job, u: Floats, v: Floats) -> Floats:
     """Return the reading of an ideal instrument on the design: height, or departure from the reference. [mm]."""
-    settings = job.measurement
     surfaces = [job.part.surface]
-    if settings.quantity != "height":
-        reference = settings.departure_from
-        surfaces.append(reference if isinstance(reference, Surface) else surfaces[0])
-    on = np.ones(u.shape, dtype=np.bool_)
-    for surface in surfaces:
-        inside = surface.inside(u, v)
-        on &= True if inside is None else inside
+    if job.measurement.quantity != "height":
+        surfaces.append(job.reference)
+    masks = [inside for surface in surfaces if (inside := surface.inside(u, v)) is not None]
+    on = np.logical_and.reduce([np.ones(u.shape, dtype=np.bool_), *masks])
     shown = np.full(u.shape, np.nan)
     shown[on] = surfaces[0].sag(u[on], v[on])
     if len(surfaces) > 1:

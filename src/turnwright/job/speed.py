@@ -27,15 +27,12 @@ from turnwright.tracking import precorrect, track
 __all__ = ["NEAR", "ROUNDS", "Servos", "at_speed", "few_lines", "guess", "largest", "round_down"]
 
 TURN = 2 * math.pi
-
 NEAR = 0.93
 """Fraction of a limit from which on a search stops."""
 
 TARGET = (1 + NEAR) / 2
 
 ROUNDS = 8
-"""Most iterations of a search."""
-
 MIN_SPEED_FRACTION = 0.05
 """Smallest fraction to which a speed profile is lowered so that the axes can ramp to it and to rest."""
 
@@ -43,13 +40,10 @@ SAMPLE_STEP = 4
 """Only every n-th sample is used where only the difference of two surfaces counts."""
 
 TRACKING_CHORD_MM = 1e-5
-"""Chord error of the simulated motion during a search. [mm]"""
-
 FIRST_EXPONENT = 1.6
 """Exponent of the tracking error over the speed to begin with: 1, or 2 with feed forward."""
 
 EXPONENT_RANGE = (0.5, 4.0)
-"""Range of the exponent from two iterations."""
 
 MAX_STEP_RATIO = 8.0
 """Largest ratio by which a value is reduced in one iteration, since the error may be overestimated."""
@@ -59,8 +53,6 @@ ERROR_RATIO = 0.95
 """A value does not cause an error that stays above ERROR_RATIO while the value is reduced by VALUE_RATIO."""
 
 RINGS = 24
-"""Number of rings with their own speed."""
-
 MARGIN_BLOCKS = 3
 """Blocks on either side of a ring that count for its limits: the span of a jerk."""
 

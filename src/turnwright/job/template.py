@@ -18,14 +18,12 @@ from turnwright.surface import FAMILIES
 __all__ = ["KeyHelp", "TableHelp", "job_template", "reference_tables"]
 
 WIDTH = 110
-"""Characters per line of a template."""
 
 _EXAMPLES: dict[str, dict[str, Any]] = {
     "part": {"name": "lens", "radius": "5 mm"},
     "tool": {"nose_radius": "0.5 mm", "included": "120 deg", "clearance": "20 deg", "rake": "0 deg"},
     "machine": {"name": "generic"},
 }
-"""Example values of tables whose classes have none."""
 
 _ADDED: dict[str, dict[str, Any]] = {
     "simulation.patches": {"name": "zone", "centre": ["2 mm", "0 mm"], "size": ["0.1 mm", "0.1 mm"], "pixel": "1 um"},

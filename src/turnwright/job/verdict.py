@@ -11,12 +11,9 @@ from turnwright.job.schema import Job
 __all__ = ["WHOLE", "Verdict", "judge", "judge_form", "missed", "tolerances_of", "unjudged"]
 
 NM = 1e6
-
 TOLERANCE_NAMES = {"form_pv": "form error PV", "sq": "Sq"}
-"""The name of each tolerance of a job file, as messages write it."""
 
 WHOLE = "whole part"
-"""Name of the map of the whole part."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

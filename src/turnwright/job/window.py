@@ -30,22 +30,15 @@ from turnwright.strategy import FastToolServo, SlowToolServo, Strategy
 __all__ = ["can_predict_window", "predict_window"]
 
 TURN = 2 * math.pi
-
 EDGE_SAMPLES = 4001
-"""Points on the edge at which it is compared with the surface."""
-
 MAX_SWEEP_RAD = math.radians(89.9)
-"""Largest contact angle of these points. [rad]"""
+"""Largest contact angle at which the edge is compared with the surface. [rad]"""
 
 SLOPE_MARGIN = 1.1
 """Factor by which the slope between the samples may exceed that at the samples."""
 
 MIN_SAMPLES, MAX_SAMPLES = 48, 360
-"""Least and most radii and azimuths at which the slope is sampled."""
-
 SAMPLES_PER_FEATURE = 8
-"""Samples per feature size of the surface, within these limits."""
-
 HEIGHT_MARGIN_MM = 2e-4
 """First estimate of the height above the design, without cusps and deviations. [mm]"""
 
@@ -53,7 +46,6 @@ MAX_POINT_FRACTION = 0.7
 """Most points of the section as a fraction of the pass; with more of them it saves no time."""
 
 MAX_WIDENINGS = 3
-"""Most sections tried before the whole pass is placed."""
 
 
 class _Edge(NamedTuple):
