@@ -229,14 +229,8 @@ def block_points(time: Floats, axes: Mapping[str, Floats]) -> Ints:
 
     Without a fast tool, all points are. With a fast tool, which has its own table of heights, the lathe takes every
     second, fourth, eighth point and so on, as long as each of its axes stays within 0.1 nm of the straight line between
-    two blocks. The last block may be shorter; a controller with spline interpolation deviates slightly there.
-
-    Parameters
-    ----------
-    time
-        Time, or the angle in place of it; ascending. (n,) [s or rad]
-    axes
-        Position by letter. Each (n,) [mm or rad]
+    two blocks. The last block may be shorter; a controller with spline interpolation deviates slightly there. The angle
+    may be given in place of the time.
     """
     every = np.arange(time.size)
     if not FAST.keys() & axes.keys():

@@ -35,40 +35,20 @@ class Step:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Overall:
-    """Progress of a run over all its stages.
+    """Progress of a run over all its stages."""
 
-    Parameters
-    ----------
-    stage
-        The stage in progress.
-    step, steps
-        Its number, counted from 1, and the number of stages.
-    fraction
-        Fraction of the work that is done; it never falls.
-    left_s
-        Estimated time remaining. [s]
-    """
-
-    stage: str
-    step: int
-    steps: int
-    fraction: float
-    left_s: float
+    stage: str  # in progress
+    step: int  # its number, counted from 1
+    steps: int  # number of stages
+    fraction: float  # of the work that is done; it never falls
+    left_s: float  # estimated time remaining [s]
 
 
 class OverallProgress:
     """A `StageProgress` that combines the progress of all stages into that of the run.
 
-    A stage that is not among the steps adds nothing. A skipped step counts as done when a later one begins.
-
-    Parameters
-    ----------
-    steps
-        The stages of the run, in order.
-    listener
-        Called with every change.
-    clock
-        Returns the time since an arbitrary origin. [s]
+    A stage that is not among the steps adds nothing. A skipped step counts as done when a later one begins. The
+    listener is called with every change; the clock returns the time since an arbitrary origin. [s]
 
     Examples
     --------

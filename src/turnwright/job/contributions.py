@@ -300,10 +300,9 @@ def max_difference_nm(one: HeightMap, other: HeightMap) -> float:
 def exact_motion(
     spiral: Spiral, part: Part, tool: Tool, machine: Machine, angle: Floats, *, dense_to: float = 0.0
 ) -> Motion:
-    """Return a motion that is exact at some azimuths, at one radian per second.
+    """Return a motion that is exact at ascending azimuths of a revolution, at one radian per second.
 
-    The azimuths ascend from 0 to less than a revolution, with any spacing. Where the tip is no farther from the axis
-    than ``dense_to`` [mm], the motion is also exact at points between them.
+    Where the tip is no farther from the axis than ``dense_to`` [mm], it is also exact at points between them.
     """
     first, last = sorted((float(spiral.angle[0]), float(spiral.angle[-1])))
     apart = 1e-11 + rounding(spiral.angle)  # so that no azimuth repeats one of the ends [rad]

@@ -559,7 +559,12 @@ def _diagnose_all(every: Sequence[Measured]) -> Diagnosis:
         waviness=settings.waviness, sense=first.strategy.sense, worth_nm=settings.worth * NM, points=2 * CELL_COUNT,
         noise_nm=[one.noise_nm for one in means], repeats=settings.repeats, correct=settings.correct,
     )  # fmt: skip
-    return _restate_form(diagnosis, every, means) if settings.reference == "true form" else diagnosis
+    if settings.reference != "true form" or any(one.job != first for one in every):
+        return diagnosis  # maps whose errors were converted to those of another job have no form error of their own
+    # The form error is that of the measurement: errors within the cells are residual.
+    measured_nm = float(np.sqrt(np.mean([one.form_rms_nm**2 for one in every])))
+    residual_nm = float(np.sqrt(diagnosis.unexplained_rms_nm**2 + np.mean([one.averaged_nm**2 for one in means])))
+    return replace(diagnosis, measured_rms_nm=measured_nm, unexplained_rms_nm=residual_nm)
 
 
 def _free_terms(job: Job) -> list[str]:
@@ -569,18 +574,6 @@ def _free_terms(job: Job) -> list[str]:
 def _planned_with(job: Job) -> tuple[Tool, Machine]:
     """Return tool and machine without their plausible errors."""
     return replace(job.tool, plausible={}), replace(job.machine, plausible={})
-
-
-def _restate_form(found: Diagnosis, every: Sequence[Measured], means: Sequence[_Means]) -> Diagnosis:
-    """Return a diagnosis with the form error of the measurement: errors within the cells are residual.
-
-    Maps whose errors were converted to those of another job have no such number.
-    """
-    if any(one.job != every[0].job for one in every):
-        return found
-    measured = float(np.sqrt(np.mean([one.form_rms_nm**2 for one in every])))
-    residual_nm = float(np.sqrt(found.unexplained_rms_nm**2 + np.mean([one.averaged_nm**2 for one in means])))
-    return replace(found, measured_rms_nm=measured, unexplained_rms_nm=residual_nm)
 
 
 def cutoff_of(job: Job) -> float:

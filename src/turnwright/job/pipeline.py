@@ -26,11 +26,9 @@ from turnwright.job.schema import Job, PassTable
 from turnwright.job.verdict import WHOLE
 from turnwright.job.window import can_predict_window, predict_window
 from turnwright.motion import Limits, check_limits
-from turnwright.part import Part
 from turnwright.path import Motion, Path, Spiral
 from turnwright.post import ProgramFiles
 from turnwright.progress import StageProgress
-from turnwright.tool import Tool
 
 __all__ = ["Cut", "Pipeline", "describe_gouge"]
 
@@ -38,10 +36,8 @@ GOUGE = 1e-9
 """Depth below the surface up to which a negative clearance is rounding. [mm]"""
 
 
-@lru_cache(maxsize=8)
-def _access(part: Part, tool: Tool, sense: int) -> Access:
-    """Check the access of a tool; jobs that differ only in feed and speed share the result."""
-    return check_access(part, tool, sense=sense)
+_check_access = lru_cache(maxsize=8)(check_access)
+"""Check the access of a tool; jobs that differ only in feed and speed share the result."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +120,7 @@ class Pipeline:
         part, tool, sense = self.job.part.aimed, self.job.tool, self.job.strategy.sense
         with self.watch.stage("access") as tell:
             if self.watch.progress is None:
-                return _access(part, tool, sense)
+                return _check_access(part, tool, sense=sense)
             return check_access(part, tool, sense=sense, progress=tell)
 
     @cached_property

@@ -115,16 +115,10 @@ def _with_extremes(job: Job, whole: Prediction, motion: Motion, watch: Watch) ->
     ring = None
     if job.tolerances.sq is not None and not job.simulation.patches:
         with watch.stage("roughest ring"):
-            ring = _ring_sq_nm(job, motion)
+            radius, angle = lines(part, motion.feed, motion.axes["C"])
+            surface = generate_polar(motion, tool, radius=radius, angle=angle, machine=machine)
+            ring = finish_nm(surface.minus(part.surface), motion.feed)
     return replace(whole, form=form, finish_nm=ring)
-
-
-def _ring_sq_nm(job: Job, motion: Motion) -> float:
-    """Return the Sq of the roughest ring of the whole part."""
-    part = job.part
-    radius, angle = lines(part, motion.feed, motion.axes["C"])
-    surface = generate_polar(motion, job.actual_tool, radius=radius, angle=angle, machine=job.actual_machine)
-    return finish_nm(surface.minus(part.surface), motion.feed)
 
 
 def followed(

@@ -72,18 +72,16 @@ def edited(before: str, old: Job, new: Job, *, folder: Path, into: Path) -> str:
     into = into.resolve()
     if folder.resolve() != into:
         table = _with_absolute_paths(table, folder)
-    was, now = (_with_relative_paths(one.table(), into) for one in (old, new))
+    was, now = (
+        _replace_texts(one.table(), lambda text: Path(text).name if Path(text).parent == into else text)
+        for one in (old, new)
+    )
     for convert in (_in_old_unit, lambda _value, new: new) if table else ():
         text = written(_merge_changes(table, was, now, convert), before)
         with suppress(TurnwrightError, tomllib.TOMLDecodeError):
             if Job.read(tomllib.loads(text), folder=into) == new:
                 return MARK * before.startswith(MARK) + text
     return tomli_w.dumps(now)
-
-
-def _with_relative_paths(value: Any, folder: Path) -> Any:
-    """Return data in which files of a folder have their names only."""
-    return _replace_texts(value, lambda text: Path(text).name if Path(text).parent == folder else text)
 
 
 def _with_absolute_paths(value: Any, folder: Path) -> Any:
