@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from itertools import islice
 from types import NoneType, UnionType
@@ -13,8 +14,6 @@ from turnwright._tables import ByName, Keyed, Stated, adapter
 from turnwright.errors import InputError, shortened, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
     from pydantic import ValidationError
 
 __all__ = ["faults", "keys_of", "read_table", "sentences", "suggestion"]
@@ -22,8 +21,6 @@ __all__ = ["faults", "keys_of", "read_table", "sentences", "suggestion"]
 T = TypeVar("T")
 
 MAX_FAULTS = 30
-"""Faults of a file that are reported at once."""
-
 _KINDS = {
     "float_type": "a plain number without a unit or quotes",
     "finite_number": "a finite number",
@@ -51,7 +48,6 @@ def keys_of(annotation: Any) -> Mapping[str, Any] | None:
 
 
 def _tables_in(annotation: Any) -> Iterator[Mapping[str, Any]]:
-    """Yield the keys of the tables that a field may hold."""
     keys = keys_of(annotation)
     if keys is not None:
         yield keys
@@ -106,18 +102,8 @@ def _has_several_kinds(annotation: Any) -> bool:
 def sentences(error: ValidationError, root: Any, tags: Mapping[str, Any], what: str = "", path: str = "") -> list[str]:
     """Return one sentence for each fault: the field, the value, what it must be, the remedy.
 
-    Parameters
-    ----------
-    error
-        The error of pydantic.
-    root
-        The type of the table that was read.
-    tags
-        Tables by the key that chooses them, which pydantic puts into the place of an error.
-    what
-        The file, as each sentence names it.
-    path
-        The path of the root.
+    ``root`` is the type of the table that was read and ``path`` its path; ``tags`` are tables by the key that chooses
+    them, which pydantic puts into the place of an error; ``what`` is the file as each sentence names it.
     """
     texts = dict.fromkeys(sentence for _, sentence in faults(error, root, tags, path))
     # A sentence without a place, such as " is 3, it must be a table", is about the file.
@@ -183,14 +169,12 @@ def _sentence(path: str, keys: Mapping[str, Any], problem: Mapping[str, Any]) ->
 
 
 class _Fault(NamedTuple):
-    """One validation error and its place."""
-
     place: _Place
     problem: Mapping[str, Any]
 
     @property
     def report(self) -> tuple[str, str]:
-        """Its place and its sentence."""
+        """Place and sentence."""
         path, keys, *_ = self.place
         return shortened(path), shortened(_sentence(path, keys, self.problem))
 
@@ -229,16 +213,7 @@ def suggestion(key: str, known: Iterable[str]) -> str:
 
 
 def read_table(cls: type[T], table: Mapping[str, Any], what: str) -> T:
-    """Return the instance of a class that the table of a file describes.
-
-    Parameters
-    ----------
-    cls
-        The class.
-    table
-        The table, as read from TOML.
-    what
-        The file, as a message names it.
+    """Return the instance of a class that the table of a file describes; ``what`` is the file as a message names it.
 
     Raises
     ------

@@ -21,7 +21,6 @@ MAX_TOML_BYTES = 1 << 20
 """Bytes of a TOML file; Python reads about a megabyte of TOML per second."""
 
 MAX_INTEGER_BITS = 14_000
-"""Bits of an integer; Python prints at most 4300 digits."""
 
 
 DUPLICATE_ERRORS = (
@@ -32,14 +31,7 @@ DUPLICATE_ERRORS = (
 
 
 def read_toml(data: bytes, what: str) -> dict[str, Any]:
-    """Return the tables of a TOML file, with or without a byte order mark.
-
-    Parameters
-    ----------
-    data
-        The bytes of the file.
-    what
-        The file as a message names it.
+    """Return the tables of a TOML file, with or without a byte order mark; ``what`` is the file as a message names it.
 
     Raises
     ------
@@ -114,7 +106,6 @@ def write_whole(path: Path, text: str | bytes | memoryview) -> None:
 
 
 READ_TIMEOUT_S = 300
-
 READER = "import sys, {module} as reader; sys.exit(reader.main())"
 """Code of the separate process: the ``main`` of a module, which calls `answer_parent`."""
 
@@ -127,23 +118,12 @@ def read_isolated(
 ) -> bytes:
     """Read an HDF5 file in a separate process, as a damaged one may crash it, and return the output.
 
-    Parameters
-    ----------
-    module
-        Its ``main`` reads the file; the path is its first argument.
-    path
-        The file.
-    refusal
-        The exception to raise where the file cannot be read.
-    arguments
-        Further arguments of the process.
-    data
-        Standard input of the process.
+    The ``main`` of the module reads the file, with the path and the further arguments, and ``data`` as standard input.
 
     Raises
     ------
     InputError
-        The refusal, with the message of the process, or that the file is damaged.
+        As ``refusal``, with the message of the process, or that the file is damaged.
     """
     try:
         done = subprocess.run(  # noqa: S603 - our own module

@@ -8,15 +8,10 @@ from typing import Self
 
 
 class Stop:
-    """Raises `KeyboardInterrupt` at each stop request, and records the request.
+    """Raises `KeyboardInterrupt` at each stop request, and records the request; or only records it until `arm`.
 
     Python drops an exception raised during clean-up or in a callback from compiled code, so long work calls `check`
     from time to time.
-
-    Parameters
-    ----------
-    records_only
-        Whether requests are only recorded, until `arm` is called.
     """
 
     def __init__(self, *, records_only: bool = False) -> None:

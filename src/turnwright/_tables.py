@@ -92,7 +92,6 @@ class Stated:
 
     @classmethod
     def _written(cls, value: Any, *, whole: bool) -> dict[str, Any]:
-        """Return the table that describes a value."""
         return written(value, whole=whole)
 
     @classmethod
@@ -126,13 +125,7 @@ class Stated:
 
 
 class Merged:
-    """Annotation of a field whose keys stand among those of its owner.
-
-    Parameters
-    ----------
-    stated
-        The class that these keys describe.
-    """
+    """Annotation of a field whose keys, those of the class ``stated``, stand among those of its owner."""
 
     __slots__ = ("stated",)
 
@@ -148,13 +141,9 @@ class Merged:
         )
 
 
+@cache
 def merged(cls: Any) -> Mapping[str, Any]:
     """Return the fields whose keys stand among those of the class, with the classes that the keys describe."""
-    return _merged(cls)
-
-
-@cache
-def _merged(cls: Any) -> Mapping[str, Any]:
     notes = {name: get_args(kind)[1:] for name, kind in types_of(cls).items()}
     return {name: note.stated for name, field in notes.items() for note in field if isinstance(note, Merged)}
 
@@ -171,10 +160,7 @@ def written_by(write: Callable[..., Any]) -> Any:
 class ByName:
     """Annotation of a value that a job describes by a name or a file, and by what differs from it.
 
-    Parameters
-    ----------
-    table
-        The class of the job's table; its ``build`` makes the value and its ``table_of`` the table again.
+    ``table`` is the class of the job's table: its ``build`` makes the value, its ``table_of`` the table again.
     """
 
     __slots__ = ("table",)
@@ -367,14 +353,7 @@ def flat(table: Any, prefix: str = "") -> Any:
 class Plausible(Keyed):
     """Annotation of sizes of error sources (standard deviations), by the name of the source; in a file by its key.
 
-    Parameters
-    ----------
-    units
-        Unit of each source.
-    texts
-        Description of each source, for forms.
-    slopes
-        Sources whose size is an angle that may also be given as a slope.
+    Each source has its unit, and a description for forms; the size of ``slopes`` may also be given as a slope.
     """
 
     __slots__ = ("slopes", "texts", "units")
@@ -413,13 +392,7 @@ class Plausible(Keyed):
 
 
 def named(value: Any) -> str | None:
-    """Return the name by which a job refers to a value that was read from a file.
-
-    Raises
-    ------
-    InputError
-        If the value was not read from a file.
-    """
+    """Return the name by which a job refers to a value that was read from a file; raise if it was not."""
     if value is None or isinstance(value, str):
         return value
     if not (file := getattr(value, "file", "")):
@@ -429,30 +402,22 @@ def named(value: Any) -> str | None:
     return str(file)
 
 
+@cache
 def adapter(annotation: Any) -> TypeAdapter[Any]:
     """Return the pydantic adapter of a type, which reads and writes it."""
-    return _adapter(annotation)
-
-
-def forget_adapters() -> None:
-    """Clear the cache of adapters, after a surface family was added."""
-    _adapter.cache_clear()
-
-
-@cache
-def _adapter(annotation: Any) -> TypeAdapter[Any]:
     from pydantic import TypeAdapter  # noqa: PLC0415 - only files need pydantic
 
     return TypeAdapter(annotation)
 
 
-def types_of(cls: Any) -> Mapping[str, Any]:
-    """Return the types of the input fields of a dataclass, with their units, by name."""
-    return _types(cls)
+def forget_adapters() -> None:
+    """Clear the cache of adapters, after a surface family was added."""
+    adapter.cache_clear()
 
 
 @cache
-def _types(cls: Any) -> Mapping[str, Any]:
+def types_of(cls: Any) -> Mapping[str, Any]:
+    """Return the types of the input fields of a dataclass, with their units, by name."""
     types: dict[str, Any] = {}
     names = [field.name for field in dataclasses.fields(cls) if field.init]
     for base in reversed(cls.__mro__):
@@ -486,7 +451,6 @@ def written(value: Any, *, whole: bool = False, base: Any = None) -> dict[str, A
 
 
 def _inner(value: Any, name: str, *, whole: bool) -> dict[str, Any]:
-    """Return the keys of a field that stand among those of its owner."""
     entry, required = getattr(value, name), merged(type(value))[name]
     if type(entry) is not required:
         raise InputError(

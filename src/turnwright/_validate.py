@@ -45,12 +45,10 @@ __all__ = [
 T = TypeVar("T")
 
 INTEGER_TYPE = re.compile(r"(int|Count|Ints|Natural|tuple\[int, \.\.\.\])( \| None)?")
-"""Types of fields that hold integers."""
 
 SCALAR_TYPE = re.compile(
     r"(int|float|Angle|Count|Feed|Length|Natural|Number|Radius|Size|Slope|Speed|Step|Thickness)( \| None)?"
 )
-"""Types of fields that hold one number."""
 
 MAX_SCALAR_CHECKS = 64
 """Entries of a list that are checked one by one; a longer list is converted to an array first."""
@@ -60,19 +58,7 @@ def check_numbers(instance: Any, *, inf: Collection[str] = (), nan: Collection[s
     """Raise unless every number in the fields of a dataclass is finite, and an integer where its type is.
 
     Arrays, tuples, lists and mappings are searched too; numeric keys of a mapping must be integers. Derived fields
-    (``init=False``) are not checked.
-
-    Parameters
-    ----------
-    instance
-        A dataclass with its fields as the caller gave them.
-    inf, nan
-        Names of the fields that may hold infinity or nan.
-
-    Raises
-    ------
-    InputError
-        With the field and the number.
+    (``init=False``) are not checked; the fields named in ``inf`` and ``nan`` may hold infinity or nan.
     """
     kind: Any = type(instance)
     for name, scalar, may_lack, integer in _fields_of(kind):
@@ -197,7 +183,6 @@ def between(value: float, name: str, low: float, high: float, unit: str) -> floa
 
 
 IN_RAD = "a plain number is in rad"
-"""The remedy for an angle beyond its limits."""
 
 MIN_DEGREE_STEP = 0.5
 """Step of a spiral from which an even divisor of 360 is taken for degrees: in radians, 12 points per revolution."""

@@ -5,33 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from turnwright._arrays import Floats, Ints
 from turnwright.errors import DomainError, InputError
+from turnwright.part import Part
 from turnwright.placing import touch
+from turnwright.progress import Progress
+from turnwright.tool import Tool
 from turnwright.units import say_length
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Floats, Ints
-    from turnwright.part import Part
-    from turnwright.progress import Progress
-    from turnwright.tool import Tool
 
 __all__ = ["Access", "AccessFinding", "check_access", "check_depths"]
 
 TURN = 2 * math.pi
-
 MAX_GRID_POINTS = 400_000
-"""Points of the grid from which the search starts."""
-
 CHUNK_POINTS = 20_000
-"""Points evaluated at a time, between two reports of progress."""
-
 MAX_STARTS = 32
-"""Best grid points from which the search is refined."""
-
 MAX_SLOPE = 1e6
 """Slope of a surface, in mm per mm; larger ones come from a wrong description."""
 
@@ -43,7 +34,6 @@ AXIS_RADIUS_MM = 1e-5
 
 DISCONTINUITY_TOL = 1e-6
 """A jump of the slope below this, or of the height below as many mm, is rounding."""
-
 
 DEPTH_POINTS = 3000
 """Points at which the chip is compared with the edge before the search is refined."""
@@ -61,8 +51,6 @@ REFINEMENT_STEPS = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 """Steps from each point, in radial and circumferential direction, that a refinement tries."""
 
 FLANK_POINTS = 120
-"""Points along a flank, denser where it begins."""
-
 MAX_NOSE_RADIUS_MM = 20.0
 """Nose radius beyond which a unit error is likely."""
 
@@ -140,46 +128,36 @@ class _Places(NamedTuple):
     step: float  # distance to the next ring [mm]
 
 
-class _Shape(NamedTuple):
-    """Curvature and slopes of the surface relative to the edge."""
+class Reach(NamedTuple):
+    """Requirements on a tool at single points of a part, see `check_access`. Each (n,)."""
 
-    curvature: Floats  # in the rake plane, positive concave [1/mm]
-    sweep: Floats  # on the nose [rad]
+    curvature: Floats  # in the rake plane, positive concave; limits the nose radius [1/mm]
+    sweep: Floats  # angle on the nose where the edge touches [rad]
     climb: Floats  # slope angle along the cutting direction, positive uphill [rad]
+
+    @property
+    def clearance(self) -> Floats:
+        """Required clearance angle; negative where the surface climbs along the cutting direction. (n,) [rad]."""
+        return -self.climb
 
 
 def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress | None = None) -> Access:
     r"""Check whether a tool can cut a part: requirements, margins and the tightest places.
 
     At radius :math:`\rho` and azimuth :math:`\theta` let :math:`f_u = \partial f/\partial\rho` be the slope outward and
-    :math:`f_v = \partial f/\rho\,\partial\theta` the slope along growing azimuth.
+    :math:`f_v = \partial f/\rho\,\partial\theta` the slope along growing azimuth. The edge at rake :math:`\gamma` lies
+    in a plane that leans back from the vertical, so a height :math:`w` along it is at :math:`v = kw, z = cw` with
+    :math:`c = \cos\gamma, k = -s\sin\gamma` and :math:`s` the sense. There the surface has the slope and the curvature
 
-    Nose radius
-        The edge at rake :math:`\gamma` lies in a plane that leans back from the vertical, so a height :math:`w` along
-        it is at :math:`v = kw, z = cw` with :math:`c = \cos\gamma, k = -s\sin\gamma` and :math:`s` the sense. There
-        the surface has the slope and the curvature
+    .. math::
+        w' = \frac{f_u}{c - k f_v}, \qquad
+        w'' = \frac{f_{uu} + 2 k w' f_{uv} + k^2 w'^2 f_{vv}}{c - k f_v}, \qquad
+        \kappa = \frac{w''}{(1 + w'^2)^{3/2}}.
 
-        .. math::
-            w' = \frac{f_u}{c - k f_v}, \qquad
-            w'' = \frac{f_{uu} + 2 k w' f_{uv} + k^2 w'^2 f_{vv}}{c - k f_v}, \qquad
-            \kappa = \frac{w''}{(1 + w'^2)^{3/2}}.
-
-        Only concave places (:math:`\kappa > 0`) limit the nose, to :math:`1/\max\kappa`. Without rake that is
-        :math:`(1 + f_u^2)^{3/2} / f_{uu}`. Collisions of the edge away from the contact do not follow from the
-        curvature: placing the tool detects them exactly.
-    Sweep
-        The nose touches at the angle whose tangent is :math:`w'`. An included angle of twice the larger end covers it.
-    Clearance
-        The tool moves toward :math:`s\,v` over the part and its clearance face follows over the cut surface, rising at
-        the clearance angle :math:`\alpha`. Behind the edge the surface rises at :math:`-s f_v`, so where it falls along
-        the cutting direction it needs :math:`\tan\alpha \ge -s f_v`. This holds at every sweep of a cylindrical
-        clearance face; a conical one of the same angle clears a little more.
-    Rake
-        The surface climbs under the edge by :math:`\beta = \arctan(s f_v)`, so the rake relative to the surface is
-        :math:`\gamma - \beta`. As no limit holds for all materials, it is reported without a limit.
-
-    Where two pieces of the surface meet in a valley along the radius, no nose reaches the bottom: the finding gives the
-    height of the remaining fillet. A required included or clearance angle that is not given fails.
+    Only concave places (:math:`\kappa > 0`) limit the nose, to :math:`1/\max\kappa`. The nose touches at the angle
+    whose tangent is :math:`w'`. Collisions of the edge away from the contact do not follow from the curvature: placing
+    the tool detects them exactly. Clearance, rake and valleys: see the theory of access. A required included or
+    clearance angle that is not given fails.
 
     Parameters
     ----------
@@ -189,11 +167,6 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
         +1 where the azimuth of the part under the tool grows, -1 where it falls.
     progress
         Called with (done, total).
-
-    Raises
-    ------
-    InputError
-        If ``sense`` is not +1 or -1.
 
     Notes
     -----
@@ -220,42 +193,37 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
     if sense not in (-1, 1):
         raise InputError(f"sense is {sense!r}, it must be 1 or -1: give the direction of the azimuth under the tool")
 
-    def shape(radius: Floats, angle: Floats) -> _Shape:
-        return _shape(part, tool, sense, radius, angle)
+    def shape(radius: Floats, angle: Floats) -> Reach:
+        return _reach(part, tool, sense, radius, angle)
 
-    places = _places(part)
-    chunks = math.ceil(places.radius.size / CHUNK_POINTS)
-    total = chunks + 1
+    places, report = _places(part), progress or (lambda _done, _total: None)
+    starts = range(0, places.radius.size, CHUNK_POINTS)
+    total = len(starts) + 1
     parts = []
-    for number, chunk in enumerate(_chunks(places.radius.size)):
-        if progress is not None:
-            progress(number, total)
+    for number, start in enumerate(starts):
+        report(number, total)
+        chunk = slice(start, start + CHUNK_POINTS)
         parts.append(shape(places.radius[chunk], places.angle[chunk]))
-    sampled = _Shape(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-    if progress is not None:
-        progress(chunks, total)
+    sampled = Reach(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    report(total - 1, total)
     maxima = _find_maxima(shape, sampled, places, part.radius)
     (curvature, curved), (high, at_high), (minus_low, at_low), (steep, climbing), (minus_fall, falling) = maxima
-    if progress is not None:
-        progress(total, total)
+    report(total, total)
 
     limit = 1 / curvature if curvature > 0 else math.inf
     needed, at_needed = (2 * high, at_high) if high >= minus_low else (2 * minus_low, at_low)
     clearance = max(minus_fall, 0.0)
     rakes = (tool.rake - steep, tool.rake + minus_fall)
+    rake_words = (
+        f"the rake relative to the surface ranges from {_deg(rakes[0])} {_at(climbing)} to {_deg(rakes[1])} "
+        f"{_at(falling)}"
+    )
     findings = [
         _nose(tool, limit, curved),
         _angle("included angle", "included", needed, tool.included, at_needed),
         _angle("clearance", "clearance", clearance, tool.clearance, falling),
         AccessFinding(
-            name="rake",
-            value=rakes[0],
-            limit=None,
-            margin=None,
-            where=climbing,
-            ok=True,
-            sentence=f"the rake relative to the surface ranges from {_deg(rakes[0])} {_at(climbing)} to "
-            f"{_deg(rakes[1])} {_at(falling)}",
+            name="rake", value=rakes[0], limit=None, margin=None, where=climbing, ok=True, sentence=rake_words
         ),
         *_borders(part, tool, places),
     ]
@@ -279,36 +247,26 @@ def check_depths(
     sense: int = 1,
     progress: Progress | None = None,
 ) -> tuple[AccessFinding, ...]:
-    r"""Check for each pass whether its chip stays on the cutting edge.
+    r"""Check for each pass with a depth of cut whether its chip stays on the cutting edge.
 
     A pass cuts with the leading side of the edge: toward the axis, or outward where it is cut inside out. There the
     edge is the height :math:`g(u) = Z + e(u) - f(\rho + u)` above the finished surface, and cuts wherever that is less
-    than the depth of cut d. Beyond the end of the cutting edge it must not cut:
+    than the depth of cut d. Beyond the end of the cutting edge, its arc and the ``edge_length`` of its flanks, it must
+    not cut:
 
     .. math:: d \le \min_{\rho, \theta} \min_{u\text{ beyond the edge}} g(u) .
 
-    On the trailing side the previous revolution has already cut, up to the cusp.
+    On the trailing side the previous revolution has already cut, up to the cusp. Beyond the clear aperture the finished
+    surface continues at the slope of the rim where that rises outward, and level where it falls.
 
     Parameters
     ----------
-    part
-        The part; beyond the clear aperture its finished surface continues at the slope of the rim where that rises
-        outward, and level where it falls.
-    tool
-        The tool; its arc cuts, and the ``edge_length`` of its flanks if given.
+    part, tool, sense, progress
+        See `check_access`.
     depths
         Depth of cut of each pass, along z, by name. [mm]
     inside_out
         Whether the passes run from the centre to the rim.
-    sense
-        +1 where the spindle angle under the tool grows, -1 where it falls.
-    progress
-        Called with (done, total).
-
-    Returns
-    -------
-    tuple of AccessFinding
-        One for every pass with a depth of cut above 0.
 
     >>> from turnwright.part import Part
     >>> from turnwright.surface import Plane
@@ -357,7 +315,6 @@ def largest_depth(
     done, total = 0, radius.size + REFINEMENTS * MAX_STARTS * REFINEMENT_STEPS.size**2
 
     def measure(radius: Floats, angle: Floats) -> Floats:
-        """Return the gap beyond the edge at some points, and report progress."""
         nonlocal done
         before = done
         report = None if progress is None else (lambda count, _all: progress(before + count, total))
@@ -436,30 +393,12 @@ def odd_sizes(part: Part, tool: Tool) -> tuple[str, ...]:
     return tuple(warnings)
 
 
-class Reach(NamedTuple):
-    """Requirements on a tool at single points of a part, see `check_access`. Each (n,)."""
-
-    curvature: Floats  # in the rake plane, positive concave; limits the nose radius [1/mm]
-    sweep: Floats  # angle on the nose where the edge touches [rad]
-    clearance: Floats  # clearance angle required; negative where the surface rises along the cutting direction [rad]
-
-
 def reach_at(part: Part, tool: Tool, *, x: Floats, y: Floats, sense: int = 1) -> Reach:
-    """Return the requirements of `check_access` at given points.
-
-    Parameters
-    ----------
-    part, tool, sense
-        See `check_access`.
-    x, y
-        Points on the part, not on its axis if the surface has no slope there. Each (n,) [mm]
-    """
-    curvature, sweep, climb = _shape(part, tool, sense, np.hypot(x, y), np.arctan2(y, x))
-    return Reach(curvature, sweep, -climb)
+    """Return the requirements of `check_access` at points off the axis. Each (n,) [mm]."""
+    return _reach(part, tool, sense, np.hypot(x, y), np.arctan2(y, x))
 
 
-def _shape(part: Part, tool: Tool, sense: int, radius: Floats, angle: Floats) -> _Shape:
-    """Return curvature and slopes of the surface relative to the edge. Each (n,)."""
+def _reach(part: Part, tool: Tool, sense: int, radius: Floats, angle: Floats) -> Reach:
     c, s = np.cos(angle), np.sin(angle)
     z, zx, zy, zxx, zxy, zyy = part.surface.evaluate(radius * c, radius * s, 2)
     with np.errstate(all="ignore"):  # values that are not finite are refused below
@@ -493,10 +432,10 @@ def _shape(part: Part, tool: Tool, sense: int, radius: Floats, angle: Floats) ->
     opening = np.maximum(up - back * fv, 1e-9)
     slope = fu / opening
     bend = (fuu + 2 * back * slope * fuv + (back * slope) ** 2 * fvv) / opening
-    return _Shape(bend / (1 + slope**2) ** 1.5, np.arctan(slope), np.arctan(sense * fv))
+    return Reach(bend / (1 + slope**2) ** 1.5, np.arctan(slope), np.arctan(sense * fv))
 
 
-MEASURES: tuple[Callable[[_Shape], Floats], ...] = (
+MEASURES: tuple[Callable[[Reach], Floats], ...] = (
     lambda shape: shape.curvature,
     lambda shape: shape.sweep,
     lambda shape: -shape.sweep,
@@ -506,12 +445,7 @@ MEASURES: tuple[Callable[[_Shape], Floats], ...] = (
 """Quantities whose maxima on the part are searched."""
 
 
-def _chunks(size: int) -> list[slice]:
-    return [slice(start, start + CHUNK_POINTS) for start in range(0, size, CHUNK_POINTS)]
-
-
 def _places(part: Part) -> _Places:
-    """Return the grid from which the search starts."""
     finest = math.sqrt(math.pi / MAX_GRID_POINTS) * part.radius
     step = max(min(part.radius / 48, part.surface.feature_size / 8), finest)
     rings = np.linspace(0, part.radius, math.ceil(part.radius / step) + 1)
@@ -523,7 +457,7 @@ def _places(part: Part) -> _Places:
 
 
 def _find_maxima(
-    shape: Callable[[Floats, Floats], _Shape], sampled: _Shape, places: _Places, rim: float
+    shape: Callable[[Floats, Floats], Reach], sampled: Reach, places: _Places, rim: float
 ) -> list[tuple[float, tuple[float, float]]]:
     """Return the largest value of each measure on the part, and its place (x, y).
 
@@ -583,28 +517,19 @@ def _deg(angle: float) -> str:
 
 
 def _nose(tool: Tool, limit: float, where: tuple[float, float]) -> AccessFinding:
-    """Check the nose radius."""
-    radius = tool.actual_radius
+    radius, name = tool.actual_radius, "nose radius"
     if math.isinf(limit):
         words = f"nose_radius is {radius:.4g} mm; the part is nowhere concave along the radius, so any nose fits"
-        return AccessFinding(
-            name="nose radius", value=radius, limit=limit, margin=limit, where=None, ok=True, sentence=words
-        )
+        return AccessFinding(name=name, value=radius, limit=limit, margin=limit, where=None, ok=True, sentence=words)
     ok = radius <= limit * (1 + 1e-9)
     words = f"nose_radius is {radius:.4g} mm, the limit is {limit:.4g} mm {_at(where)}"
+    words += "" if ok else f": use a nose_radius of at most {limit:.4g} mm"
     return AccessFinding(
-        name="nose radius",
-        value=radius,
-        limit=limit,
-        margin=limit - radius,
-        where=where,
-        ok=ok,
-        sentence=words + ("" if ok else f": use a nose_radius of at most {limit:.4g} mm"),
+        name=name, value=radius, limit=limit, margin=limit - radius, where=where, ok=ok, sentence=words
     )
 
 
 def _angle(name: str, field: str, needed: float, has: float | None, where: tuple[float, float]) -> AccessFinding:
-    """Check an angle of the tool."""
     words = f"{name} needs to be {_deg(needed)} {_at(where)}"
     ok = needed <= DISCONTINUITY_TOL if has is None else needed <= has
     if has is None:
@@ -640,7 +565,7 @@ def _borders(part: Part, tool: Tool, places: _Places) -> list[AccessFinding]:
         turn = np.nan_to_num(np.arctan(ax * c + ay * s) - np.arctan(bx * c + by * s))
     turn = np.where(jump > DISCONTINUITY_TOL, 0.0, turn)
 
-    def worst(name: str, sizes: Floats, words: Callable[[float, str], str]) -> list[AccessFinding]:
+    def find_worst(name: str, sizes: Floats, words: Callable[[float, str], str]) -> list[AccessFinding]:
         if not sizes.size or sizes.max() <= DISCONTINUITY_TOL:
             return []
         at = int(np.argmax(sizes))
@@ -660,4 +585,4 @@ def _borders(part: Part, tool: Tool, places: _Places) -> list[AccessFinding]:
             f"{fillet_um:.3g} um height remains"
         )
 
-    return worst("valley", turn, valley) + worst("step", jump, step)
+    return find_worst("valley", turn, valley) + find_worst("step", jump, step)

@@ -13,13 +13,14 @@ backplots on a polar grid with a linear tool table.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from turnwright._arrays import Bools, Floats, Ints, frozen, only_read
+from turnwright._arrays import Bools, Floats, Ints, frozen, only_read, same_length
 from turnwright._kernels import generation as kernel
 from turnwright._validate import check_azimuths
 from turnwright.edge import Edge
@@ -38,8 +39,6 @@ RINGS = 200
 
 @dataclass(frozen=True, slots=True)
 class _Cut:
-    """A motion and an edge as the kernels take them."""
-
     c: Floats
     x: Floats
     y: Floats
@@ -138,8 +137,7 @@ def generate_points(
         Heights; nan where no pass covers the point, as `generate` has it. (n,) [mm]
     """
     x, y = frozen(x, "x"), frozen(y, "y")
-    if x.shape != y.shape:
-        raise InputError(f"x has {x.size} points and y {y.size}: give as many of one as of the other")
+    same_length([("x", x), ("y", y)])
     return _finish(_in_tiles(_cut(motion, tool, machine), x, y, Tiles.of_points(x.size), progress))
 
 
@@ -223,9 +221,7 @@ def _prepared(cut: _Cut, low: float, high: float, most_rings: int) -> Prepared:
     if cut.upright and cut.edge.convex:
         kernel.useful_by_ring(cut.bounds, cut.edge, rings, useful)
     else:
-        kernel.useful_lateral(
-            cut.bounds, cut.edge, cut.gap, cut.bend, most_y, rings, useful, core
-        )  # fmt: skip
+        kernel.useful_lateral(cut.bounds, cut.edge, cut.gap, cut.bend, most_y, rings, useful, core)
     return Prepared(cut, blocks, rings, useful, core, most_y)
 
 
@@ -235,12 +231,8 @@ def _in_tiles(cut: _Cut, x: Floats, y: Floats, tiles: Tiles, progress: Progress 
     high = radius.max(initial=0.0)
     ready = _prepared(cut, radius.min(initial=high), high, x.size)
     groups = tiles.groups.size - 1
-    run_chunks(
-        lambda start, stop: ready.fill(x, y, tiles, (start, stop), out),
-        groups,
-        max(1, min(256, groups // 16)),
-        progress,
-    )
+    chunk = max(1, min(256, groups // 16))
+    run_chunks(lambda start, stop: ready.fill(x, y, tiles, (start, stop), out), groups, chunk, progress)
     return out
 
 
@@ -287,12 +279,24 @@ def generate(
         If a grid axis does not ascend.
     """
     x, y = _ascending(x, "x"), _ascending(y, "y")
-    cut = _cut(motion, tool, machine)
-    rows, columns = (_tile_side(cut, float(np.diff(axis).mean())) if axis.size > 1 else 1 for axis in (y, x))
-    tiles = Tiles.of_grid((y.size, x.size), (rows, columns))
-    z = np.empty(x.size * y.size)
-    z[tiles.order] = _in_tiles(cut, x[tiles.order % x.size], y[tiles.order // x.size], tiles, progress)
-    return HeightMap(z=_finish(z).reshape(y.size, x.size), x=x, y=y, name="generated")
+    z = np.empty((y.size, x.size))
+    _over_grid(_cut(motion, tool, machine), x, y, (_mean_step(y), _mean_step(x)), lambda x, y: (x, y), z, progress)
+    return HeightMap(z=z, x=x, y=y, name="generated")
+
+
+def _mean_step(axis: Floats) -> float:
+    return float(np.diff(axis).mean()) if axis.size > 1 else 0.0
+
+
+def _over_grid(
+    cut: _Cut, columns: Floats, rows: Floats, steps: tuple[float, float], place: Callable[[Floats, Floats], Any],
+    z: Floats, progress: Progress | None,
+) -> None:  # fmt: skip
+    """Fill a grid tile by tile; ``place`` returns x and y of a column and a row, ``steps`` are theirs. [mm]."""
+    tiles = Tiles.of_grid(z.shape, (_tile_side(cut, steps[0]), _tile_side(cut, steps[1])))
+    x, y = place(columns[tiles.order % columns.size], rows[tiles.order // columns.size])
+    z.ravel()[tiles.order] = _in_tiles(cut, x, y, tiles, progress)
+    _finish(z)
 
 
 def generate_polar(
@@ -344,14 +348,10 @@ def generate_polar(
     if cut.upright and cut.edge.convex:
         _envelopes(cut, radius, angle, z, progress)
     else:
-        steps = (
-            float(radius[-1] * np.diff(angle).mean()) if angle.size > 1 else 0.0,
-            float(np.diff(radius).mean()) if radius.size > 1 else 0.0,
-        )
-        tiles = Tiles.of_grid(shape, (_tile_side(cut, steps[0]), _tile_side(cut, steps[1])))
-        rho, phi = radius[tiles.order % radius.size], angle[tiles.order // radius.size]
-        z.ravel()[tiles.order] = _in_tiles(cut, rho * np.cos(phi), rho * np.sin(phi), tiles, progress)
-        _finish(z)
+        steps = (float(radius[-1]) * _mean_step(angle), _mean_step(radius))
+        _over_grid(
+            cut, radius, angle, steps, lambda rho, phi: (rho * np.cos(phi), rho * np.sin(phi)), z, progress
+        )  # fmt: skip
     return HeightMap(z=z, radius=radius, angle=angle, name="generated")
 
 

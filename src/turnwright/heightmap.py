@@ -106,13 +106,7 @@ class HeightMap(Compared):
         return x, y
 
     def require_calibrated(self) -> None:
-        """Raise unless ``x`` and ``y`` are lengths.
-
-        Raises
-        ------
-        InputError
-            If they count pixels.
-        """
+        """Raise `InputError` if ``x`` and ``y`` count pixels."""
         if not self.calibrated:
             raise InputError(
                 f"the map {self.name!r} of {self.z.shape[-1]} columns has no pixel size, so its lengths are unknown: "

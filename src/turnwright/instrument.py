@@ -24,9 +24,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, overload
+from typing import Any, overload
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, is_even
 from turnwright._faults import read_table
@@ -38,14 +39,9 @@ from turnwright.heightmap import HeightMap
 from turnwright.profile import Profile
 from turnwright.units import Length, Number, Text
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
 __all__ = ["Instrument"]
 
 MIN_STEPS_PER_RESOLUTION = 2
-"""Steps of a surface per resolved length of an instrument."""
-
 MIN_STEPS_PER_BALL = 10
 """Steps per stylus radius; between the points the ball dips by at most 1/800 of the radius."""
 
@@ -53,9 +49,6 @@ PADDING_LENGTHS = 40
 """Resolved lengths by which a surface is extended beyond its borders, as a diffraction image decays slowly."""
 
 MAX_BALL_POINTS = 1_000_000
-"""Points of the surface under the ball of a stylus."""
-
-Seen = TypeVar("Seen", HeightMap, Profile)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -240,19 +233,21 @@ class Instrument(Stated):
         return measured
 
     @property
-    def _finest(self) -> float:
+    def finest(self) -> float:
         """Shortest length that optics and pixel resolve. [mm]."""
         return max(self.pixel or 0.0, 1 / self.cutoff)
 
+    @property
+    def max_step(self) -> float:
+        """Largest step of a surface that `see` takes; infinite without any limit. [mm]."""
+        ball = np.inf if self.stylus_radius is None else self.stylus_radius / MIN_STEPS_PER_BALL
+        return min(self.finest / MIN_STEPS_PER_RESOLUTION or np.inf, ball)
+
     def _require_fine(self, step: float) -> None:
-        limit = min(
-            self._finest / MIN_STEPS_PER_RESOLUTION or np.inf,
-            np.inf if self.stylus_radius is None else self.stylus_radius / MIN_STEPS_PER_BALL,
-        )
-        if step > limit * (1 + 1e-6):
+        if step > self.max_step * (1 + 1e-6):
             raise InputError(
-                f"the surface has steps of {step * 1e3:.3g} um, the limit for this instrument is {limit * 1e3:.3g} um: "
-                "use a finer grid"
+                f"the surface has steps of {step * 1e3:.3g} um, the limit for this instrument is "
+                f"{self.max_step * 1e3:.3g} um: use a finer grid"
             )
 
     def _averaged(self, z: Floats, missing: Bools, steps: tuple[float, float]) -> Floats:
@@ -261,7 +256,7 @@ class Instrument(Stated):
 
         z = _filled(z, missing)
         pads = [
-            min(int(np.ceil(PADDING_LENGTHS * self._finest / step)), size - 1) if np.isfinite(step) else 0
+            min(int(np.ceil(PADDING_LENGTHS * self.finest / step)), size - 1) if np.isfinite(step) else 0
             for size, step in zip(z.shape, steps, strict=True)
         ]
         wide = np.pad(z, [(pad, pad) for pad in pads], mode="reflect", reflect_type="odd")

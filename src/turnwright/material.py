@@ -11,9 +11,10 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from turnwright._arrays import Floats, Value, frozen
 from turnwright._faults import read_table
@@ -21,16 +22,11 @@ from turnwright._io import bytes_of, read_toml
 from turnwright._tables import Columns, Sources, Stated
 from turnwright._validate import between, check_angle, check_numbers, positive, whole as whole_number
 from turnwright.errors import InputError
-from turnwright.units import Angle, Flag, Length, Number, Text, plain
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+from turnwright.units import Angle, Flag, Length, Number, Text, plain, say_length
 
 __all__ = ["CriticalThickness", "CuttingCoefficient", "Lobes", "Material"]
 
 MAX_LOBES = 24
-"""Lobes per revolution; the symmetry of crystals gives fewer."""
-
 MAX_RAKE = np.deg2rad(80)
 """Largest rake of a table of factors, either way. [rad]"""
 
@@ -83,9 +79,6 @@ _BY_RAKE = Columns(at_deg=math.pi / 180, factor=1.0)
 
 
 def _curve(curve: tuple[ArrayLike, ArrayLike], name: str) -> Curve:
-    """Return a curve of factors as checked arrays."""
-    if len(curve) != 2:
-        raise InputError(f"{name} has {len(curve)} parts, it needs 2: give positions and factors")
     at, factor = frozen(curve[0], f"{name} positions"), frozen(curve[1], f"{name} factors")
     if at.size < 2 or at.shape != factor.shape or not (np.diff(at) > 0).all() or not (factor > 0).all():
         raise InputError(
@@ -96,7 +89,6 @@ def _curve(curve: tuple[ArrayLike, ArrayLike], name: str) -> Curve:
 
 
 def _by_rake(curve: Curve, name: str) -> Curve:
-    """Return a curve of factors over the rake. [rad]."""
     rake, factor = _curve(curve, name)
     for end in rake[[0, -1]]:
         check_angle(end, f"a position of {name}", -MAX_RAKE, MAX_RAKE)
@@ -109,7 +101,6 @@ def _uncertainty(value: float | None, name: str, unit: str) -> None:
 
 
 def _around(rake: Curve | None, lobes: Lobes | None, at_rake: ArrayLike, at_angle: ArrayLike) -> Floats:
-    """Return the factor of the rake times that of the azimuth."""
     by_rake = np.ones(()) if rake is None else np.interp(np.asarray(at_rake, dtype=np.float64), *rake)
     by_angle = np.ones(()) if lobes is None else lobes.factor(at_angle)
     return np.asarray(by_rake * by_angle)
@@ -323,8 +314,6 @@ class Material(Stated, Value):
         if self.fracture_ratio is not None:
             positive(self.fracture_ratio, "fracture_ratio", "mm per mm of chip")
         ratios = tuple(between(ratio, "brittle_force", 0.0, 1.0, "of the force") for ratio in self.brittle_force)
-        if len(ratios) != 2:
-            raise InputError(f"brittle_force has {len(ratios)} values, it needs 2: give cutting force and thrust")
         object.__setattr__(self, "brittle_force", ratios)
         if min(ratios) < 1 and not self.brittle_plateau:
             raise InputError(f"material {self.name!r} has a brittle_force and no brittle_plateau: set that too")
@@ -398,7 +387,8 @@ class Material(Stated, Value):
         # A plateau covers the chips above the critical thickness.
         if low <= thickness and (thickness <= high or self.brittle_plateau):
             return ""
-        return f"forces are an estimate: the coefficients are stated for chips of {_span(low, high)}"
+        covered = f"{say_length(low, 4)} to {say_length(high, 4)}"
+        return f"forces are an estimate: the coefficients are stated for chips of {covered}"
 
     def coefficients(
         self, thickness: ArrayLike, *, rake: ArrayLike = 0.0, angle: ArrayLike = 0.0
@@ -447,7 +437,6 @@ def _shipped(name: str) -> bytes:
 
 @cache
 def _spellings() -> dict[str, str]:
-    """Return the material of every name and alias."""
     spellings = {}
     for material in Material.known():
         table = read_toml(_shipped(material), f"material file {material!r}")
@@ -458,9 +447,3 @@ def _spellings() -> dict[str, str]:
 @cache
 def _names() -> dict[str, str]:
     return {_bare(spelling): material for spelling, material in _spellings().items()}
-
-
-def _span(low: float, high: float) -> str:
-    """Return a range of lengths as text, each length in its customary unit."""
-    ends = [f"{x:g} mm" if x >= 1 else f"{x * 1e3:.4g} um" if x >= 1e-3 else f"{x * 1e6:.4g} nm" for x in (low, high)]
-    return f"{ends[0]} to {ends[1]}"

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright._tables import Stated, read_by
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.material import Material
 from turnwright.surface import Gridded, Surface
 from turnwright.units import Size, Text, Thickness
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Floats
 
 __all__ = ["Blank", "Part", "evenly"]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -82,6 +82,11 @@ class Spiral(Compared):
                 f"the points of a spiral are {step:.4g} rad apart, the limit is half a turn: angles are in rad, "
                 "use more points"
             )
+
+    def select(self, points: Ints) -> Spiral:
+        """Return the spiral through some of its points, without rates and lift."""
+        y = None if self.y is None else self.y[points]
+        return Spiral(angle=self.angle[points], radius=self.radius[points], y=y)
 
     @property
     def turns(self) -> float:
@@ -205,13 +210,18 @@ class Motion(Compared):
         """Return the motion of the lathe's own axes, as in its program: without W and U, and only the `blocks`."""
         if not FAST.keys() & self.axes.keys():
             return self
-        points = self.blocks
+        return self.select(self.blocks, [letter for letter in self.axes if letter not in FAST])
 
-        def at_blocks(arrays: Mapping[str, Floats]) -> dict[str, Floats]:
-            return {letter: values[points] for letter, values in arrays.items() if letter not in FAST}
+    def select(self, points: Ints | slice, letters: Iterable[str] | None = None) -> Motion:
+        """Return the motion through some of its points, of some of its axes or of all."""
+        chosen = tuple(self.axes if letters is None else letters)
 
-        velocity = None if self.velocity is None else at_blocks(self.velocity)
-        return Motion(time=self.time[points], axes=at_blocks(self.axes), machine=self.machine, velocity=velocity)
+        def at_points(arrays: Mapping[str, Floats]) -> dict[str, Floats]:
+            return {letter: arrays[letter][points] for letter in chosen}
+
+        velocity = None if self.velocity is None else at_points(self.velocity)
+        axes = at_points(self.axes)
+        return Motion(time=self.time[points], axes=axes, machine=self.machine, velocity=velocity)
 
 
 def block_points(time: Floats, axes: Mapping[str, Floats]) -> Ints:
@@ -219,14 +229,8 @@ def block_points(time: Floats, axes: Mapping[str, Floats]) -> Ints:
 
     Without a fast tool, all points are. With a fast tool, which has its own table of heights, the lathe takes every
     second, fourth, eighth point and so on, as long as each of its axes stays within 0.1 nm of the straight line between
-    two blocks. The last block may be shorter; a controller with spline interpolation deviates slightly there.
-
-    Parameters
-    ----------
-    time
-        Time, or the angle in place of it; ascending. (n,) [s or rad]
-    axes
-        Position by letter. Each (n,) [mm or rad]
+    two blocks. The last block may be shorter; a controller with spline interpolation deviates slightly there. The angle
+    may be given in place of the time.
     """
     every = np.arange(time.size)
     if not FAST.keys() & axes.keys():

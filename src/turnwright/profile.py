@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
 from turnwright._arrays import Compared, Floats, frozen, is_even, same_length
-from turnwright._validate import check_numbers
+from turnwright._validate import check_numbers, whole
 from turnwright.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 __all__ = ["Profile"]
 
@@ -63,13 +60,7 @@ class Profile(Compared):
 
     @property
     def step(self) -> float:
-        """Sampling step. [mm].
-
-        Raises
-        ------
-        InputError
-            If there are fewer than two points, or they are not evenly spaced.
-        """
+        """Sampling step; raises `InputError` unless there are two or more evenly spaced points. [mm]."""
         if not is_even(self.distance):
             raise InputError(
                 f"the profile has {self.distance.size} points{' in uneven steps' if self.distance.size > 1 else ''}, "
@@ -102,10 +93,7 @@ class Profile(Compared):
         InputError
             If the degree is not from 0 to 10, or there are too few valid heights.
         """
-        if isinstance(degree, bool) or not isinstance(degree, int) or not 0 <= degree <= MAX_DEGREE:
-            raise InputError(
-                f"the degree of a profile's polynomial is {degree!r}, the limits are 0 to {MAX_DEGREE}: choose between"
-            )
+        degree = whole(degree, "degree", 0, MAX_DEGREE)
         valid = ~np.isnan(self.z)
         if np.count_nonzero(valid) <= degree:
             raise InputError(

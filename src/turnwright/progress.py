@@ -27,15 +27,7 @@ PRIOR_WORK_S, MAX_PRIOR_FRACTION = 2.0, 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """A stage of a run that is still to be carried out.
-
-    Parameters
-    ----------
-    stage
-        Name under which the stage reports its progress.
-    work
-        Estimated time on a typical computer. [s]
-    """
+    """A stage of a run that is still to be carried out, and its estimated time on a typical computer. [s]."""
 
     stage: str
     work: float
@@ -43,40 +35,20 @@ class Step:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Overall:
-    """Progress of a run over all its stages.
+    """Progress of a run over all its stages."""
 
-    Parameters
-    ----------
-    stage
-        The stage in progress.
-    step, steps
-        Its number, counted from 1, and the number of stages.
-    fraction
-        Fraction of the work that is done; it never falls.
-    left_s
-        Estimated time remaining. [s]
-    """
-
-    stage: str
-    step: int
-    steps: int
-    fraction: float
-    left_s: float
+    stage: str  # in progress
+    step: int  # its number, counted from 1
+    steps: int  # number of stages
+    fraction: float  # of the work that is done; it never falls
+    left_s: float  # estimated time remaining [s]
 
 
 class OverallProgress:
     """A `StageProgress` that combines the progress of all stages into that of the run.
 
-    A stage that is not among the steps adds nothing. A skipped step counts as done when a later one begins.
-
-    Parameters
-    ----------
-    steps
-        The stages of the run, in order.
-    listener
-        Called with every change.
-    clock
-        Returns the time since an arbitrary origin. [s]
+    A stage that is not among the steps adds nothing. A skipped step counts as done when a later one begins. The
+    listener is called with every change; the clock returns the time since an arbitrary origin. [s]
 
     Examples
     --------
@@ -253,13 +225,7 @@ def free_memory_gb(system: Path = Path("/")) -> float | None:
 
 
 def require_memory(needed: float, what: str, remedy: str) -> None:
-    """Raise unless as many bytes of memory are free.
-
-    Raises
-    ------
-    LimitError
-        With what needs the memory, how much is free, and the remedy.
-    """
+    """Raise `LimitError` unless as many bytes of memory are free, with what needs it and the remedy."""
     free = free_memory_gb()
     if free is not None and needed > free * 1e9:
         raise LimitError(

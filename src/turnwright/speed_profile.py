@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler
     from pydantic_core import CoreSchema
 
-__all__ = ["SpeedProfile", "Speeds"]
+__all__ = ["SpeedProfile", "Speeds", "check_one_speed"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,6 +66,12 @@ class SpeedProfile(Value):
         """Return the spindle speed at positions of X. (n,) [rad/s]."""
         omega: Floats = np.sqrt(np.interp(radius, self.radius, (self.spindle_rpm * (2 * np.pi / 60)) ** 2))
         return omega
+
+
+def check_one_speed(owner: Any) -> None:
+    """Raise if a strategy or a pass states both one spindle speed and a speed over the radius."""
+    if owner.spindle_rpm is not None and owner.spindle_speeds is not None:
+        raise InputError("spindle_speed and spindle_speeds are both given, only one can be right: remove one")
 
 
 class _Pairs:

@@ -60,7 +60,7 @@ class WavinessTable(Value):
     deviation
         Radial deviation there, positive outward. (n,) [mm]
     file
-        That it was read from, if any.
+        The file that it was read from, if any.
 
     Raises
     ------
@@ -294,7 +294,6 @@ class Tool(Stated, Value):
 
 
 def _spline(certificate: WavinessTable) -> CubicSpline:
-    """Return the spline through a certificate."""
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - scipy is costly to import
 
     return CubicSpline(certificate.sweep, certificate.deviation)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from turnwright._arrays import Floats, frozen, only_read, rounding, same_length
 from turnwright._kernels import tracking as kernel
-from turnwright._validate import positive
+from turnwright._validate import positive, whole
 from turnwright.errors import InputError, LimitError
 from turnwright.machine import (
     FAST,
@@ -52,7 +52,6 @@ MAX_C_REVERSAL_RAD = 1e-3
 """Angle by which C may swing back at the start or end of a motion: a micrometre at a radius of one millimetre."""
 
 MAX_SAMPLES = 300_000_000
-"""Samples of a motion that fit into memory."""
 
 
 def track(
@@ -158,9 +157,8 @@ def precorrect(
     :math:`1 - Q H_{real}/H` where the axis differs from the machine file. Errors above the bandwidth remain, and the
     corrected motion demands more of the axes: check its limits.
 
-    A logged tracking error of the machine can be given in place of the prediction. ``motion`` is then the command of
-    the logged run, and the error is added to it once. Each further log of a corrected run leaves the fraction
-    :math:`1 - Q H_{real}/H` of the error, however wrong the initial model was.
+    A logged tracking error of the machine can be given in place of the prediction, and is added to the command of the
+    logged run once. Each further log of a corrected run leaves the same fraction, however wrong the initial model was.
 
     Parameters
     ----------
@@ -192,8 +190,7 @@ def precorrect(
     machine = machine or motion.machine
     if bandwidth_hz is not None:
         positive(bandwidth_hz, "bandwidth_hz", "Hz")
-    if rounds < 1:
-        raise InputError(f"rounds is {rounds}, it must be at least 1: give the number of corrections")
+    rounds = whole(rounds, "rounds", 1)
     if _paced(motion, machine) is not motion.time:
         raise LimitError(
             f"{machine.name} slows this motion down by its block rate or look-ahead, so the times of its points do not "
@@ -223,7 +220,6 @@ def precorrect(
 
 
 def _logged(missed: Mapping[str, ArrayLike], motion: Motion) -> dict[str, Floats]:
-    """Return a log as arrays, or raise if it does not fit the motion."""
     unknown = sorted(set(missed) - set(motion.axes))
     if unknown:
         raise InputError(
@@ -365,7 +361,6 @@ def _creeping(angle: Floats) -> Floats:
 def _follow(
     letter: str, position: Floats, velocity: Floats | None, time: Floats, machine: Machine, at: Floats
 ) -> Floats:
-    """Return the actual positions of an axis at times ``at``."""
     time, at = only_read(time), only_read(at)
     axis = machine.axes.get(letter)
     response = axis.response if axis is not None else None

@@ -132,19 +132,11 @@ def _read_unit(text: str, quoted: str) -> _Scale:
 
 
 def _dimension(scale: _Scale) -> str:
-    """Return the dimension of a unit in words."""
     if scale.powers in _NAMES:
         return _NAMES[scale.powers]
-    over = [
-        f"{name}^{power}" if power > 1 else name
-        for name, power in zip(_DIMENSIONS, scale.powers, strict=True)
-        if power > 0
-    ]
-    under = [
-        f"{name}^{-power}" if power < -1 else name
-        for name, power in zip(_DIMENSIONS, scale.powers, strict=True)
-        if power < 0
-    ]
+    named = [*zip(_DIMENSIONS, scale.powers, strict=True)]
+    over = [f"{name}^{power}" if power > 1 else name for name, power in named if power > 0]
+    under = [f"{name}^{-power}" if power < -1 else name for name, power in named if power < 0]
     words = " per ".join(["*".join(over) or "number", *under])
     return f"an {words}" if words[0] == "a" else f"a {words}"
 
@@ -165,7 +157,6 @@ def _value(number: str, scale: _Scale, quoted: str) -> float:
 
 
 def _example(unit: str) -> str:
-    """Return an example of a quantity in this unit."""
     return f"8 {_FRIENDLY[unit][0]}" if unit in _FRIENDLY else f"0.5 {unit}".removesuffix(" 1")
 
 

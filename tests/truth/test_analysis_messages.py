@@ -62,7 +62,7 @@ LINE = Profile(distance=X, z=Z[0], x=X, y=X)
         (lambda: line_profile(MAP, (0, 0), (1, np.inf)), "the end of a line is"),
         (lambda: line_profile(MAP, (0, 0), (1, 0), method="spline"), 'it can be "linear" or "cubic"'),
         (lambda: line_profile(SCATTERED, (0, 0), (1, 0)), "scattered points"),
-        (lambda: LINE.without(11), "the limits are 0 to 10"),
+        (lambda: LINE.without(11), "degree is 11, .* 0 to 10"),
         (lambda: slope_error(MAP, integration_length=0.01), "the limits along x are 0.1 to 2 mm"),
         (lambda: slope_error(MAP, integration_length=5), "the limits along x are 0.1 to 2 mm"),
         (lambda: slope_error(UNEVEN, integration_length=0.2), "not even"),

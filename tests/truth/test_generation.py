@@ -290,7 +290,7 @@ def test_output_array_is_used_and_checked():
     [
         (lambda m: tw.generate(m, ROUND, x=[1.0, 0.0], y=[0.0]), "x must ascend"),
         (lambda m: tw.generate_polar(m, ROUND, radius=[-0.1, 0.0], angle=[0.0]), "radius begins at -0.1"),
-        (lambda m: tw.generate_points(m, ROUND, x=[0.0, 1.0], y=[0.0]), "as many of one"),
+        (lambda m: tw.generate_points(m, ROUND, x=[0.0, 1.0], y=[0.0]), "lengths of arrays differ"),
         (lambda m: tw.generate(m, ROUND, x=[np.nan], y=[0.0]), "not finite"),
     ],
 )

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from turnwright.job.schema import MeasurementTable
-    from turnwright.metrology import DoubtKind, PoseCandidate, Registration
+from turnwright.job.schema import MeasurementTable
+from turnwright.metrology import DoubtKind, PoseCandidate, Registration
 
 __all__ = ["open_questions"]
 
@@ -26,17 +23,7 @@ EDGE_FRACTION = 0.01
 
 
 def open_questions(registration: Registration, asked: MeasurementTable, radius: float) -> tuple[str, ...]:
-    """Return what a registration could not determine, a sentence each with the keys of ``[measurement]`` for it.
-
-    Parameters
-    ----------
-    registration
-        Registration of the map.
-    asked
-        Table ``measurement`` of the job.
-    radius
-        Clear semi-diameter of the part. [mm]
-    """
+    """Return what a registration could not determine, a sentence each with the keys of ``[measurement]`` for it."""
     remedies: dict[DoubtKind, Callable[[], str]] = {
         "tails": lambda: _trim(asked, radius),
         "lost": lambda: _larger(asked),

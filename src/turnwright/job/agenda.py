@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -11,13 +12,9 @@ from turnwright.errors import TurnwrightError
 from turnwright.job.comparison import strategies_of
 from turnwright.job.contributions import has_servos
 from turnwright.job.planning import stage_of
+from turnwright.job.schema import Job, PassTable
+from turnwright.part import Part
 from turnwright.progress import Step
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from turnwright.job.schema import Job, PassTable
-    from turnwright.part import Part
 
 __all__ = [
     "steps_of_comparison", "steps_of_correction", "steps_of_diagnosis", "steps_of_measurement", "steps_of_plan",
@@ -25,7 +22,6 @@ __all__ = [
 ]  # fmt: skip
 
 MILLION = 1e6
-
 ACCESS_S, DEPTH_S, APPROACH_S, REPORT_S = 0.6, 0.2, 0.3, 2.0
 PLAN_S, DRIVE_S, LIMITS_S, CHIPS_S, WRITE_S, READ_S = 0.12, 0.3, 0.06, 0.15, 0.18, 0.18
 """First row: per step. Second row: per million points of a pass. [s]"""
@@ -40,14 +36,10 @@ HEIGHTS_S, MEASURED_S, DIAGNOSED_S = 1.0, 1.5, 10.0
 """Per million heights: prediction, registration and diagnosis. [s]"""
 
 PROOFS = 2.5
-"""Typical number of simulations until a plan is proved."""
-
 RADII, ANGLES = 24, 72
 """Samples of the curvature of a surface along the spiral."""
 
 USUAL_POINTS = 360
-"""Points per revolution where the strategy does not state them."""
-
 FEWEST_POINTS = 36
 
 
@@ -77,15 +69,7 @@ def steps_of_run(job: Job) -> tuple[Step, ...]:
 
 
 def steps_of_prediction(job: Job, *, tracking: bool | None = None) -> tuple[Step, ...]:
-    """Return the steps of `predict`.
-
-    Parameters
-    ----------
-    job
-        The job.
-    tracking
-        Whether servo tracking is simulated; as the job states if not given.
-    """
+    """Return the steps of `predict`, with servo tracking as the job states if not given."""
     points = _points(job, job.passes[-1])
     follows = job.simulation.tracking if tracking is None else tracking
     steps = [Step(stage="track", work=SERVOS_S * points)] if follows else []
@@ -135,13 +119,7 @@ def steps_of_comparison(job: Job) -> tuple[Step, ...]:
 
 
 def steps_of_measurement(heights: Sequence[float]) -> tuple[Step, ...]:
-    """Return the steps of `measure`, and of its report.
-
-    Parameters
-    ----------
-    heights
-        Approximate number of heights of each map.
-    """
+    """Return the steps of `measure`, and of its report, for maps of about so many heights each."""
     steps = []
     for count in heights:
         work = 0.2 + MEASURED_S * count / MILLION
@@ -150,26 +128,14 @@ def steps_of_measurement(heights: Sequence[float]) -> tuple[Step, ...]:
 
 
 def steps_of_diagnosis(heights: Sequence[float]) -> tuple[Step, ...]:
-    """Return the steps of `diagnose`, with the measurement of the parts and the report.
-
-    Parameters
-    ----------
-    heights
-        Approximate number of heights of each map.
-    """
+    """Return the steps of `diagnose`, with the measurement of the parts and the report."""
     *steps, report = steps_of_measurement(heights)
     explained = 2.0 + DIAGNOSED_S * min(sum(heights) / MILLION, 1.0)
     return (*steps, Step(stage="diagnose", work=explained), report)
 
 
 def steps_of_correction(heights: Sequence[float]) -> tuple[Step, ...]:
-    """Return the steps of `correct`, with measurement, diagnosis and the report.
-
-    Parameters
-    ----------
-    heights
-        Approximate number of heights of each map.
-    """
+    """Return the steps of `correct`, with measurement, diagnosis and the report."""
     *steps, report = steps_of_diagnosis(heights)
     return (*steps, Step(stage="prove the correction", work=8.0), Step(stage="simulate", work=3.0), report)
 

@@ -11,50 +11,37 @@ is on the safe side as long as no step hides a peak. Azimuths are spaced by an e
 surface, up to 1440 of them. The blank is unknown outside the clear aperture: it is assumed to continue at the slope of
 the rim where that rises outward, and level where it falls.
 
-A plunge stays at the radius where its pass begins. Its heights around the axis are exact: the edge is brought into
-contact with the part at every azimuth, and all heights are raised by the distance of the first point of the pass from
-contact, for example by the allowance. As an independent proof, the whole arc of the edge is compared with the finished
-surface at points of the last revolution. A fast tool adds the part of these heights that the slide does not follow:
-its table begins with the revolution of the plunge.
+A plunge stays at the radius where its pass begins, at heights that are exact around the axis; the theory of the program
+explains it. As an independent proof, the whole arc of the edge is compared with the finished surface at points of the
+last revolution.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright.errors import GougeError, LimitError
 from turnwright.generation import generate_polar
+from turnwright.job.schema import Job
 from turnwright.machine import FAST, Axis
+from turnwright.part import Part
+from turnwright.path import Motion
 from turnwright.placing import tip_height
 from turnwright.post import GAP, MOST_CLEARANCE, Approach, approach_to, entry_path, entry_shares
+from turnwright.tool import Tool
 from turnwright.units import say_length
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from turnwright._arrays import Floats
-    from turnwright.job.schema import Job
-    from turnwright.part import Part
-    from turnwright.path import Motion
-    from turnwright.tool import Tool
 
 __all__ = ["Entry", "entries_of"]
 
 TURN = 2 * math.pi
-
 MIN_AZIMUTHS, MAX_AZIMUTHS = 180, 1440
-"""Azimuths at which the material is sampled; the more, the finer the features of the surface."""
-
 RADIAL_STEPS = 3000
-"""Steps of the radial line under the edge."""
-
 CLEAR_HEIGHT_MM = 5.0
-"""Height of the clear plane above the highest material. [mm]"""
-
 PLUNGE_DEPTH_TOL = 1e-6
 """Largest depth of the edge below the finished surface in a plunge, if its pass does not begin lower. [mm]"""
 
@@ -107,12 +94,8 @@ class Entry:
 def entries_of(job: Job, motions: Mapping[str, Motion]) -> dict[str, Entry]:
     """Plan how the tool enters the material in every pass, in the order of cutting.
 
-    Raises
-    ------
-    LimitError
-        If a pass can neither begin clear of the material nor plunge while C turns.
-    GougeError
-        If the edge gouges the finished surface in a plunge, unless the job accepts that.
+    Raises `LimitError` if a pass can neither begin clear of the material nor plunge while C turns, and `GougeError` if
+    the edge gouges the finished surface in a plunge, unless the job accepts that.
     """
     entries: dict[str, Entry] = {}
     before: Motion | None = None
@@ -267,7 +250,6 @@ def _plan_entry(job: Job, name: str, motion: Motion, before: Motion | None) -> E
 
 
 def _radial_section(part: Part, material: _Material, azimuth: float) -> dict[str, Floats]:
-    """Return a radial section of material and finished surface, see `Entry`."""
     count = material.angle.size
     nearest = round(azimuth / TURN * count) % count
     line, height, finished = [], [], []

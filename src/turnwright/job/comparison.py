@@ -7,16 +7,21 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from turnwright._tables import written
 from turnwright.errors import Stopped, TurnwrightError
 from turnwright.job.contributions import ErrorBreakdown, break_down_error
+from turnwright.job.pass_plan import Watch
 from turnwright.job.pipeline import Pipeline
+from turnwright.job.schema import Job
+from turnwright.machine import Machine
 from turnwright.motion import Limits, check_limits, drive
+from turnwright.part import Part
 from turnwright.placing import place
+from turnwright.progress import Progress, StageProgress
 from turnwright.strategy import (
     AdaptiveToolServo,
     FastToolServo,
@@ -25,20 +30,12 @@ from turnwright.strategy import (
     SlowToolServo,
     Strategy,
 )
-
-if TYPE_CHECKING:
-    from turnwright.job.schema import Job
-    from turnwright.machine import Machine
-    from turnwright.part import Part
-    from turnwright.progress import StageProgress
-    from turnwright.tool import Tool
+from turnwright.tool import Tool
 
 __all__ = ["Candidate", "Comparison", "compare", "strategies_of"]
 
 TURN = 2 * math.pi
-
 AS_IT_STANDS = "the job as it stands"
-"""Name of the job's own strategy in the comparison."""
 
 SHORT_STEP_FRACTION = 1e-4
 """Fraction of the steps of a plan by chord that may be shorter than the steps of the plan at a constant angle."""
@@ -104,13 +101,7 @@ class Comparison:
     candidates: tuple[Candidate, ...]
 
     def stated(self, candidate: Candidate) -> dict[str, Any]:
-        """Return a strategy as the table ``strategy`` of a job file; empty if it could not be set up.
-
-        Parameters
-        ----------
-        candidate
-            One of `candidates`.
-        """
+        """Return a strategy as the table ``strategy`` of a job file; empty if it could not be set up."""
         if candidate.name == AS_IT_STANDS:
             return written(self.job.strategy)
         if candidate.servo is None:
@@ -137,18 +128,13 @@ def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
     progress
         Called with (stage, done, total).
     """
-    report = progress or (lambda _stage, _done, _total: None)
-    part, tool, machine = job.part.aimed, job.tool, job.machine
-    stated = job.servo(job.passes[-1])
-    report("what the job asks for", 0, 1)
-    feed, scallop, chord = _targets(stated, part, tool, machine)
-    report("what the job asks for", 1, 1)
-    strategies = list(_strategies(job, stated, feed, scallop, chord))
+    watch, stated = Watch(progress), job.servo(job.passes[-1])
+    with watch.stage("what the job asks for"):
+        feed, scallop, chord = _targets(stated, job.part.aimed, job.tool, job.machine)
     candidates = []
-    for name, set_up in strategies:
-        report(name, 0, 1)
-        candidates.append(_evaluate(name, set_up, job, report))
-        report(name, 1, 1)
+    for name, set_up in list(_strategies(job, stated, feed, scallop, chord)):
+        with watch.stage(name) as tell:
+            candidates.append(_evaluate(name, set_up, job, tell))
     return Comparison(job=job, scallop=scallop, chord=chord, candidates=tuple(candidates))
 
 
@@ -181,7 +167,6 @@ def _plain(stated: Strategy) -> Strategy:
 def _strategies(
     job: Job, stated: Strategy, feed: float, scallop: float, chord: float
 ) -> Iterator[tuple[str, Callable[[], Strategy]]]:
-    """Yield every strategy as its name and the function that sets it up."""
     part, tool, machine = job.part.aimed, job.tool, job.machine
     linear = machine.controller.interpolation != "hermite"
     shared: dict[str, Any] = {
@@ -246,29 +231,23 @@ def _with_strategy(job: Job, servo: Strategy) -> Job:
     return replace(job, strategy=servo, passes=(alone,), program=program)
 
 
-def _evaluate(name: str, set_up: Callable[[], Strategy], job: Job, report: StageProgress) -> Candidate:
-    """Plan and simulate a strategy, or return why it cannot be used."""
+def _evaluate(name: str, set_up: Callable[[], Strategy], job: Job, report: Progress) -> Candidate:
     start = time.perf_counter()
     servo = None
     stages = ("plan", "place", "shares")  # each is a third of the progress bar
 
     def tell(stage: str, done: int, total: int) -> None:
         if stage in stages:
-            report(name, 100 * stages.index(stage) + 99 * done // max(total, 1), 300)
+            report(100 * stages.index(stage) + 99 * done // max(total, 1), 300)
 
     try:
         servo = set_up()
         line = Pipeline(_with_strategy(job, servo), progress=tell)
         limits = check_limits(line.motion, job.machine)
         return Candidate(
-            name=name,
-            servo=servo,
-            turns=line.spiral.turns,
-            size_bytes=line.program.bytes,
-            limits=limits,
-            shares=line.shares,
-            wall_s=time.perf_counter() - start,
-        )
+            name=name, servo=servo, turns=line.spiral.turns, size_bytes=line.program.bytes, limits=limits,
+            shares=line.shares, wall_s=time.perf_counter() - start,
+        )  # fmt: skip
     except (Stopped, OSError):  # a full disk fails every strategy
         raise
     except TurnwrightError as error:

@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import rounding
+from turnwright._arrays import Floats, rounding
 from turnwright.errors import InputError
 from turnwright.generation import generate_polar
+from turnwright.heightmap import HeightMap
 from turnwright.job.extremes import find_extremes
 from turnwright.job.interpolated import interpolated
+from turnwright.machine import Machine
 from turnwright.metrology import area_rms
+from turnwright.part import Part
 from turnwright.path import Motion, Spiral
 from turnwright.placing import place
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Floats
-    from turnwright.heightmap import HeightMap
-    from turnwright.machine import Machine
-    from turnwright.part import Part
-    from turnwright.progress import Progress
-    from turnwright.tool import Tool
+from turnwright.progress import Progress
+from turnwright.tool import Tool
 
 __all__ = [
     "ErrorBreakdown",
@@ -153,9 +149,8 @@ def break_down_error(
         report(done, 6)
         return generate_polar(one, tool, radius=radius, angle=angle)
 
-    zone, reach = _axis_zone(part, tool, feed)
-    ideal_path = exact_motion(spiral, part, tool, machine, angle, dense_to=reach)
-    exact = made(ideal_path, 0)
+    report(0, 6)
+    exact, cusp_nm = _exact_surface(spiral, part, tool, machine, radius, angle)
     program_motion, ideal = program_motion or motion, without_servos(machine)
     steady = machine.controller.interpolation == "linear"
     sent = made(motion if steady else interpolated(motion, ideal), 1)
@@ -172,10 +167,9 @@ def break_down_error(
         form = find_extremes(moved, tool, part, known=error)
         pv_nm = math.nan if form is None else form.pv_nm
     report(6, 6)
-    cusps = exact.minus(part.surface)
     return ErrorBreakdown(
-        cusp_nm=pv_nm_of(np.append(cusps.z.ravel(), _about_axis(ideal_path, part, tool, zone))),
-        cusp_away_nm=pv_nm_of(cusps.z[:, radius > 2 * feed]),
+        cusp_nm=cusp_nm,
+        cusp_away_nm=pv_nm_of(exact.minus(part.surface).z[:, radius > 2 * feed]),
         chord_nm=max_difference_nm(planned, exact),
         rounding_nm=max_difference_nm(rounded, sent),
         tracking_nm=max_difference_nm(real, rounded if nominal is None else planned),
@@ -188,11 +182,22 @@ def break_down_error(
 
 def exact_cusps(spiral: Spiral, part: Part, tool: Tool, machine: Machine) -> tuple[HeightMap, float]:
     """Return the error of an exact path on lines across all revolutions [mm], and its PV, the axis included. [nm]."""
-    radius, angle = lines(part, spiral.feed, spiral.angle)
+    surface, pv_nm = _exact_surface(spiral, part, tool, machine, *lines(part, spiral.feed, spiral.angle))
+    return surface.minus(part.surface), pv_nm
+
+
+def _exact_surface(
+    spiral: Spiral, part: Part, tool: Tool, machine: Machine, radius: Floats, angle: Floats
+) -> tuple[HeightMap, float]:
+    """Return the surface of an exact path on lines [mm], and the PV of its error, the axis included. [nm]."""
     zone, reach = _axis_zone(part, tool, spiral.feed)
     motion = exact_motion(spiral, part, tool, machine, angle, dense_to=reach)
-    error = generate_polar(motion, tool, radius=radius, angle=angle).minus(part.surface)
-    return error, pv_nm_of(np.append(error.z.ravel(), _about_axis(motion, part, tool, zone)))
+    surface = generate_polar(motion, tool, radius=radius, angle=angle)
+    extremes = find_extremes(motion, tool, replace(part, radius=zone))
+    errors = surface.minus(part.surface).z.ravel()
+    if extremes is not None:
+        errors = np.append(errors, [extremes.highest.error, extremes.lowest.error])
+    return surface, pv_nm_of(errors)
 
 
 def _axis_zone(part: Part, tool: Tool, feed: float) -> tuple[float, float]:
@@ -205,12 +210,6 @@ def _axis_zone(part: Part, tool: Tool, feed: float) -> tuple[float, float]:
     slope = float(np.hypot(*part.surface.gradient(radius * np.cos(angle), radius * np.sin(angle))).max())
     lateral = tool.actual_radius * slope / math.hypot(1, slope)
     return min(AXIS_FEEDS * feed + lateral, part.radius), 2 * (AXIS_FEEDS * feed + lateral)
-
-
-def _about_axis(motion: Motion, part: Part, tool: Tool, zone: float) -> Floats:
-    """Return the highest and the lowest error within a radius around the axis. (2,) [mm]."""
-    extremes = find_extremes(motion, tool, replace(part, radius=zone))
-    return np.array([math.nan] * 2 if extremes is None else [extremes.highest.error, extremes.lowest.error])
 
 
 def _digits(height_nm: float) -> str:
@@ -301,10 +300,9 @@ def max_difference_nm(one: HeightMap, other: HeightMap) -> float:
 def exact_motion(
     spiral: Spiral, part: Part, tool: Tool, machine: Machine, angle: Floats, *, dense_to: float = 0.0
 ) -> Motion:
-    """Return a motion that is exact at some azimuths, at one radian per second.
+    """Return a motion that is exact at ascending azimuths of a revolution, at one radian per second.
 
-    The azimuths ascend from 0 to less than a revolution, with any spacing. Where the tip is no farther from the axis
-    than ``dense_to`` [mm], the motion is also exact at points between them.
+    Where the tip is no farther from the axis than ``dense_to`` [mm], it is also exact at points between them.
     """
     first, last = sorted((float(spiral.angle[0]), float(spiral.angle[-1])))
     apart = 1e-11 + rounding(spiral.angle)  # so that no azimuth repeats one of the ends [rad]

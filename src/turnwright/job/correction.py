@@ -5,17 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import cache, reduce
+from itertools import compress
+from os import PathLike
 from pathlib import Path as File
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turnwright._arrays import robust_scatter
+from turnwright._arrays import Floats, robust_scatter
 from turnwright._io import write_whole
-from turnwright.diagnosis import Proof, prove
+from turnwright.diagnosis import Diagnosis, DrawnCut, Draws, Proof, prove
 from turnwright.errors import CorrectionError, InputError
 from turnwright.files import write_map
 from turnwright.generation import generate_points
@@ -23,38 +25,28 @@ from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import pv_nm_of, rms_nm_of
 from turnwright.job.measurement import Measured, beyond_pose, cutoff_of, errors_at_candidates, same_part
 from turnwright.job.named import HeightFile
+from turnwright.job.pass_plan import Watch
 from turnwright.job.predicted_finish import across_feed, cut_by, feed_of, motion_of
 from turnwright.job.schema import Actual, Job
 from turnwright.job.text import edited
 from turnwright.job.verdict import Verdict, judge_form
+from turnwright.machine import Machine
 from turnwright.metrology import Smooth, form_compensation, sum_tables
 from turnwright.part import evenly
-from turnwright.tool import WavinessTable
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from turnwright._arrays import Floats
-    from turnwright.diagnosis import Diagnosis, DrawnCut, Draws
-    from turnwright.machine import Machine
-    from turnwright.path import Motion
-    from turnwright.progress import StageProgress
-    from turnwright.surface import Gridded
-    from turnwright.tool import Tool
+from turnwright.path import Motion
+from turnwright.progress import StageProgress
+from turnwright.surface import Gridded
+from turnwright.tool import Tool, WavinessTable
 
 __all__ = ["Correction", "correct"]
 
 MAX_PREDICTED_POINTS = 40_000
-"""Most points at which the corrected part is predicted."""
-
 PLANNED_SOURCES = frozenset(
     {"offset x", "offset y", "offset z", "radius error", "waviness", "squareness", "straightness"}
 )
 """Error sources that planning with the actual tool and machine corrects."""
 
 MAX_SIMULATED_PLACES = 600
-"""Most points at which draws are simulated in full."""
-
 MIN_ERROR_RATIO = 3.0
 """Least form error, as a multiple of the error worth correcting, for which a correction can gain anything."""
 
@@ -80,12 +72,13 @@ OUTLIER_SIGMA = 6.0
 """Standard deviations from which a residual is an outlier and not form, as in the fit of a diagnosis."""
 
 MAX_EXPLAINED_RATIO = 1.1
-"""Most by which the attributed error may exceed the measured error, as a factor."""
-
 NAMED_SIGMAS = 2.0
 """A contribution is named if it exceeds this many standard uncertainties."""
 
 NM = 1e6
+
+MotionOf: TypeAlias = "Callable[[Job], Motion]"
+"""Returns the motion of the finishing pass of a job, see `motion_of`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -183,7 +176,7 @@ def correct(
     CorrectionError
         If no correction is certain to help, or a map does not match its part; nothing is written then.
     """
-    report = progress or (lambda _stage, _done, _total: None)
+    watch = Watch(progress)
     _check(job, diagnosis)
     every = [measured] if isinstance(measured, Measured) else list(measured or ())
     for one in every:
@@ -192,41 +185,33 @@ def correct(
     is_same_part = [same_part(one.job, job) for one in every]
     _check_new(job, every, is_same_part)
     _check_sane(diagnosis)
-    report("prove the correction", 0, 2)
-    plan = _choose_plan(job, diagnosis, is_same_part)
-    report("prove the correction", 1, 2)
-    motions = _Motions()
-    if any(is_same_part):
-        _check_linear(every[plan.map].job, plan.draws, motions)
-    report("prove the correction", 2, 2)
+    cached_motion = cache(motion_of)
+    with watch.stage("prove the correction") as tell:
+        plan = _choose_plan(job, diagnosis, is_same_part)
+        tell(1, 2)
+        if any(is_same_part):
+            _check_linear(every[plan.map].job, plan.draws, cached_motion)
     text, source_folder = ("", File()) if source is None else (File(source).read_bytes().decode(), File(source).parent)
     out = File(out).resolve()  # the job names its files relative to its own folder
-    names = tuple(
-        one.name
-        for one in diagnosis
-        if one.cause in PLANNED_SOURCES and (one.verdict == "correct" or (plan.likely and one.value))
-    )
-    names = names if plan.sources else ()
-    report("simulate", 0, 2)
-    maps = _simulate(job, diagnosis, plan, every if any(is_same_part) else (), motions)
-    report("simulate", 1, 2)
-    out.mkdir(parents=True, exist_ok=True)
-    better = _write_corrected(job, diagnosis, plan, [(one, _entry(one, names, plan)) for one in every], out)
+    planned = [one for one in diagnosis if one.cause in PLANNED_SOURCES] if plan.sources else []
+    names = tuple(one.name for one in planned if one.verdict == "correct" or (plan.likely and one.value))
     file = out / "job.toml"
-    write_whole(file, edited(text, job, better, folder=source_folder, into=out))
-    cutoff = None if plan.smooth is None else plan.smooth.cutoff
-    report("simulate", 2, 2)
-    parts = [one for one, part in zip(every, is_same_part, strict=True) if part]
+    with watch.stage("simulate") as tell:
+        before, predicted, simulated = _simulate(
+            job, diagnosis, plan, every if any(is_same_part) else (), cached_motion
+        )
+        tell(1, 2)
+        out.mkdir(parents=True, exist_ok=True)
+        better = _write_corrected(job, diagnosis, plan, [(one, _entry(one, names, plan)) for one in every], out)
+        write_whole(file, edited(text, job, better, folder=source_folder, into=out))
     return Correction(
-        job=better, file=file, cutoff=cutoff, measured=maps.measured, predicted=maps.predicted,
-        simulated=maps.simulated, proof=plan.proof, sources=names,
-        sentences=_sentences(diagnosis, plan, names, parts),
+        job=better, file=file, cutoff=plan.cutoff, measured=before, predicted=predicted, simulated=simulated,
+        proof=plan.proof, sources=names,
+        sentences=_sentences(diagnosis, plan, names, list(compress(every, is_same_part))),
     )  # fmt: skip
 
 
 class _Plan(NamedTuple):
-    """A candidate correction."""
-
     likely: bool  # whether all error sources enter with their most probable values, not only the certain ones
     sources: bool  # whether the job is planned with the diagnosed tool and machine
     smooth: Smooth | None
@@ -234,55 +219,32 @@ class _Plan(NamedTuple):
     draws: Draws
     proof: Proof
 
-
-class _Maps(NamedTuple):
-    """See `Correction`."""
-
-    measured: HeightMap | None
-    predicted: HeightMap | None
-    simulated: HeightMap
-
-
-class _Motions:
-    """A cache of the motions of finishing passes."""
-
-    def __init__(self) -> None:
-        self._known: list[tuple[Job, Motion]] = []
-
-    def of(self, job: Job) -> Motion:
-        """Return the motion of a job's finishing pass."""
-        for other, motion in self._known:
-            if other == job:
-                return motion
-        motion = motion_of(job)
-        self._known.append((job, motion))
-        return motion
+    @property
+    def cutoff(self) -> float | None:
+        """Shortest wavelength of the form that is corrected, ``None`` if none is. [mm]."""
+        return None if self.smooth is None else self.smooth.cutoff
 
 
 def _simulate(
-    job: Job, diagnosis: Diagnosis, plan: _Plan, every: Sequence[Measured], motions: _Motions
-) -> _Maps:  # fmt: skip
-    """Return the form error after a correction by simulation; raise where it contradicts the prediction.
+    job: Job, diagnosis: Diagnosis, plan: _Plan, every: Sequence[Measured], motion_of: MotionOf
+) -> tuple[HeightMap | None, HeightMap | None, HeightMap]:
+    """Return measured, predicted and simulated form error, see `Correction`; raise where simulation contradicts it.
 
-    Parameters
-    ----------
-    every
-        The measured parts, if the part of this job is among them.
+    ``every`` has the measured parts, if the part of this job is among them.
     """
     with TemporaryDirectory(prefix="turnwright-") as folder:
         real = _write_corrected(job, diagnosis, plan._replace(likely=True, sources=True, smooth=None), (), File(folder))
         better = _write_corrected(job, diagnosis, plan, (), File(folder))
-        new = motions.of(better)
+        new = motion_of(better)
         if not every:
             x, y = evenly(job.part, MAX_PREDICTED_POINTS)
             off = cut_by(new, real, x, y) - job.part.surface.sag(x, y)
             simulated = HeightMap(x=x, y=y, z=beyond_pose(job, x, y, off), name="simulated error")
-            return _Maps(None, None, simulated)
-        _check_simulated(job, better, plan, motions)
-    old, error, field = motions.of(job), every[plan.map].error, diagnosis.fields[plan.map]
+            return None, None, simulated
+        _check_simulated(job, better, plan, motion_of)
+    old, error, field = motion_of(job), every[plan.map].error, diagnosis.fields[plan.map]
 
     def change(x: Floats, y: Floats) -> Floats:
-        """Return the height that the actual tool cuts in the corrected job minus that in the old job."""
         return cut_by(new, real, x, y) - cut_by(old, real, x, y)
 
     step = -(-error.z.size // MAX_PREDICTED_POINTS)
@@ -296,7 +258,7 @@ def _simulate(
     _check_claim(job, plan, off=(x, y, off), planned=planned)
     _check_candidates(every[plan.map], job, change)
     simulated = HeightMap(x=x, y=y, z=beyond_pose(job, x, y, off), name="simulated error")
-    return _Maps(before, predicted, simulated)
+    return before, predicted, simulated
 
 
 def _check(job: Job, diagnosis: Diagnosis) -> None:
@@ -320,7 +282,7 @@ def _check(job: Job, diagnosis: Diagnosis) -> None:
 
 def _write_corrected(
     job: Job, diagnosis: Diagnosis, plan: _Plan, ledger: Sequence[tuple[Measured, str]], out: File
-) -> Job:  # fmt: skip
+) -> Job:
     """Return the corrected job, and write the files that it names."""
     earlier_entries = [
         line for line in job.measurement.corrected if not any(one.fingerprint in line for one, _ in ledger)
@@ -332,10 +294,9 @@ def _write_corrected(
         tool, machine = (
             (diagnosis.likely_tool, diagnosis.likely_machine) if plan.likely else (diagnosis.tool, diagnosis.machine)
         )
-        better = replace(
-            better, tool=_write_tool(tool, job.tool, out), machine=_write_machine(machine, job.machine, out)
-        )
-    if plan.smooth is not None and plan.smooth.cutoff is not None:
+        tool, machine = _write_tool(tool, job.tool, out), _write_machine(machine, job.machine, out)
+        better = replace(better, tool=tool, machine=machine)
+    if plan.smooth is not None and plan.cutoff is not None:
         file, new = out / "correction.npz", plan.smooth.table
         write_map(HeightMap(x=new.x, y=new.y, z=new.z, name="correction"), file)
         correction = replace(new, source=HeightFile(file=file))
@@ -344,7 +305,6 @@ def _write_corrected(
 
 
 def _check_new(job: Job, every: Sequence[Measured], is_same_part: Sequence[bool]) -> None:
-    """Raise if the job was already corrected by one of the maps."""
     for one, part in zip(every, is_same_part, strict=True):
         noted = (one.job if part else job).measurement.corrected
         if any(one.fingerprint in line for line in noted):
@@ -420,7 +380,6 @@ def _sigmas_off(off: Floats, covariance: Floats) -> float:
 
 
 def _check_sane(diagnosis: Diagnosis) -> None:
-    """Raise if a diagnosis is implausible."""
     for one in diagnosis:
         if one.determined and one.implausible:
             raise CorrectionError(f"nothing is corrected: {one.why}")
@@ -433,7 +392,6 @@ def _check_sane(diagnosis: Diagnosis) -> None:
 
 
 def _choose_plan(job: Job, diagnosis: Diagnosis, is_same_part: Sequence[bool]) -> _Plan:
-    """Return the first correction that is certain to help."""
     plans = list(_plans(job, diagnosis, is_same_part))
     for plan in plans:
         if plan.proof.ok:
@@ -452,20 +410,14 @@ def _plans(job: Job, diagnosis: Diagnosis, is_same_part: Sequence[bool]) -> Iter
         return
     first = list(is_same_part).index(True)
     draws = diagnosis.draws(first)
-    residuals = [
-        _without_outliers(one, cutoff_of(job))
-        for one, part in zip(diagnosis.residuals, is_same_part, strict=True)
-        if part
-    ]
+    residuals = [_without_outliers(one, cutoff_of(job)) for one in compress(diagnosis.residuals, is_same_part)]
     beyond = _draw_beyond(job, residuals, draws)
     # The residual of the diagnosis is smoothed to separate it from noise.
     residual_form = _smooth_addition(job, _join_maps(job, residuals)) if job.measurement.repeats else None
     for sources, maps in ((True, diagnosis.remainders), (False, diagnosis.fields)):
         if not sources and not worth:
             return
-        form = _smooth_addition(
-            job, _join_maps(job, [one for one, part in zip(maps, is_same_part, strict=True) if part])
-        )
+        form = _smooth_addition(job, _join_maps(job, list(compress(maps, is_same_part))))
         smooth = _sum_additions(
             [one for one in (form, residual_form) if one is not None and one.cutoff is not None], job.part.correction
         )
@@ -497,7 +449,6 @@ def _without_outliers(residual: HeightMap, cutoff: float) -> HeightMap:
 
 
 def _sum_additions(parts: Sequence[Smooth], before: Gridded | None) -> Smooth | None:
-    """Return the sum of all additions to a part, ``None`` if there is no new one."""
     if not parts:
         return None
     tables = [one.table for one in parts] + ([] if before is None else [before])
@@ -527,7 +478,6 @@ def _draw_beyond(job: Job, residuals: Sequence[HeightMap], draws: Draws) -> Floa
 
 
 def _refusal(diagnosis: Diagnosis, plan: _Plan, parts: int) -> str:
-    """Return why nothing is corrected, and which measurement would decide it."""
     proof = plan.proof
     if proof.before_nm < MIN_ERROR_RATIO * proof.worth_nm:
         return (
@@ -555,18 +505,16 @@ def _refusal(diagnosis: Diagnosis, plan: _Plan, parts: int) -> str:
     return f"{why}. {hidden.why if hidden else 'Measure more points, or more parts'}"
 
 
-def _check_linear(job: Job, draws: Draws, motions: _Motions) -> None:
+def _check_linear(job: Job, draws: Draws, motion_of: MotionOf) -> None:
     """Raise if the full simulation of some draws differs too much from the linear model."""
     some, places = _cuspless(job, draws)
-    motion = replace(motions.of(job), velocity=None)
+    motion = replace(motion_of(job), velocity=None)
     tool, machine = job.tool, job.machine
     clean = _means(motion, tool, machine, places)
     for case in draws.cases:
         made = _means(_move_tip(motion, case), case.tool, case.machine, places) - clean + case.rest[some]
-        valid = np.isfinite(made)
-        linear = draws.before[case.number][some]
-        valid_draws = replace(draws, pose=draws.pose[some][valid])
-        off, size = (float(valid_draws.rms_nm(one[None, valid])[0]) for one in (made - linear, linear))
+        linear = np.where(np.isfinite(made), draws.before[case.number][some], np.nan)
+        off, size = (_rms_of_draws(draws, some, one) for one in (made - linear, linear))
         if off > max(LINEAR_TOL * size, LINEAR_TOL_NM):
             raise CorrectionError(
                 f"nothing is corrected: a draw of the errors makes {size:.3g} nm rms in the linear model and differs "
@@ -575,19 +523,28 @@ def _check_linear(job: Job, draws: Draws, motions: _Motions) -> None:
             )
 
 
-def _check_simulated(job: Job, better: Job, plan: _Plan, motions: _Motions) -> None:
+def _rms_of_draws(draws: Draws, some: NDArray[np.intp], error: Floats) -> float:
+    """Return the rms of an error at some points of the draws, without a change of pose. [nm]."""
+    valid = np.isfinite(error)
+    return float(replace(draws, pose=draws.pose[some][valid]).rms_nm(error[None, valid])[0])
+
+
+def _rms_beyond_pose_nm(job: Job, x: Floats, y: Floats, error: Floats) -> float:
+    return float(np.sqrt(np.nanmean(beyond_pose(job, x, y, error) ** 2))) * NM
+
+
+def _check_simulated(job: Job, better: Job, plan: _Plan, motion_of: MotionOf) -> None:
     """Raise if the corrected job does not change the part as intended."""
     draws = plan.draws
     some, places = _cuspless(job, draws)
-    after, before = (_means(motions.of(one), one.tool, one.machine, places) for one in (better, job))
+    after, before = (_means(motion_of(one), one.tool, one.machine, places) for one in (better, job))
     now, then = (_addition_at(one, draws.x[some], draws.y[some]) for one in (better, job))
-    valid = np.isfinite(after - before)
-    valid_draws = replace(draws, pose=draws.pose[some][valid])
-    intended = now - then
-    off, size = (float(valid_draws.rms_nm(one[None, valid])[0]) for one in (after - before - intended, intended))
+    intended = np.where(np.isfinite(after - before), now - then, np.nan)
+    off, size = (_rms_of_draws(draws, some, one) for one in (after - before - intended, intended))
     if off > max(SIMULATION_TOL * size, SIMULATION_TOL_NM):
-        cutoff = None if plan.smooth is None else plan.smooth.cutoff
-        remedy = f"raise measurement.cutoff above {cutoff:g} mm" if cutoff else "check the job with turnwright check"
+        remedy = "check the job with turnwright check"
+        if plan.cutoff:
+            remedy = f"raise measurement.cutoff above {plan.cutoff:g} mm"
         raise CorrectionError(
             f"nothing is corrected: the corrected job should change the part by {size:.3g} nm rms, its simulation "
             f"differs from that by {off:.3g} nm, the limit is {SIMULATION_TOL:.0%} and {SIMULATION_TOL_NM:g} nm: "
@@ -598,9 +555,7 @@ def _check_simulated(job: Job, better: Job, plan: _Plan, motions: _Motions) -> N
 def _check_claim(job: Job, plan: _Plan, *, off: tuple[Floats, Floats, Floats], planned: Floats) -> None:
     """Raise if the simulated form error of the corrected part exceeds that of the draws and its cusps."""
     x, y, z = off
-    simulated, cusps = (
-        float(np.sqrt(np.nanmean(beyond_pose(job, x, y, one) ** 2))) * NM for one in (z, planned)
-    )  # fmt: skip
+    simulated, cusps = (_rms_beyond_pose_nm(job, x, y, one) for one in (z, planned))
     claimed = math.hypot(plan.proof.after_nm, cusps)
     if simulated > claimed + max(SIMULATION_TOL * claimed, SIMULATION_TOL_NM):
         raise CorrectionError(
@@ -617,9 +572,7 @@ def _check_candidates(one: Measured, job: Job, change: Callable[[Floats, Floats]
         x, y = error.points()
         step = -(-error.z.size // MAX_PREDICTED_POINTS)
         x, y, z = x[::step], y[::step], error.z[::step]
-        before, after = (
-            float(np.sqrt(np.nanmean(beyond_pose(job, x, y, each) ** 2))) * NM for each in (z, z + change(x, y))
-        )
+        before, after = (_rms_beyond_pose_nm(job, x, y, each) for each in (z, z + change(x, y)))
         if after > before + worth_nm:
             shift = ", ".join(f"{value:.4g}" for value in pose.shift)
             raise CorrectionError(
@@ -636,7 +589,6 @@ def _addition_at(job: Job, x: Floats, y: Floats) -> Floats:
 
 
 def _move_tip(motion: Motion, case: DrawnCut) -> Motion:
-    """Return the motion with the tip displaced as in a draw."""
     along_x, along_z = case.tip_motion(*(motion.axes[letter] for letter in "XCZ"))
     return replace(motion, axes={**motion.axes, "X": motion.axes["X"] + along_x, "Z": motion.axes["Z"] + along_z})
 
@@ -655,19 +607,16 @@ def _cuspless(job: Job, draws: Draws) -> tuple[NDArray[np.intp], tuple[Floats, F
 
 
 def _means(motion: Motion, tool: Tool, machine: Machine, places: tuple[Floats, Floats]) -> Floats:
-    """Return mean heights across a feed. (n,) [mm]."""
     x, y = (one.ravel() for one in places)
     return np.asarray(generate_points(motion, tool, x=x, y=y, machine=machine).reshape(places[0].shape).mean(axis=1))
 
 
 def _entry(one: Measured, names: Sequence[str], plan: _Plan) -> str:
-    """Return the entry of a map in the job's list of corrections."""
-    what = [*names, *(["form"] if plan.smooth is not None and plan.smooth.cutoff else [])]
+    what = [*names, *(["form"] if plan.cutoff else [])]
     return f"{one.heights.name[:MAX_NAME_LENGTH] or 'map'} ({one.fingerprint}): {', '.join(what)}"
 
 
 MAX_NAME_LENGTH = 60
-"""Most characters of a map's name in that entry."""
 
 
 def _sentences(
@@ -675,7 +624,7 @@ def _sentences(
 ) -> tuple[str, ...]:  # fmt: skip
     """Return what is corrected, with what confidence, and the risk."""
     proof, sentences = plan.proof, []
-    form = plan.smooth is not None and plan.smooth.cutoff is not None
+    form = plan.cutoff is not None
     sentences.append(
         f"corrected: {', '.join(names) or 'no source'} by tool and machine"
         + (", all other errors that repeat by the target surface" if form else "")
@@ -724,7 +673,6 @@ def _join_maps(job: Job, maps: Sequence[HeightMap]) -> HeightMap:
 
 
 def _smooth_addition(job: Job, residual: HeightMap) -> Smooth:
-    """Return the addition to a part that compensates an error."""
     strategy, last = job.strategy, job.passes[-1]
 
     def stated(name: str) -> float:
@@ -759,7 +707,6 @@ def _write_machine(machine: Machine, planned: Machine, out: File) -> Machine:
 
 
 def _write_columns(file: File, head: str, one: Floats, other: Floats) -> File:
-    """Write two columns with every digit."""
     rows = (f"{a!r},{b!r}" for a, b in zip(one.tolist(), other.tolist(), strict=True))
     write_whole(file, "\n".join([head, *rows]) + "\n")
     return file

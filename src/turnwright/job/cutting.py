@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
-from turnwright.cutting import check_ductile, chip_map, predict_chips
+from turnwright._arrays import Ints
+from turnwright.access import Access
+from turnwright.cutting import ChipMap, DuctileCheck, check_ductile, chip_map, predict_chips
 from turnwright.errors import InputError
+from turnwright.job.schema import Job, PassTable
+from turnwright.path import Motion
+from turnwright.progress import Progress
 from turnwright.units import say_length
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Ints
-    from turnwright.access import Access
-    from turnwright.cutting import ChipMap, DuctileCheck
-    from turnwright.job.schema import Job, PassTable
-    from turnwright.path import Motion
-    from turnwright.progress import Progress
 
 __all__ = ["PassChips", "chips_of", "predicted_chips"]
 
@@ -26,60 +23,29 @@ MAX_POINTS = 20_000
 chip thickness of the infrared lens and of an array of lenses by less than 0.1 %."""
 
 FIRST_REV_POINTS = 72
-"""Points of the first revolution among them."""
-
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 """Azimuth between successive points of a sunflower pattern, which has no gaps and no rows. [rad]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PassChips:
-    """Summary of the uncut chip thickness and the forces of a pass.
+    """Summary of the uncut chip thickness and the forces of a pass; ``None`` where the material has no data."""
 
-    Parameters
-    ----------
-    thickest, typical
-        Largest chip thickness within the clear aperture, and the median. [mm]
-    entering
-        Largest chip thickness while the tool enters at the rim. [mm]
-    where
-        Position (x, y) of the largest chip thickness. [mm]
-    rake_range
-        Lowest and highest effective rake angle. [rad]
-    axial, cutting
-        Largest thrust force along Z and largest cutting force; ``None`` without coefficients. [N]
-    critical
-        Critical chip thickness where the margin is smallest; ``None`` for a material without one. [mm]
-    margin, margin_uncertainty
-        Smallest margin, and its 95 % uncertainty; ``None`` where that is not stated.
-    share
-        Fraction of the area where the chip is thicker than the critical thickness.
-    fracture
-        Depth of cracks below the surface that the pass leaves. [mm]
-    largest_feed
-        Largest feed in the ductile regime; ``None`` where every feed is. [mm/rev]
-    verdict, ok
-        "ductile", "brittle", or "uncertain" where the margin is smaller than its uncertainty; whether the pass is
-        ductile, or later passes remove the cracked layer.
-    sentence
-        Summary in words.
-    """
-
-    thickest: float
-    typical: float
-    entering: float
-    where: tuple[float, float]
-    rake_range: tuple[float, float]
-    axial: float | None
-    cutting: float | None
-    critical: float | None = None
-    margin: float | None = None
-    margin_uncertainty: float | None = None
-    share: float = 0.0
-    fracture: float | None = None
-    largest_feed: float | None = None
-    verdict: Literal["ductile", "uncertain", "brittle"] = "ductile"
-    ok: bool = True
+    thickest: float  # largest chip thickness within the clear aperture [mm]
+    typical: float  # the median [mm]
+    entering: float  # largest chip thickness while the tool enters at the rim [mm]
+    where: tuple[float, float]  # position of the largest chip thickness [mm]
+    rake_range: tuple[float, float]  # lowest and highest effective rake angle [rad]
+    axial: float | None  # largest thrust force along Z [N]
+    cutting: float | None  # largest cutting force [N]
+    critical: float | None = None  # critical chip thickness where the margin is smallest [mm]
+    margin: float | None = None  # the smallest
+    margin_uncertainty: float | None = None  # at 95 %
+    share: float = 0.0  # fraction of the area where the chip is thicker than the critical thickness
+    fracture: float | None = None  # depth of cracks below the surface that the pass leaves [mm]
+    largest_feed: float | None = None  # in the ductile regime; None where every feed is [mm/rev]
+    verdict: Literal["ductile", "uncertain", "brittle"] = "ductile"  # uncertain: margin below its uncertainty
+    ok: bool = True  # whether the pass is ductile, or later passes remove the cracked layer
     sentence: str = ""
 
 

@@ -12,37 +12,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from turnwright._arrays import Bools, Floats
 from turnwright.generation import Prepared, Tiles, generate_polar
-from turnwright.progress import run_chunks
+from turnwright.heightmap import HeightMap
+from turnwright.machine import Machine
+from turnwright.part import Part
+from turnwright.path import Motion
+from turnwright.progress import Progress, run_chunks
+from turnwright.tool import Tool
 
-if TYPE_CHECKING:
-    from turnwright._arrays import Bools, Floats
-    from turnwright.heightmap import HeightMap
-    from turnwright.machine import Machine
-    from turnwright.part import Part
-    from turnwright.path import Motion
-    from turnwright.progress import Progress
-    from turnwright.tool import Tool
-
-__all__ = ["Extreme", "Extremes", "find_extremes"]
+__all__ = ["Extreme", "Extremes", "find_extremes", "top_of_zones"]
 
 TURN = 2 * math.pi
 NM = 1e6
 GOLDEN = (math.sqrt(5) - 1) / 2
 
 RADII_PER_FEED = 8
-"""Radii of the scan per feed."""
-
 FEWEST_ANGLES, MOST_ANGLES = 72, 360
-"""Least and most azimuths of the scan."""
-
 AZIMUTHS_PER_FEATURE = 4
-"""Azimuths per feature size of the surface at the rim, within these limits."""
-
 SCAN_POINTS, SCAN_POINTS_OFF_PLANE = 500_000, 100_000
 """Most points of the scan, and of a scan with a tool that does not move in a plane through the axis."""
 
@@ -53,8 +44,6 @@ ZONES = (6, 8)
 """Zones along the radius and around the axis, the search starts from the best point of each."""
 
 OVERALL_STARTS = 24
-"""Number of the best points overall that the search starts from as well."""
-
 MIN_PLACES_PER_THREAD = 2048
 """Points of a chunk of work; smaller chunks take less time than their overhead."""
 
@@ -62,10 +51,8 @@ STAGES = 6
 """Steps of progress: four scans and two searches."""
 
 CLIMBERS, FINALISTS = 10, 4
-"""Number of points that the search climbs from, and that it refines."""
-
 CLIMBERS_OFF_PLANE, FINALISTS_OFF_PLANE = 4, 2
-"""The same for a tool that does not move in a plane through the axis; its points take ten times as long."""
+"""Points that the search climbs from and that it refines; off the plane each takes ten times as long."""
 
 RADIAL_LOOKS = 17
 """Radii of one step of the search along a radius; the next step is between the neighbours of the highest."""
@@ -89,8 +76,6 @@ REFINEMENTS, REFINEMENT_STEPS = 16, 9
 """Steps of the search around the axis and azimuths of each; each step is a third as wide as the one before."""
 
 HALVINGS = 50
-"""Bisections of the radius of the uncut core."""
-
 MIN_ALONG_MM = 1e-8
 """Least distance of a point from the edge of the uncut core, along the pass. [mm]"""
 
@@ -114,13 +99,7 @@ class Extreme(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Extremes:
-    """Where the error of a part is highest and lowest over the clear aperture.
-
-    Parameters
-    ----------
-    highest, lowest
-        Points with cut minus design. [mm]
-    """
+    """Points with the highest and the lowest cut minus design over the clear aperture. [mm]."""
 
     highest: Extreme
     lowest: Extreme
@@ -142,25 +121,7 @@ def find_extremes(
 ) -> Extremes | None:
     """Return the highest and the lowest error of a cut surface over the clear aperture, rim and axis included.
 
-    Parameters
-    ----------
-    motion
-        Motion of the axes.
-    tool
-        The actual tool.
-    part
-        Design and clear aperture.
-    machine
-        The actual machine; that of the motion if not given.
-    known
-        Polar map of the error computed before; the result is at least as high and as low.
-    progress
-        Called with (done, total).
-
-    Returns
-    -------
-    Extremes
-        ``None`` where no pass cuts the part.
+    ``None`` where no pass cuts the part. ``known`` is a polar map of the error: the result is at least as high and low.
     """
     search = _Search(motion, tool, part, machine)
     report = progress or (lambda _done, _total: None)
@@ -179,6 +140,17 @@ def find_extremes(
     return Extremes(highest=extremes[0], lowest=extremes[1])
 
 
+def top_of_zones(values: Floats, zones: tuple[int, int]) -> list[int]:
+    """Return the flat index of the highest value in each zone of a polar map, along the radius and around the axis."""
+    rows, columns = (np.arange(size) for size in values.shape)
+    tops = []
+    for across in np.array_split(columns, min(zones[0], columns.size)):
+        for around in np.array_split(rows, min(zones[1], rows.size)):
+            row, column = divmod(int(np.argmax(values[np.ix_(around, across)])), across.size)
+            tops.append(int(around[row] * columns.size + across[column]))
+    return tops
+
+
 class _Places(NamedTuple):
     """Points of a scan, one azimuth per row."""
 
@@ -188,8 +160,6 @@ class _Places(NamedTuple):
 
 
 class _Search:
-    """The error anywhere on a part."""
-
     def __init__(self, motion: Motion, tool: Tool, part: Part, machine: Machine | None) -> None:
         self.motion, self.tool, self.part, self.machine = motion, tool, part, machine
         self.ready = Prepared.of(motion, tool, machine, distances=(0.0, part.radius), most_rings=10_000)
@@ -404,12 +374,7 @@ class _Search:
         """Return the best points of each zone of a scan, and those overall. Each (n,)."""
         value = np.where(np.isnan(scan.error), -np.inf, sign * scan.error)
         rows, columns = value.shape
-        chosen = []
-        for across in np.array_split(np.arange(columns), min(ZONES[0], columns)):
-            for around in np.array_split(np.arange(rows), min(ZONES[1], rows)):
-                zone = value[around[0] : around[-1] + 1, across[0] : across[-1] + 1]
-                i, j = divmod(int(np.argmax(zone)), zone.shape[1])
-                chosen.append((around[0] + i) * columns + across[0] + j)
+        chosen = top_of_zones(value, ZONES)
         flat = value.ravel()
         # At most one per azimuth and band of radii, otherwise all would be on one cusp.
         size = BAND_FEEDS * RADII_PER_FEED

@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+
+from numpy.typing import ArrayLike
 
 from turnwright.cutting import MinimumChip, Vibration, add_vibration, predict_uncut_height
 from turnwright.generation import generate_polar
 from turnwright.heightmap import HeightMap
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from turnwright.machine import Machine
-    from turnwright.path import Motion
-    from turnwright.tool import Tool
+from turnwright.machine import Machine
+from turnwright.path import Motion
+from turnwright.tool import Tool
 
 __all__ = ["Finish", "finish"]
 

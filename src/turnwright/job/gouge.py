@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
+from turnwright._arrays import Floats
+from turnwright.job.extremes import top_of_zones
+from turnwright.job.prediction import Prediction
+from turnwright.job.schema import Job
+from turnwright.path import Motion
 from turnwright.units import say_length
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from turnwright._arrays import Floats
-    from turnwright.job.prediction import Prediction
-    from turnwright.job.schema import Job
-    from turnwright.path import Motion
 
 __all__ = ["Gouge", "find_gouge"]
 
@@ -53,18 +51,8 @@ def find_gouge(job: Job, whole: Prediction, motion: Motion, rounding_limit_nm: f
     servo tracking nor heights by time: other deviations legitimately cut below the design.
 
     The plan allows the decimals of the program and the stated chord. Without a chord it allows the chords between the
-    points: up to the second difference of the path where that jumps or has a slope discontinuity.
-
-    Parameters
-    ----------
-    job
-        The job.
-    whole
-        Prediction of the whole part from the program.
-    motion
-        The finishing pass of the program read back.
-    rounding_limit_nm
-        Most error by the decimals of the program. [nm]
+    points of the motion read back: up to the second difference of the path where that jumps or has a slope
+    discontinuity.
     """
     deviates = job.actual.tool.stated or job.actual.machine.stated or job.simulation.tracking
     by_time = job.program.fast_tool == "time"  # its heights between the points are not bounded by the chord
@@ -91,12 +79,8 @@ def _lowest(whole: Prediction) -> Iterator[tuple[float, float, float]]:
         yield lowest.x, lowest.y, -lowest.error
     x, y = whole.error.points()
     depth = np.where(np.isnan(whole.error.z), -np.inf, -whole.error.z)
-    rows, columns = depth.shape
-    for across in np.array_split(np.arange(columns), min(ZONES[0], columns)):
-        for around in np.array_split(np.arange(rows), min(ZONES[1], rows)):
-            zone = np.ix_(around, across)
-            at = int(depth[zone].argmax())
-            yield float(x[zone].flat[at]), float(y[zone].flat[at]), float(depth[zone].flat[at])
+    for at in top_of_zones(depth, ZONES):
+        yield float(x.flat[at]), float(y.flat[at]), float(depth.flat[at])
 
 
 class _Chords:

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from turnwright._arrays import only_read
 from turnwright._kernels.tracking import bulge
-from turnwright.machine import ROTARY
+from turnwright.machine import ROTARY, Machine
+from turnwright.path import Motion
+from turnwright.progress import Progress
 from turnwright.tracking import track
-
-if TYPE_CHECKING:
-    from turnwright.machine import Machine
-    from turnwright.path import Motion
-    from turnwright.progress import Progress
 
 __all__ = ["CHORD_TOL", "chord_error", "interpolated"]
 
@@ -30,11 +25,6 @@ def interpolated(motion: Motion, machine: Machine, progress: Progress | None = N
     """Return the real axes in linear segments within 0.01 nm of the controller's curves, or as close as memory allows.
 
     With linear interpolation the segments of `track` are sufficient.
-
-    Parameters
-    ----------
-    motion, machine, progress
-        See `track`.
     """
     real = track(motion, machine, chord=MAX_CHORD, progress=progress)
     if machine.controller.interpolation == "linear":

@@ -6,11 +6,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
+from os import PathLike
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, overload
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 
+from turnwright._arrays import Bools, Floats, Ints
 from turnwright.diagnosis import DEFAULT, FREE, Diagnosis, diagnose as attribute, plausible_rms_nm
 from turnwright.errors import InputError, MapError
 from turnwright.files import read_map
@@ -18,9 +20,12 @@ from turnwright.heightmap import HeightMap
 from turnwright.job.advice import open_questions
 from turnwright.job.contributions import pv_nm_of
 from turnwright.job.named import with_keys
-from turnwright.job.predicted_finish import across_feed, feed_of, finished
+from turnwright.job.pass_plan import Watch
+from turnwright.job.predicted_finish import across_feed, cut_by, feed_of, motion_of
+from turnwright.job.schema import Job
 from turnwright.job.seen import TextureComparison, design_as_seen, texture_as_seen
 from turnwright.job.verdict import Verdict, judge_form
+from turnwright.machine import Machine
 from turnwright.metrology import (
     EDGE,
     Lenslets,
@@ -41,26 +46,16 @@ from turnwright.metrology import (
     trim_edge,
     turning_centre,
 )
+from turnwright.part import Part
 from turnwright.pose import Pose
+from turnwright.progress import StageProgress
 from turnwright.surface import Surface
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from turnwright._arrays import Bools, Floats, Ints
-    from turnwright.job.schema import Job
-    from turnwright.machine import Machine
-    from turnwright.part import Part
-    from turnwright.progress import StageProgress
-    from turnwright.tool import Tool
+from turnwright.tool import Tool
 
 __all__ = ["Measured", "beyond_pose", "cutoff_of", "diagnose", "measure", "read_measurement", "same_part"]
 
 MAX_START_POINTS = 100_000
-"""Most points of the first registration, before outliers are removed."""
-
 NM = 1e6
-
 CELL_COUNT = 20_000
 """Cells of a part over which a diagnosis averages the errors."""
 
@@ -77,11 +72,7 @@ MAX_OUTLIER_FRACTION = 0.25
 """Most outliers, as a fraction of the heights; with more of them the map is of another part."""
 
 CHECK_POINTS = 3_000
-"""Points used to check that a map is of its part."""
-
 PLAUSIBLE_SIGMAS = 3.0
-"""Most form error that plausible errors can cause, in standard deviations."""
-
 DEPARTURE_FRACTION = 0.5
 """Most form error of a part, as a fraction of the departure of its design from the best-fit sphere or plane."""
 
@@ -95,7 +86,6 @@ CHECK_ADVICE = (
     "Check the unit of the heights, the pixel size, mirrored, inverted and rotation, whether heights that are missing "
     "are stored as 0, and the part."
 )
-"""Remedy for a map that does not match its part in any orientation."""
 
 MAX_TIE_RATIO = 1.2
 """Most ratio to the least form error for which an orientation fits equally well."""
@@ -115,10 +105,8 @@ MIN_SIGNATURE, RANK_TOL = 1e-12, 1e-6
 DOFS_OF_TERM = MappingProxyType(
     {"piston": ("z",), "tilt": ("tilt_x", "tilt_y"), "decentre": ("x", "y"), "clocking": ("rotation",)}
 )
-"""Degrees of freedom of a registration by the term of a diagnosis."""
 
 ZERNIKE_TERMS = 37
-"""Number of fringe Zernike terms of the form error."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -250,107 +238,90 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     InputError
         If the map counts pixels and the job does not state their size, or too little of the map is on the part.
     """
-    report = progress or (lambda _stage, _done, _total: None)
-    settings, part = job.measurement, job.part
-    report("register", 0, 1)
-    raw = _apply_mask(heights, job)
-    heights, start = _with_reference(_orient(raw, job), job)
-    pieces = part.surface.in_pieces
-    common = _registered_by(job)
-    free = common["free"]
-    first = register(
-        heights.thinned(MAX_START_POINTS), part, loss=settings.loss or ("huber" if pieces else "tukey"), start=start,
-        reach=settings.reach, clocking=settings.clocking if "rotation" in free else 0.0, **common,
-    )  # fmt: skip
-    report("register", 1, 1)
-    report("clean", 0, 1)
-    heights, instrument_effect_nm = _without_seen_design(job, heights, first.pose)
-    outliers = 0
-    if settings.spikes != "none":
-        # The form error has no edges of the design, so only outliers stand out.
-        removal = remove_outliers(
-            _error_at(heights, part, first.pose), rule="kong" if settings.spikes == "second difference" else "robust"
-        )
-        # Where many heights are outliers, the map is of another part.
-        if removal.count <= MAX_OUTLIER_FRACTION * np.count_nonzero(np.isfinite(heights.z)):
-            outliers = removal.count
-            heights = replace(heights, z=np.where(removal.outliers, np.nan, heights.z))
-    if settings.trim:
-        heights = trim_edge(heights, settings.trim)
-    report("clean", 1, 1)
-    report("register all points", 0, 1)
-    registration = register(
-        heights, part, loss=_loss_of(job), start=first.pose, reach=0.0, clocking=0.0,
-        **common,
-    )  # fmt: skip
-    registration = replace(registration, candidates=first.candidates, start=first.start)
+    watch, settings, part = Watch(progress), job.measurement, job.part
+    pieces, free = part.surface.in_pieces, _free_dofs(job)
+    with watch.stage("register"):
+        raw = _apply_mask(heights, job)
+        heights, start = _with_reference(_orient(raw, job), job)
+        first = register(
+            heights.thinned(MAX_START_POINTS), part, loss=settings.loss or ("huber" if pieces else "tukey"),
+            start=start, reach=settings.reach, clocking=settings.clocking if "rotation" in free else 0.0,
+            **_registered_by(job),
+        )  # fmt: skip
+    with watch.stage("clean"):
+        heights, instrument_effect_nm = _without_seen_design(job, heights, first.pose)
+        outliers = 0
+        if settings.spikes != "none":
+            # The form error has no edges of the design, so only outliers stand out.
+            rule = "kong" if settings.spikes == "second difference" else "robust"
+            removal = remove_outliers(_error_at(heights, part, first.pose), rule=rule)
+            # Where many heights are outliers, the map is of another part.
+            if removal.count <= MAX_OUTLIER_FRACTION * np.count_nonzero(np.isfinite(heights.z)):
+                outliers = removal.count
+                heights = replace(heights, z=np.where(removal.outliers, np.nan, heights.z))
+        if settings.trim:
+            heights = trim_edge(heights, settings.trim)
     axis = None
-    lateral_open = {"x", "y"} & set(registration.held) and settings.shift is None and not pieces
-    if lateral_open and heights.x is not None and not heights.scattered:
-        # The turning marks give the axis where the surface does not.
-        axis = turning_centre(
-            registration.error, feed=feed_of(job) or None, near=_origin(registration.pose)
+    with watch.stage("register all points"):
+        registration = _register_at(job, heights, first.pose)
+        registration = replace(registration, candidates=first.candidates, start=first.start)
+        lateral_open = {"x", "y"} & set(registration.held) and settings.shift is None and not pieces
+        if lateral_open and heights.x is not None and not heights.scattered:
+            # The turning marks give the axis where the surface does not.
+            axis = turning_centre(registration.error, feed=feed_of(job) or None, near=_origin(registration.pose))
+        if axis is not None:
+            free_dofs = [name for name in free if name not in registration.held]
+            registration = _register_at(job, heights, _about_axis(registration, axis), free=free_dofs)
+    with watch.stage("judge"):
+        placed, error = _on_part(heights, registration)
+        inside = crop_to_aperture(error, part.radius * (1 + EDGE))
+        zernike = _terms(inside, part.radius)
+        rough = None
+        if not heights.scattered:
+            residual = np.full(heights.z.shape, np.nan)
+            residual[~np.isnan(registration.error.z)] = error.z if zernike is None else zernike.residual.z
+            rough = roughness(replace(registration.error, z=residual), form="plane")
+        measured = Measured(
+            job=job, heights=heights, outliers=outliers, registration=registration, placed=placed, error=error,
+            form_pv_nm=pv_nm_of(inside.z), form_rms_nm=area_rms(inside, like=registration.error) * NM, zernike=zernike,
+            roughness=rough,
+            lenslets=lenslets(heights, part, pose=registration.pose) if has_lenslets(part.surface) else None,
+            fingerprint=_fingerprint(error.z), axis=axis,
+            instrument_effect_nm=instrument_effect_nm, texture=texture_as_seen(job, registration.error, registration.pose),
         )  # fmt: skip
-    if axis is not None:
-        start = _about_axis(registration, axis)
-        free_dofs = [name for name in free if name not in registration.held]
-        registration = register(
-            heights, part, loss=_loss_of(job), start=start, reach=0.0, clocking=0.0,
-            **{**common, "free": free_dofs},
-        )  # fmt: skip
-    report("register all points", 1, 1)
-    report("judge", 0, 1)
-    placed, error = _on_part(heights, registration)
-    inside = crop_to_aperture(error, part.radius * (1 + EDGE))
-    zernike = _terms(inside, part.radius)
-    rough = None
-    if not heights.scattered:
-        residual = np.full(heights.z.shape, np.nan)
-        residual[~np.isnan(registration.error.z)] = error.z if zernike is None else zernike.residual.z
-        rough = roughness(replace(registration.error, z=residual), form="plane")
-    measured = Measured(
-        job=job, heights=heights, outliers=outliers, registration=registration, placed=placed, error=error,
-        form_pv_nm=pv_nm_of(inside.z), form_rms_nm=area_rms(inside, like=registration.error) * NM, zernike=zernike,
-        roughness=rough,
-        lenslets=lenslets(heights, part, pose=registration.pose) if has_lenslets(part.surface) else None,
-        fingerprint=_fingerprint(error.z), axis=axis,
-        instrument_effect_nm=instrument_effect_nm, texture=texture_as_seen(job, registration.error, registration.pose),
-    )  # fmt: skip
-    measured = replace(measured, mismatch=_explain_mismatch(measured, raw))
-    report("judge", 1, 1)
-    return measured
+        return replace(measured, mismatch=_explain_mismatch(measured, raw))
+
+
+def _free_dofs(job: Job) -> tuple[str, ...]:
+    """Return the degrees of freedom that are fitted: those of the job that no fiducial fixes."""
+    fixed_dofs = {name for one in job.measurement.fixed for name in DOFS_OF_TERM[one]}
+    return tuple(name for name in job.measurement.free if name not in fixed_dofs)
 
 
 def _registered_by(job: Job) -> dict[str, Any]:
-    """Return the arguments of `register` that a job states."""
     settings, part = job.measurement, job.part
-    # Degrees of freedom that a fiducial fixes are not fitted.
-    fixed_dofs = {name for one in settings.fixed for name in DOFS_OF_TERM[one]}
     terms: tuple[Surface, ...] = settings.terms
     form_error = settings.form_error
     if not terms and has_lenslets(part.surface):
         # The form of the base is fitted with the pose, otherwise it would rotate and shift the lenslets.
         terms, form_error = base_forms(part), 0.0
     return {
-        "free": tuple(name for name in settings.free if name not in fixed_dofs), "terms": terms,
-        "form_error": form_error, "weak": settings.weak,
+        "free": _free_dofs(job), "terms": terms, "form_error": form_error, "weak": settings.weak,
         "noise_nm": None if settings.noise is None else settings.noise * NM,
     }  # fmt: skip
 
 
-def _loss_of(job: Job) -> Literal["linear", "huber", "tukey"]:
-    """Return the loss of the registration of all points: displaced lenslets must not pull."""
-    return job.measurement.loss or ("huber" if job.part.surface.in_pieces else "linear")
+def _register_at(job: Job, heights: HeightMap, pose: Pose, **changes: Any) -> Registration:
+    """Register all points of a map close to a known pose; displaced lenslets do not pull."""
+    loss = job.measurement.loss or ("huber" if job.part.surface.in_pieces else "linear")
+    stated = _registered_by(job) | changes
+    return register(heights, job.part, loss=loss, start=pose, reach=0.0, clocking=0.0, **stated)
 
 
 def errors_at_candidates(measured: Measured) -> Iterator[tuple[Pose, HeightMap]]:
     """Yield the other poses that fit a map as well or nearly so, and the form error there. Scattered. [mm]."""
-    job = measured.job
-    part = job.part
     for one in measured.registration.candidates:
-        there = register(
-            measured.heights, part, loss=_loss_of(job), start=one.pose, reach=0.0, clocking=0.0, **_registered_by(job)
-        )  # fmt: skip
+        there = _register_at(measured.job, measured.heights, one.pose)
         yield there.pose, _on_part(measured.heights, there)[1]
 
 
@@ -386,7 +357,10 @@ def _explain_mismatch(measured: Measured, raw: HeightMap) -> str | None:
         if off <= max(DEPARTURE_FRACTION * departures_nm[0], form):
             return None
         try:
-            plausible = float(np.hypot(form, PLAUSIBLE_SIGMAS * _plausible_nm(job, x, y)))
+            tool_and_machine_nm = plausible_rms_nm(
+                job.part, job.tool, job.machine, x, y, free=_free_terms(job), sense=job.strategy.sense
+            )
+            plausible = float(np.hypot(form, PLAUSIBLE_SIGMAS * tool_and_machine_nm))
         except InputError:
             return None  # too little of the part was measured
         which = 0 if DEPARTURE_FRACTION * departures_nm[0] > plausible else 1
@@ -415,12 +389,6 @@ def _describe_zeros(measured: Measured) -> str | None:
         f"{count} of its {of} heights are exactly 0, with a median error of {off:.3g} nm against {others:.3g} nm of "
         "the others. Leave out missing heights, or name a mask in [measurement]."
     )
-
-
-def _plausible_nm(job: Job, x: Floats, y: Floats) -> float:
-    """Return the form error that plausible errors of tool and machine cause, one standard deviation. [nm]."""
-    free = [one for one in FREE if one not in job.measurement.fixed]
-    return plausible_rms_nm(job.part, job.tool, job.machine, x, y, free=free, sense=job.strategy.sense)
 
 
 def _better_orientation(job: Job, raw: HeightMap) -> str | None:
@@ -460,8 +428,7 @@ def _fit_nm(job: Job, raw: HeightMap) -> float:
     """Return the rms form error of the points of a map without the largest. [nm]."""
     heights, start = _with_reference(_orient(raw, job), job)
     settings = job.measurement
-    fixed_dofs = {name for one in settings.fixed for name in DOFS_OF_TERM[one]}
-    free = tuple(name for name in settings.free if name not in fixed_dofs)
+    free = _free_dofs(job)
     registration = register(
         heights, job.part, loss="huber", start=start, free=free, reach=settings.reach,
         clocking=settings.clocking if "rotation" in free else 0.0, form_error=settings.form_error,
@@ -473,10 +440,9 @@ def _fit_nm(job: Job, raw: HeightMap) -> float:
 def beyond_pose(job: Job, x: Floats, y: Floats, z: Floats, *, sphere: bool = False) -> Floats:
     """Return errors without a change of pose in the free degrees of freedom, and without a sphere. (n,) [mm]."""
     zx, zy = job.part.surface.gradient(x, y)
-    one, settings = np.ones_like(x), job.measurement
+    one, free = np.ones_like(x), _free_dofs(job)
     marks = {"z": one, "tilt_x": y, "tilt_y": x, "x": zx, "y": zy, "rotation": y * zx - x * zy}
-    fixed_dofs = {name for fixed in settings.fixed for name in DOFS_OF_TERM[fixed]}
-    columns = [mark for name, mark in marks.items() if name in settings.free and name not in fixed_dofs]
+    columns = [mark for name, mark in marks.items() if name in free]
     columns += [x * x + y * y] if sphere else []
     if not columns:
         return z
@@ -526,7 +492,7 @@ def diagnose(
 @overload
 def diagnose(
     measured: HeightMap | Sequence[HeightMap], parts: Part | Sequence[Part], tool: Tool, machine: Machine,
-    *, progress: StageProgress | None = None, **asked: Any,
+    *, progress: StageProgress | None = None, **options: Any,
 ) -> Diagnosis: ...  # fmt: skip
 def diagnose(
     measured: Measured | HeightMap | Sequence[Measured] | Sequence[HeightMap],
@@ -535,7 +501,7 @@ def diagnose(
     machine: Machine | None = None,
     *,
     progress: StageProgress | None = None,
-    **asked: Any,
+    **options: Any,
 ) -> Diagnosis:
     """Attribute the form errors of measured parts to their sources. See `turnwright.diagnosis.diagnose`.
 
@@ -551,7 +517,7 @@ def diagnose(
         Design, tool and machine of bare maps.
     progress
         Called with (stage, done, total).
-    asked
+    options
         Further arguments of `turnwright.diagnosis.diagnose` for bare maps. Measured parts take them from their job.
 
     Raises
@@ -559,21 +525,17 @@ def diagnose(
     InputError
         If jobs of different parts were planned with different tools or machines.
     """
-    report = progress or (lambda _stage, _done, _total: None)
     every = [measured] if isinstance(measured, Measured | HeightMap) else list(measured)
-    if parts is not None and tool is not None and machine is not None:
-        report("diagnose", 0, 1)
-        diagnosis = attribute([one for one in every if isinstance(one, HeightMap)], parts, tool, machine, **asked)
-        report("diagnose", 1, 1)
-        return diagnosis
     samples = [one for one in every if isinstance(one, Measured)]
-    if len(samples) < len(every) or asked:
-        raise InputError("a bare map needs part, tool and machine: give them, or measure it by its job")
-    return _diagnose_all(samples, report)
+    with Watch(progress).stage("diagnose"):
+        if parts is not None and tool is not None and machine is not None:
+            return attribute([one for one in every if isinstance(one, HeightMap)], parts, tool, machine, **options)
+        if len(samples) < len(every) or options:
+            raise InputError("a bare map needs part, tool and machine: give them, or measure it by its job")
+        return _diagnose_all(samples)
 
 
-def _diagnose_all(every: Sequence[Measured], report: StageProgress) -> Diagnosis:
-    """Return the diagnosis of measured parts."""
+def _diagnose_all(every: Sequence[Measured]) -> Diagnosis:
     if not every:
         raise InputError("a diagnosis needs at least 1 measured part, got 0")
     first = every[0].job
@@ -589,44 +551,29 @@ def _diagnose_all(every: Sequence[Measured], report: StageProgress) -> Diagnosis
                 f"the map {one.heights.name[:40]!r} is given twice, a diagnosis of several parts needs a map of each: "
                 "measure another part of the same job"
             )
-    report("diagnose", 0, 1)
     settings = first.measurement
     means = [_average_over_cells(one, first) for one in every]
     diagnosis = attribute(
-        [one.heights for one in means],
-        [one.job.part.design for one in every],
-        first.tool,
-        first.machine,
-        causes=settings.causes or DEFAULT,
-        reference=settings.reference,
-        free=[one for one in FREE if one not in settings.fixed],
-        waviness=settings.waviness,
-        sense=first.strategy.sense,
-        worth_nm=settings.worth * NM,
-        points=2 * CELL_COUNT,
-        noise_nm=[one.noise_nm for one in means],
-        repeats=settings.repeats,
-        correct=settings.correct,
-    )
-    report("diagnose", 1, 1)
-    return _restate_form(diagnosis, every, means) if settings.reference == "true form" else diagnosis
+        [one.heights for one in means], [one.job.part.design for one in every], first.tool, first.machine,
+        causes=settings.causes or DEFAULT, reference=settings.reference, free=_free_terms(first),
+        waviness=settings.waviness, sense=first.strategy.sense, worth_nm=settings.worth * NM, points=2 * CELL_COUNT,
+        noise_nm=[one.noise_nm for one in means], repeats=settings.repeats, correct=settings.correct,
+    )  # fmt: skip
+    if settings.reference != "true form" or any(one.job != first for one in every):
+        return diagnosis  # maps whose errors were converted to those of another job have no form error of their own
+    # The form error is that of the measurement: errors within the cells are residual.
+    measured_nm = float(np.sqrt(np.mean([one.form_rms_nm**2 for one in every])))
+    residual_nm = float(np.sqrt(diagnosis.unexplained_rms_nm**2 + np.mean([one.averaged_nm**2 for one in means])))
+    return replace(diagnosis, measured_rms_nm=measured_nm, unexplained_rms_nm=residual_nm)
+
+
+def _free_terms(job: Job) -> list[str]:
+    return [one for one in FREE if one not in job.measurement.fixed]
 
 
 def _planned_with(job: Job) -> tuple[Tool, Machine]:
     """Return tool and machine without their plausible errors."""
     return replace(job.tool, plausible={}), replace(job.machine, plausible={})
-
-
-def _restate_form(found: Diagnosis, every: Sequence[Measured], means: Sequence[_Means]) -> Diagnosis:
-    """Return a diagnosis with the form error of the measurement: errors within the cells are residual.
-
-    Maps whose errors were converted to those of another job have no such number.
-    """
-    if any(one.job != every[0].job for one in every):
-        return found
-    measured = float(np.sqrt(np.mean([one.form_rms_nm**2 for one in every])))
-    residual_nm = float(np.sqrt(found.unexplained_rms_nm**2 + np.mean([one.averaged_nm**2 for one in means])))
-    return replace(found, measured_rms_nm=measured, unexplained_rms_nm=residual_nm)
 
 
 def cutoff_of(job: Job) -> float:
@@ -678,7 +625,7 @@ def _average_over_cells(measured: Measured, job: Job) -> _Means:
     real = job if same_part(measured.job, job) else measured.job
     across = across_feed(measured.job, x, y)
     flat = [one.ravel() for one in across]
-    planned = finished(measured.job, real, *flat) - real.part.aimed.surface.sag(*flat)
+    planned = cut_by(motion_of(measured.job), real, *flat) - real.part.aimed.surface.sag(*flat)
     error -= planned.reshape(across[0].shape).mean(axis=1)
     heights = HeightMap(x=x, y=y, z=part.surface.sag(x, y) + error, name=measured.heights.name)
     return _Means(heights, noise * NM, averaged * NM)
@@ -691,7 +638,6 @@ def _number_cells(x: Floats, y: Floats, cell: float) -> Ints:
 
 
 def _apply_mask(heights: HeightMap, job: Job) -> HeightMap:
-    """Return the map without the heights outside the job's mask."""
     file = job.measurement.mask
     if file is None:
         return heights
@@ -743,8 +689,7 @@ def _with_reference(heights: HeightMap, job: Job) -> tuple[HeightMap, Pose | Non
     settings = job.measurement
     if settings.quantity == "height":
         return heights, settings.pose
-    stated = settings.departure_from
-    reference = stated if isinstance(stated, Surface) else job.part.surface
+    reference = job.reference
     x, y = heights.points()
     valid = ~np.isnan(heights.z)
     pose = settings.pose

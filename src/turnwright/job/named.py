@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from os import PathLike
 from pathlib import Path as File
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
@@ -28,9 +30,6 @@ from turnwright.tool import WavinessTable
 from turnwright.units import Flag, Number, Size, Slope, Text, Thickness, write
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from os import PathLike
-
     from pydantic import ValidationInfo
 
 __all__ = [
@@ -79,7 +78,6 @@ def context_of(folder: str | PathLike[str]) -> dict[str, Any]:
 
 
 def _correction(text: str, folder: str) -> Gridded:
-    """Return the correction that `correct` wrote."""
     file = existing(text, folder)
     heights = read_map(file)
     if heights.x is None or heights.y is None or heights.scattered or np.isnan(heights.z).any():
@@ -158,7 +156,6 @@ def with_keys(message: str, where: str) -> str:
 
 @lru_cache(maxsize=4)
 def _tabulated(stated: HeightFile, _stamp: tuple[int, int]) -> Gridded | Scattered:
-    """Return the surface through the heights of a file."""
     file = stated.file
     try:
         heights = read_map(file, unit=stated.sag_units, lateral_unit=stated.units or "", pixel_size=stated.pixel_size)
@@ -257,10 +254,7 @@ class MachineTable(MachineDeviations):
     def table_of(cls, machine: Machine) -> dict[str, Any]:
         """Return the table of a machine in a job: its name or file, and the differences from it.
 
-        Raises
-        ------
-        InputError
-            If it was not loaded from a file, or has differences that a job cannot state.
+        Raises `InputError` if it was not loaded from a file, or has differences that a job cannot state.
         """
         if machine.loaded is None:
             raise InputError(f"a job names a machine by its file, {machine.name!r} has none: write a machine file")
@@ -352,7 +346,6 @@ def with_interpolation(machine: Machine, interpolation: str) -> Machine:
 
 
 def _instrument(value: object) -> object:
-    """Return the table of an instrument given by name or file."""
     if isinstance(value, str):
         return {"file" if value.endswith(".toml") else "name": value}
     return value

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from turnwright.errors import InputError
+from turnwright.job.schema import Job, PassTable
 from turnwright.motion import drive
+from turnwright.path import Motion, Path, Spiral
 from turnwright.placing import place
+from turnwright.progress import Progress, StageProgress
+from turnwright.strategy import Strategy
 from turnwright.tracking import precorrect
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from turnwright.job.schema import Job, PassTable
-    from turnwright.path import Motion, Path, Spiral
-    from turnwright.progress import Progress, StageProgress
-    from turnwright.strategy import Strategy
 
 __all__ = ["PassPlan", "Watch"]
 
@@ -49,17 +45,7 @@ class Watch:
 
 
 class PassPlan:
-    """The stages of a pass up to its axis motion; each is computed on first access and cached.
-
-    Parameters
-    ----------
-    job
-        The job.
-    cut
-        One of its passes; the finishing pass if not given.
-    watch
-        Reports progress and records times.
-    """
+    """The stages of a pass up to its axis motion, the finishing pass by default; each is computed on first access."""
 
     def __init__(self, job: Job, cut: PassTable | None = None, watch: Watch | None = None) -> None:
         self.job, self.cut = job, job.passes[-1] if cut is None else cut

@@ -5,94 +5,64 @@ from __future__ import annotations
 import shutil
 import tempfile
 import weakref
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from os import PathLike
 from pathlib import Path as File
-from typing import TYPE_CHECKING
 
-from turnwright.access import check_access, check_depths
+from turnwright.access import Access, AccessFinding, check_access, check_depths
+from turnwright.cutting import ChipMap
 from turnwright.errors import InputError
 from turnwright.job.approach import Entry, entries_of
 from turnwright.job.contributions import ErrorBreakdown, break_down_error
-from turnwright.job.cutting import chips_of
+from turnwright.job.cutting import PassChips, chips_of
 from turnwright.job.pass_plan import PassPlan, Watch
-from turnwright.job.predicting import WHOLE, predict
+from turnwright.job.predicting import predict
+from turnwright.job.prediction import Prediction
 from turnwright.job.programs import read_back, written
 from turnwright.job.result import Pass
+from turnwright.job.schema import Job, PassTable
+from turnwright.job.verdict import WHOLE
 from turnwright.job.window import can_predict_window, predict_window
-from turnwright.motion import check_limits
+from turnwright.motion import Limits, check_limits
+from turnwright.path import Motion, Path, Spiral
+from turnwright.post import ProgramFiles
+from turnwright.progress import StageProgress
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from os import PathLike
-
-    from turnwright.access import Access, AccessFinding
-    from turnwright.cutting import ChipMap
-    from turnwright.job.cutting import PassChips
-    from turnwright.job.prediction import Prediction
-    from turnwright.job.schema import Job, PassTable
-    from turnwright.motion import Limits
-    from turnwright.part import Part
-    from turnwright.path import Motion, Path, Spiral
-    from turnwright.post import ProgramFiles
-    from turnwright.progress import StageProgress
-    from turnwright.tool import Tool
-
-__all__ = ["GOUGE", "Cut", "Pipeline"]
+__all__ = ["Cut", "Pipeline", "describe_gouge"]
 
 GOUGE = 1e-9
 """Depth below the surface up to which a negative clearance is rounding. [mm]"""
 
 
-@lru_cache(maxsize=8)
-def _access(part: Part, tool: Tool, sense: int) -> Access:
-    """Check the access of a tool; jobs that differ only in feed and speed share the result."""
-    return check_access(part, tool, sense=sense)
+_check_access = lru_cache(maxsize=8)(check_access)
+"""Check the access of a tool; jobs that differ only in feed and speed share the result."""
 
 
+@dataclass(frozen=True, eq=False)
 class Cut:
-    """One cut of a pass: the pass itself, or each of its repetitions.
+    """One cut of a pass, the pass itself or each of its repetitions: depth and remaining allowance [mm], motions."""
 
-    Parameters
-    ----------
-    plan
-        Plan of its pass.
-    name
-        Name of the cut.
-    depth, allowance
-        Depth of cut, and material left above the finished surface. [mm]
-    motion
-        Commanded motion of the axes.
-    before
-        Motion of the previous cut, if there is one.
-    watch
-        Reports progress and records times.
-    """
-
-    def __init__(
-        self,
-        plan: PassPlan,
-        name: str,
-        depth: float,
-        allowance: float,
-        motion: Motion,
-        before: Motion | None,
-        watch: Watch,
-    ) -> None:
-        self.plan, self.name, self.depth, self.allowance = plan, name, depth, allowance
-        self.motion, self._before, self._watch = motion, before, watch
+    plan: PassPlan
+    name: str
+    depth: float
+    allowance: float
+    motion: Motion
+    before: Motion | None
+    watch: Watch
 
     @cached_property
     def limits(self) -> Limits:
         """Speed, acceleration and jerk of the axes against the limits of the machine."""
-        with self._watch.stage("limits"):
+        with self.watch.stage("limits"):
             return check_limits(self.motion, self.plan.job.machine)
 
     @cached_property
     def chips(self) -> tuple[PassChips, ChipMap] | str:
         """Uncut chip thickness along the cut, or the reason why it is not computed."""
-        with self._watch.stage("chips") as tell:
-            return chips_of(self.plan.job, self.motion, self._before, self.allowance, tell)
+        with self.watch.stage("chips") as tell:
+            return chips_of(self.plan.job, self.motion, self.before, self.allowance, tell)
 
     def as_pass(self, chips: PassChips | None = None) -> Pass:
         """Return the cut as an entry of `Result.passes`."""
@@ -113,10 +83,6 @@ class Pipeline:
 
     Parameters
     ----------
-    job
-        The job.
-    progress
-        Called with (stage, done, total).
     out
         Folder of the program; if not given, a temporary one that is deleted with the pipeline.
 
@@ -154,7 +120,7 @@ class Pipeline:
         part, tool, sense = self.job.part.aimed, self.job.tool, self.job.strategy.sense
         with self.watch.stage("access") as tell:
             if self.watch.progress is None:
-                return _access(part, tool, sense)
+                return _check_access(part, tool, sense=sense)
             return check_access(part, tool, sense=sense, progress=tell)
 
     @cached_property
@@ -249,15 +215,7 @@ class Pipeline:
             return entries_of(self.job, motions)
 
     def write(self, motions: dict[str, Motion], entries: Mapping[str, Entry] | None = None) -> ProgramFiles:
-        """Write a program into the folder of the pipeline, given the motions by the names of their cuts.
-
-        Parameters
-        ----------
-        motions
-            The finishing pass last.
-        entries
-            How the tool enters each; computed if not given.
-        """
+        """Write a program into the folder of the pipeline, from the motions by the names of their cuts, in order."""
         entries = self.entries(motions) if entries is None else entries
         if self._out is None:
             self._out = File(tempfile.mkdtemp(prefix="turnwright-"))
@@ -295,23 +253,12 @@ class Pipeline:
         part, tool, plan = self.job.part.aimed, self.job.tool, self.finishing
         with self.watch.stage("shares") as tell:
             return break_down_error(
-                part,
-                tool,
-                plan.spiral,
-                plan.commanded,
-                program_motion=self.program_motion,
-                nominal=plan.nominal,
+                part, tool, plan.spiral, plan.commanded, program_motion=self.program_motion, nominal=plan.nominal,
                 progress=tell,
-            )
+            )  # fmt: skip
 
     def prediction(self, name: str) -> Prediction:
-        """Predict a patch, or the "whole part", from the motion in memory.
-
-        Parameters
-        ----------
-        name
-            Name of the patch, or "whole part".
-        """
+        """Predict a patch by its name, or the "whole part", from the motion in memory."""
         if name not in self._predictions:
             self._predictions[name] = self._predict(name)
         return self._predictions[name]
@@ -346,14 +293,18 @@ class Pipeline:
         if not reasons:
             reasons += [one.sentence for one in self.depths if not one.ok]
         if "path" in vars(self.finishing) and "gouge" not in accepted:
-            least = float(self.path.clearance.min())
-            if least < -GOUGE:
-                reasons.append(
-                    f"placed along the {self.job.strategy.along}, the edge cuts {-least * 1e6:.3g} nm below the surface"
-                )
-        if "passes" in self.__dict__ and "limits" not in accepted:
+            reasons += filter(None, [describe_gouge(self.job, self.path)])
+        if "passes" in vars(self) and "limits" not in accepted:
             reasons += [f"pass {one.name}: {finding}" for one in self.passes for finding in one.limits.findings]
         return tuple(reasons)
+
+
+def describe_gouge(job: Job, path: Path) -> str:
+    """Return how far the edge cuts below the surface on a path, in words; empty if it does not."""
+    least = float(path.clearance.min())
+    if least >= -GOUGE:
+        return ""
+    return f"placed along the {job.strategy.along}, the edge cuts {-least * 1e6:.3g} nm below the surface"
 
 
 def _repeat(cut: PassTable, motion: Motion, stock: float) -> Iterator[tuple[str, float, float, Motion]]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path as File
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from turnwright.errors import JobError, LimitError, Stopped, TurnwrightError
 from turnwright.generation import generate_polar
@@ -26,19 +26,14 @@ from turnwright.job.named import with_interpolation
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.predicting import predict
 from turnwright.job.programs import read_back, written
+from turnwright.job.schema import Job
 from turnwright.job.speed import NEAR, ROUNDS, Servos, at_speed, few_lines, guess, largest, round_down
 from turnwright.job.verdict import Verdict, judge, missed
 from turnwright.motion import Limits, check_limits, drive
+from turnwright.path import Motion
+from turnwright.progress import StageProgress
 from turnwright.speed_profile import SpeedProfile
 from turnwright.units import write
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from turnwright.job.schema import Job
-    from turnwright.path import Motion, Path, Spiral
-    from turnwright.progress import StageProgress
-    from turnwright.strategy import Strategy
 
 __all__ = ["Plan", "Trial", "plan", "stage_of"]
 
@@ -48,7 +43,6 @@ ReportFraction: TypeAlias = Callable[[float], None]
 TURN = 2 * math.pi
 NM = 1e6
 CUSP_SQ_RATIO = math.sqrt(4 / 45)
-"""Ratio of Sq to height of parabolic cusps."""
 
 SPIRAL_POINTS_PER_REV = 72
 """Points per revolution of a spiral of which only the radii are used."""
@@ -91,8 +85,6 @@ CUSP_FRACTION = 0.1
 """Approximate fraction of the work for the largest feed, for the progress."""
 
 PROGRESS_STEPS = 1000
-"""Resolution of the progress."""
-
 FIRST_POINTS_PER_FEATURE = 6
 """Points per feature of the surface at which the search for fewer points begins."""
 
@@ -190,7 +182,8 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
     why: TurnwrightError | None = None
     for name in (stated, *others):
         try:
-            best = _plan_interpolation(job if name == stated else _with_interpolation(job, name), form, sq, report)
+            machine = job.machine if name == stated else with_interpolation(job.machine, name)
+            best = _plan_interpolation(replace(job, machine=machine), form, sq, report)
         except Stopped:
             raise
         except TurnwrightError as error:
@@ -209,10 +202,6 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
 def stage_of(interpolation: str) -> str:
     """Return the name of the stage of a plan that tries an interpolation."""
     return f"points, speed and proof, {interpolation}"
-
-
-def _with_interpolation(job: Job, interpolation: str) -> Job:
-    return replace(job, machine=with_interpolation(job.machine, interpolation))
 
 
 def _plan_interpolation(job: Job, form: float, sq: float, report: StageProgress) -> Plan:
@@ -281,16 +270,9 @@ def _plan_target(job: Job, form: float, sq: float, tell: ReportFraction) -> Plan
 
 
 class _Search:
-    """Search for points and speed of a job.
+    """Search for points and speed of a job at a feed or scallop ``across``.
 
-    Parameters
-    ----------
-    job
-        The job.
-    across
-        The feed or the scallop. [mm]
-    roughest
-        Largest chord error that the finish allows. [mm]
+    ``roughest`` is the largest chord error that the finish allows. [mm]
     """
 
     def __init__(self, job: Job, across: float, roughest: float) -> None:
@@ -316,13 +298,13 @@ class _Search:
         splits = POINT_SHARES if self.answers else (1.0,)
         for share in sorted({min(split * residual, self.roughest) for split in splits}, reverse=True):
             points = self._points(share)
-            motion, tracking = points.top, residual - share
+            motion, tracking = points.plan.planned, residual - share
             tell(0.3)
             if self.answers:
                 self.servos = self.servos or Servos(
-                    self.part, self.tool, self.machine, spiral=points.spiral, corrected=self.corrected
+                    self.part, self.tool, self.machine, spiral=points.plan.spiral, corrected=self.corrected
                 )
-                motion = self.servos.constant(points.top, tracking)
+                motion = self.servos.constant(points.plan.planned, tracking)
             if best is not None and motion.time[-1] >= best[1].time[-1]:
                 break
             best = points, motion, tracking
@@ -336,9 +318,9 @@ class _Search:
             nominal = at_speed(nominal, speed / peak_rpm)
             if nominal.velocity is not None:  # at a lower speed the ramps are shorter
                 stated = _fill_in(self.job, self.across, points.ways, speed)
-                nominal = drive(points.path, stated.servo(stated.passes[-1]), self.machine)
+                nominal = drive(points.plan.path, stated.servo(stated.passes[-1]), self.machine)
         if self.servos is not None and self.varies:
-            variable = self.servos.varied(points.path, points.servo, self.job.machine, tracking, nominal)
+            variable = self.servos.varied(points.plan.path, points.plan.servo, self.job.machine, tracking, nominal)
             if variable is not None and variable[1].time[-1] < nominal.time[-1]:
                 speed, nominal = variable
         motion = nominal if self.servos is None else self.servos.commanded(nominal)
@@ -354,18 +336,13 @@ class _Search:
         return Plan(
             job=final,
             shares=break_down_error(
-                self.part,
-                self.tool,
-                points.spiral,
-                motion,
-                program_motion=program_motion,
-                nominal=reference,
+                self.part, self.tool, points.plan.spiral, motion, program_motion=program_motion, nominal=reference,
                 pv_nm=predictions[0].pv_nm,
             ),
             verdicts=judge(final, predictions),
             limits=check_limits(motion, self.machine),
             tried=(),
-        )
+        )  # fmt: skip
 
     def _points(self, share: float) -> _Points:
         """Return the fewest points whose error, after interpolation by the controller, is within a share [mm]."""
@@ -379,7 +356,7 @@ class _Search:
 
         def error_of(spacing: float) -> float:
             for other, points in tried.items():
-                if (expected := points.spiral.angle.size * other / spacing) > MAX_POINTS and other >= spacing:
+                if (expected := points.plan.spiral.angle.size * other / spacing) > MAX_POINTS and other >= spacing:
                     raise LimitError(
                         f"a path within {share * NM:.3g} nm needs {expected:.2g} points, the limit of a plan is "
                         f"{MAX_POINTS:.0e}: relax form_pv, or allow another interpolation"
@@ -395,16 +372,16 @@ class _Search:
             )
             raise LimitError(
                 f"the controller of {self.machine.name} cannot follow the path within {share * NM:.3g} nm: "
-                f"{tried[nearest].spiral.angle.size} points at {write(round_down(nearest), 'mm')} leave "
+                f"{tried[nearest].plan.spiral.angle.size} points at {write(round_down(nearest), 'mm')} leave "
                 f"{smallest * NM:.3g} nm: relax form_pv"
             )
         return tried[spacing]
 
     def _point_error(self, points: _Points) -> float:
         """Return the difference between the surfaces of the exact and of the interpolated path. [mm]."""
-        radius, angle = few_lines(self.part, points.spiral.feed, points.spiral.angle)
-        exact = exact_motion(points.spiral, self.part, self.tool, self.machine, angle)
-        real = interpolated(points.top, without_servos(self.machine, corrected=self.corrected))
+        radius, angle = few_lines(self.part, points.plan.spiral.feed, points.plan.spiral.angle)
+        exact = exact_motion(points.plan.spiral, self.part, self.tool, self.machine, angle)
+        real = interpolated(points.plan.planned, without_servos(self.machine, corrected=self.corrected))
         maps = [generate_polar(one, self.tool, radius=radius, angle=angle) for one in (exact, real)]
         return max_difference_nm(*maps) / NM
 
@@ -412,29 +389,22 @@ class _Search:
         """Return points at a chord or an arc length [mm], in motion at the highest speed within the limits."""
         ways = {"arc_length": spacing, "max_step": MAX_STEP_RAD} if self.evenly else {"chord": spacing}
         filled = _fill_in(self.job, self.across, ways)
-        plan = PassPlan(replace(filled, machine=self.machine))
-        return _Points(ways=ways, filled=filled, servo=plan.servo, spiral=plan.spiral, path=plan.path, top=plan.planned)
+        return _Points(ways, filled, PassPlan(replace(filled, machine=self.machine)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Points:
-    """Keys that set the points, their path, and their motion at the highest speed within the limits."""
+class _Points(NamedTuple):
+    """Keys that set the points, the job with them, and its plan at the highest speed within the limits."""
 
     ways: dict[str, float]
     filled: Job
-    servo: Strategy
-    spiral: Spiral
-    path: Path
-    top: Motion
+    plan: PassPlan
 
 
 def _key(job: Job) -> tuple[str, str]:
-    """Return the key that sets the cusp height, and its unit."""
     return ("scallop", "mm") if hasattr(job.strategy.spiral_strategy, "scallop") else ("feed", "mm/rev")
 
 
 def _fill_in(job: Job, across: float, ways: Mapping[str, float], speed: float | SpeedProfile | None = None) -> Job:
-    """Return the job with the chosen feed, points and speed in place of its own."""
     last, (key, _) = job.passes[-1], _key(job)
     freed: dict[str, Any] = dict.fromkeys(last.choices.keys() - {"lead_in"})
     several = isinstance(speed, SpeedProfile)
@@ -444,12 +414,8 @@ def _fill_in(job: Job, across: float, ways: Mapping[str, float], speed: float | 
     simulation = job.simulation
     if has_servos(job.actual_machine):  # the plan simulates them, so must a run
         simulation = replace(simulation, tracking=True)
-    return replace(
-        job,
-        strategy=strategy,
-        passes=(*job.passes[:-1], replace(last, **freed)),
-        simulation=simulation,
-    )
+    passes = (*job.passes[:-1], replace(last, **freed))
+    return replace(job, strategy=strategy, passes=passes, simulation=simulation)
 
 
 def _largest_feed(job: Job, form: float, sq: float) -> tuple[float, float]:

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright.generation import generate_points
 from turnwright.job.pass_plan import PassPlan
+from turnwright.job.schema import Job
+from turnwright.path import Motion
 
-if TYPE_CHECKING:
-    from turnwright._arrays import Floats
-    from turnwright.job.schema import Job
-    from turnwright.path import Motion
-
-__all__ = ["across_feed", "cut_by", "feed_of", "finished", "motion_of"]
+__all__ = ["across_feed", "cut_by", "feed_of", "motion_of"]
 
 PLACES_PER_FEED = 8
 """Points across a feed; the error of their mean is at most 0.4/64 of the cusp height."""
@@ -33,21 +29,6 @@ def motion_of(job: Job) -> Motion:
 def cut_by(motion: Motion, real: Job, x: Floats, y: Floats) -> Floats:
     """Return the heights after a motion with the tool and machine of a job. (n,) [mm]."""
     return generate_points(motion, real.tool, x=x, y=y, machine=real.machine)
-
-
-def finished(job: Job, real: Job, x: Floats, y: Floats) -> Floats:
-    """Return the heights after the finishing pass of a job with the tool and machine of another. (n,) [mm].
-
-    Parameters
-    ----------
-    job
-        The job as planned.
-    real
-        The job with the actual tool and machine.
-    x, y
-        Points. Each (n,) [mm]
-    """
-    return cut_by(motion_of(job), real, x, y)
 
 
 def across_feed(job: Job, x: Floats, y: Floats, places: int = PLACES_PER_FEED) -> tuple[Floats, Floats]:

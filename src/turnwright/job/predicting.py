@@ -2,33 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright.errors import InputError
 from turnwright.generation import generate, generate_polar
+from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import finish_nm, lines, require_servos, without_servos
 from turnwright.job.extremes import find_extremes
 from turnwright.job.interpolated import chord_error, interpolated
 from turnwright.job.pass_plan import Watch
 from turnwright.job.prediction import Prediction
+from turnwright.job.schema import Job
+from turnwright.job.verdict import WHOLE
 from turnwright.metrology import roughness
+from turnwright.path import Motion
+from turnwright.progress import Progress, StageProgress
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
-
-    from turnwright._arrays import Floats
-    from turnwright.heightmap import HeightMap
-    from turnwright.job.schema import Job
-    from turnwright.path import Motion
-    from turnwright.progress import Progress, StageProgress
-
-__all__ = ["WHOLE", "followed", "predict"]
-
-WHOLE = "whole part"
-"""Name of the map of the whole part."""
+__all__ = ["followed", "predict"]
 
 
 def predict(
@@ -121,16 +115,10 @@ def _with_extremes(job: Job, whole: Prediction, motion: Motion, watch: Watch) ->
     ring = None
     if job.tolerances.sq is not None and not job.simulation.patches:
         with watch.stage("roughest ring"):
-            ring = _ring_sq_nm(job, motion)
+            radius, angle = lines(part, motion.feed, motion.axes["C"])
+            surface = generate_polar(motion, tool, radius=radius, angle=angle, machine=machine)
+            ring = finish_nm(surface.minus(part.surface), motion.feed)
     return replace(whole, form=form, finish_nm=ring)
-
-
-def _ring_sq_nm(job: Job, motion: Motion) -> float:
-    """Return the Sq of the roughest ring of the whole part."""
-    part = job.part
-    radius, angle = lines(part, motion.feed, motion.axes["C"])
-    surface = generate_polar(motion, job.actual_tool, radius=radius, angle=angle, machine=job.actual_machine)
-    return finish_nm(surface.minus(part.surface), motion.feed)
 
 
 def followed(

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import pv_nm_of, rms_nm_of
+from turnwright.job.extremes import Extremes
 from turnwright.job.interpolated import CHORD_TOL
-
-if TYPE_CHECKING:
-    from turnwright.heightmap import HeightMap
-    from turnwright.job.extremes import Extremes
-    from turnwright.metrology import Roughness
+from turnwright.metrology import Roughness
 
 __all__ = ["Prediction"]
 

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path as File
+from typing import Any
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright.generation import generate_polar
 from turnwright.job.approach import Entry, entries_of
 from turnwright.job.contributions import ErrorBreakdown, break_down_error, clear_azimuths
 from turnwright.job.pass_plan import PassPlan, Watch
 from turnwright.job.predicting import followed
+from turnwright.job.schema import Job
+from turnwright.path import Motion
 from turnwright.post import ProgramFiles, ProgramHeader, dialect_of, read_fast_tool, read_nc, write_fast_tool, write_nc
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path as File
-
-    from turnwright._arrays import Floats
-    from turnwright.job.schema import Job
-    from turnwright.path import Motion
-    from turnwright.progress import Progress, StageProgress
+from turnwright.progress import Progress, StageProgress
 
 __all__ = ["predicted_motion", "program_shares", "read_back", "rounding", "written"]
 
@@ -64,15 +61,7 @@ def read_back(job: Job, file: File, name: str, tell: Progress | None = None) -> 
 
 
 def predicted_motion(job: Job, file: File, name: str, *, progress: StageProgress | None = None) -> Motion:
-    """Return the motion of the axes in the finishing pass of a program on disk, from which its surface is predicted.
-
-    Parameters
-    ----------
-    job, file, name
-        See `program_shares`.
-    progress
-        Called with (stage, done, total).
-    """
+    """Return the motion of the finishing pass of a program on disk, from which its surface is predicted."""
     watch = Watch(progress)
     with watch.stage("read program") as tell:
         motion = read_back(job, file, name, tell)
@@ -81,19 +70,10 @@ def predicted_motion(job: Job, file: File, name: str, *, progress: StageProgress
 
 
 def program_shares(job: Job, file: File, name: str) -> ErrorBreakdown:
-    """Return the error contributions to the form error of the finishing pass of a program on disk.
+    """Return the error contributions to the form error of the finishing pass of a program on disk, by its name.
 
     Tool and machine are the nominal ones, as in `compare`. Without precorrection the motion is that of the program, so
     that the chord contribution includes that of its decimals.
-
-    Parameters
-    ----------
-    job
-        The job that the program was written for.
-    file
-        The main program.
-    name
-        Name of the finishing pass.
     """
     part, tool, plan = job.part.aimed, job.tool, PassPlan(job)
     motion = read_back(job, file, name)

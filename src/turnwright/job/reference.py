@@ -58,7 +58,6 @@ def _below(table: type[Any]) -> list[type[Any]]:
 
 
 def _explain(table: type[Any] | None, definition: dict[str, Any]) -> None:
-    """Add texts and units to one table."""
     texts = {} if table is None else texts_of(table)
     definition["description"] = _clean(inspect.getdoc(table) or "").split("\n\n")[0].replace("\n", " ")
     for name, entry in definition["properties"].items():
@@ -106,13 +105,7 @@ def _add_units(field: dict[str, Any], name: str) -> None:
 
 
 def texts_of(table: type[Stated]) -> dict[str, str]:
-    """Return the help text of each key of a table.
-
-    Parameters
-    ----------
-    table
-        Class of a table of a job file.
-    """
+    """Return the help text of each key of a table of a job file."""
     texts: dict[str, str] = {}
     for owner in reversed(inspect.getmro(table)):
         texts |= _parameters(vars(owner).get("like")) | _parameters(owner)

@@ -46,7 +46,6 @@ def replaced(job: Owner, name: str, value: Any) -> Owner:
 
 
 def _steps(name: str) -> list[str]:
-    """Split the name of a field into keys and indices."""
     parts = [_STEP.fullmatch(part) for part in name.split(".")]
     if None in parts:
         raise JobError(f"a field is named like strategy.feed or passes[1].feed, got {shown(name)}")
@@ -54,8 +53,6 @@ def _steps(name: str) -> list[str]:
 
 
 class _Change:
-    """Name of a field, and its new value."""
-
     def __init__(self, name: str, value: Any) -> None:
         self.name, self.value = name, value
 
@@ -71,7 +68,6 @@ class _Change:
         return self._changed(held, step, steps)
 
     def _changed(self, held: Any, step: str, rest: list[str]) -> Any:
-        """Return an object with one of its fields changed."""
         if held is None:
             raise JobError(f"{self.name} is a key of a table that the job does not state: replace the whole table")
         if isinstance(held, Machine) and step in ("name", "file"):
@@ -110,7 +106,6 @@ class _Change:
         return name, {**dict(held), series.key(rest[0]): self._within(None, Number, rest[1:])}
 
     def _keyed(self, held: Mapping[Any, Any], kind: Any, step: str, rest: list[str]) -> Any:
-        """Return a mapping with the value of one key changed."""
         note = next((one for one in get_args(kind) if isinstance(one, Keyed)), None)
         if note is not None:
             if step not in note.keys:

@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from turnwright.job.verdict import judge, missed
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from turnwright.access import Access
-    from turnwright.cutting import ChipMap
-    from turnwright.job.approach import Entry
-    from turnwright.job.cutting import PassChips
-    from turnwright.job.prediction import Prediction
-    from turnwright.job.schema import Job
-    from turnwright.job.shape import PartShape
-    from turnwright.job.verdict import Verdict
-    from turnwright.machine import Machine
-    from turnwright.motion import Limits
-    from turnwright.part import Part
-    from turnwright.path import Motion, Path
-    from turnwright.post import ProgramFiles
-    from turnwright.tool import Tool
+from turnwright.access import Access
+from turnwright.cutting import ChipMap
+from turnwright.job.approach import Entry
+from turnwright.job.cutting import PassChips
+from turnwright.job.prediction import Prediction
+from turnwright.job.schema import Job
+from turnwright.job.shape import PartShape
+from turnwright.job.verdict import Verdict, judge, missed
+from turnwright.machine import Machine
+from turnwright.motion import Limits
+from turnwright.part import Part
+from turnwright.path import Motion, Path
+from turnwright.post import ProgramFiles
+from turnwright.tool import Tool
 
 __all__ = ["Pass", "Preview", "Result"]
 

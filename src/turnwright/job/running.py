@@ -4,47 +4,37 @@ from __future__ import annotations
 
 import math
 import sys
-from bisect import bisect_right
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
+from os import PathLike
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._arrays import Ints
 from turnwright.access import largest_depth, odd_sizes
-from turnwright.errors import GougeError, LimitError
+from turnwright.cutting import ChipMap
+from turnwright.errors import GougeError, InputError, LimitError
+from turnwright.job.approach import Entry
 from turnwright.job.contributions import has_servos
 from turnwright.job.cutting import PassChips, predicted_chips
 from turnwright.job.gouge import find_gouge
 from turnwright.job.pass_plan import PassPlan
-from turnwright.job.pipeline import GOUGE, Cut, Pipeline
-from turnwright.job.prediction import Prediction
+from turnwright.job.pipeline import Cut, Pipeline, describe_gouge
 from turnwright.job.programs import predicted_motion, rounding
 from turnwright.job.result import Pass, Preview, Result
+from turnwright.job.schema import Job
 from turnwright.job.shape import part_shape
 from turnwright.job.verdict import judge
-from turnwright.path import Spiral
+from turnwright.path import Motion, Path
 from turnwright.placing import place
-from turnwright.strategy import SlowToolServo
+from turnwright.progress import StageProgress
+from turnwright.strategy import SlowToolServo, Strategy
 from turnwright.units import say_length
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from os import PathLike
-
-    from turnwright._arrays import Floats
-    from turnwright.access import Access
-    from turnwright.cutting import ChipMap
-    from turnwright.job.approach import Entry
-    from turnwright.job.schema import Job
-    from turnwright.path import Motion, Path
-    from turnwright.progress import StageProgress
-    from turnwright.strategy import Strategy
 
 __all__ = ["finishing_motion", "preview", "run"]
 
 PLOT_POINTS = 20_000
-"""Most points of a path that is kept for plots."""
 
 
 def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[str] | None = None) -> Result:
@@ -76,26 +66,30 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
             result = run(job, progress=progress, out=folder)
         return replace(result, program=replace(result.program, files=()))
     line = Pipeline(job, progress=progress, out=out)
-    warnings = _accepted_access(job, line.access) + list(odd_sizes(job.part.aimed, job.tool))
+    warnings = _accepted(job, GougeError, ((one.name, one.sentence) for one in line.access.findings if not one.ok))
+    warnings += odd_sizes(job.part.aimed, job.tool)
     for finding in line.depths:
         if not finding.ok:  # no job can accept that
             raise GougeError(finding.sentence)
-
     motions: dict[str, Motion] = {}
     passes: list[Pass] = []
     chips: dict[str, ChipMap] = {}
     for cut in line.cuts():
-        warnings += _accepted_gouge(job, cut.plan.path)
-        if not cut.limits.ok:
-            warnings += _accepted(job, "limits", LimitError(f"pass {cut.name}: {cut.limits.findings[0]}"))
+        gouges = filter(None, [describe_gouge(job, cut.plan.path)])
+        remedy = 'the limit is 0 nm: place it along "z"'
+        warnings += _accepted(job, GougeError, (("gouge", f"{one}, {remedy}") for one in gouges))
+        warnings += _accepted(
+            job, LimitError, (("limits", f"pass {cut.name}: {one}") for one in cut.limits.findings[:1])
+        )
         motions[cut.name] = cut.motion
         passes.append(cut.as_pass(_check_chips(cut, chips, warnings)))
     plotted_path, least = _thin(line.path), float(line.path.clearance.min())
-    plotted_motion, turns = _part_of(line.motion, _every_nth(line.motion.time.size)), _revolutions(line.motion)
+    plotted_motion, turns = line.motion.select(_every_nth(line.motion.time.size)), _revolutions(line.motion)
     del cut
     line.finishing.forget("spiral", "path")
-
-    entries = _accepted_entries(job, line.entries(motions), warnings)
+    entries = line.entries(motions)
+    beyond = (("limits", one.beyond_travel) for one in entries.values() if one.beyond_travel)
+    warnings += _accepted(job, LimitError, beyond)
     program = line.write(motions, entries)
     motions.clear()
     program_motion = line.program_motion
@@ -106,7 +100,8 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     predictions = line.predictions
     warnings += _accepted_program(line, limit)
     warnings += _wall_warnings(job, passes, entries) + _assumption_warnings(job, passes)
-    warnings += _tolerance_warnings(job, predictions)
+    warnings += [sentence for one in predictions for sentence in one.remarks]
+    warnings += [one.sentence for one in judge(job, predictions) if not one.is_kept]
     if difference > limit:
         warnings.append(
             f"the surface of the program on disk differs by {difference:.3g} nm from that of the motion in memory, its "
@@ -139,14 +134,6 @@ def _check_chips(cut: Cut, chips: dict[str, ChipMap], warnings: list[str]) -> Pa
     if not report.ok:
         warnings.append(f"pass {cut.name} is {report.sentence}")
     return report
-
-
-def _accepted_entries(job: Job, entries: dict[str, Entry], warnings: list[str]) -> dict[str, Entry]:
-    """Return the entries unchanged; raise, or warn if the job accepts it, where a plunge exceeds the travel."""
-    for entry in entries.values():
-        if entry.beyond_travel:
-            warnings += _accepted(job, "limits", LimitError(entry.beyond_travel))
-    return entries
 
 
 def _wall_warnings(job: Job, passes: list[Pass], entries: Mapping[str, Entry]) -> list[str]:
@@ -193,7 +180,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
             size, spiral = servo.extent(part, tool, progress=tell)
             if _widens(servo):
                 PassPlan(job, cut).require_steps()
-            place(_outermost(spiral), part, tool, along=job.strategy.along)  # raises where the surface ends
+            place(spiral, part, tool, along=job.strategy.along)  # raises where the surface ends
         profile, stated = servo.spindle_speeds, servo.spindle_rpm
         if stated is not None and stated > machine.spindle_rpm:
             sentence = (
@@ -223,23 +210,8 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
 def finishing_motion(job: Job, *, progress: StageProgress | None = None) -> tuple[Motion, Result]:
     """Run a job, and return the motion of the axes in its finishing pass, from which its surface is predicted.
 
-    Parameters
-    ----------
-    job
-        The job.
-    progress
-        Called with (stage, done, total).
-
-    Returns
-    -------
-    tuple
-        The motion of the program read back, with the interpolation of the controller, and with the servos if the job
-        says so; and the result of the run. The program is deleted.
-
-    Raises
-    ------
-    TurnwrightError
-        Any error of `run`.
+    It is that of the program read back, with the interpolation of the controller, and with the servos if the job says
+    so. The program is deleted. Raises any error of `run`.
     """
     with TemporaryDirectory(prefix="turnwright-") as folder:
         result = run(job, progress=progress, out=folder)
@@ -247,24 +219,19 @@ def finishing_motion(job: Job, *, progress: StageProgress | None = None) -> tupl
     return motion, result
 
 
-def _accepted(job: Job, what: str, error: GougeError | LimitError) -> list[str]:
-    """Return an error as a warning if the job accepts it, else raise it."""
-    if what not in job.accept:
-        raise type(error)(_or_accept(str(error), what))
-    return [str(error)]
+def _accepted(job: Job, kind: type[InputError], findings: Iterable[tuple[str, str]]) -> list[str]:
+    """Return the sentences of findings, by what a job accepts; raise the first that it does not accept."""
+    sentences = []
+    for what, sentence in findings:
+        if what not in job.accept:
+            raise kind(_or_accept(sentence, what))
+        sentences.append(sentence)
+    return sentences
 
 
 def _or_accept(sentence: str, what: str) -> str:
     """Add to a message how a job accepts the finding."""
     return f'{sentence} (or accept it in the job: accept = ["{what}"])'
-
-
-def _accepted_access(job: Job, access: Access) -> list[str]:
-    warnings = []
-    for finding in access.findings:
-        if not finding.ok:
-            warnings += _accepted(job, finding.name, GougeError(finding.sentence))
-    return warnings
 
 
 def _accepted_program(line: Pipeline, limit: float) -> list[str]:
@@ -275,15 +242,7 @@ def _accepted_program(line: Pipeline, limit: float) -> list[str]:
     if "gouge" not in line.job.accept:
         for file in line.program.files:
             file.unlink()
-    return _accepted(line.job, "gouge", GougeError(gouge.sentence))
-
-
-def _accepted_gouge(job: Job, path: Path) -> list[str]:
-    least = float(path.clearance.min())
-    if least >= -GOUGE:
-        return []
-    cut = f"placed along the {job.strategy.along}, the edge cuts {-least * 1e6:.3g} nm below the surface"
-    return _accepted(job, "gouge", GougeError(f'{cut}, the limit is 0 nm: place it along "z"'))
+    return _accepted(line.job, GougeError, [("gouge", gouge.sentence)])
 
 
 def _widens(servo: Strategy) -> bool:
@@ -292,36 +251,14 @@ def _widens(servo: Strategy) -> bool:
     return isinstance(plan, SlowToolServo) and plan.arc_length is not None and plan.max_step is None
 
 
-def _outermost(spiral: Spiral) -> Spiral:
-    """Return the revolution farthest from the axis."""
-    angle, size = spiral.angle, spiral.angle.size
-    inwards = spiral.radius[0] > spiral.radius[-1]
-    # The angle is monotonic, so bisection finds where the revolution ends: a job is checked while it is typed.
-    away = range(size) if inwards else range(size - 1, -1, -1)
-    count = bisect_right(away, 2 * np.pi, key=lambda at: abs(float(angle[at] - angle[away[0]])))
-    at = slice(0, count) if inwards else slice(size - count, size)
-    return Spiral(angle=spiral.angle[at], radius=spiral.radius[at], y=None if spiral.y is None else spiral.y[at])
-
-
 def _thin(path: Path) -> Path:
-    """Return a path with few enough points for a plot."""
     at = _every_nth(path.angle.size)
     stated = [one.name for one in fields(path) if one.init and getattr(path, one.name) is not None]
     return replace(path, **{name: getattr(path, name)[at] for name in stated})
 
 
-def _part_of(motion: Motion, at: slice) -> Motion:
-    """Return a copy of some points of a motion, so that the whole can be freed."""
-
-    def take(values: Mapping[str, Floats]) -> dict[str, Floats]:
-        return {letter: one[at].copy() for letter, one in values.items()}
-
-    velocity = None if motion.velocity is None else take(motion.velocity)
-    return replace(motion, time=motion.time[at].copy(), axes=take(motion.axes), velocity=velocity, stated_blocks=None)
-
-
-def _every_nth(size: int) -> slice:
-    return slice(None, None, max(1, math.ceil(size / PLOT_POINTS)))
+def _every_nth(size: int) -> Ints:
+    return np.arange(0, size, max(1, math.ceil(size / PLOT_POINTS)))
 
 
 def _revolutions(motion: Motion) -> tuple[Motion, ...]:
@@ -331,7 +268,7 @@ def _revolutions(motion: Motion) -> tuple[Motion, ...]:
     turns = []
     for start in (0.0, last_start / 2, last_start):
         first, last = np.searchsorted(angle, (start, start + 2 * np.pi + 1e-9))
-        turns.append(_part_of(motion, slice(max(int(first) - 1, 0), int(last) + 1)))
+        turns.append(motion.select(np.arange(max(int(first) - 1, 0), min(int(last) + 1, angle.size))))
     return tuple(turns)
 
 
@@ -351,12 +288,6 @@ def _assumption_warnings(job: Job, passes: list[Pass]) -> list[str]:
                 f"the tightest limit of {job.machine.name}, {binding}, has an assumed value: check it on the machine"
             )
     return warnings
-
-
-def _tolerance_warnings(job: Job, predictions: tuple[Prediction, ...]) -> list[str]:
-    """Warn of points that are not cut, and of tolerances that are missed or not evaluated."""
-    remarks = [sentence for one in predictions for sentence in one.remarks]
-    return remarks + [one.sentence for one in judge(job, predictions) if not one.is_kept]
 
 
 def _peak_memory() -> float:

@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path as File
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, cast
+from typing import Annotated, Any, Literal, TypeAlias, cast
 
 import numpy as np
 import tomli_w
 from annotated_types import Ge, Le
 from pydantic import Field, PlainValidator, Strict, ValidationError
 
+from turnwright._arrays import Floats
 from turnwright._faults import faults as faults_of, sentences
 from turnwright._io import bytes_of, read_toml, write_whole
 from turnwright._tables import adapter, read_by, types_of, written
@@ -28,16 +30,11 @@ from turnwright.motion import require_variable
 from turnwright.part import Part
 from turnwright.pose import Pose
 from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED, dialect_of
-from turnwright.speed_profile import Speeds
+from turnwright.speed_profile import Speeds, check_one_speed
 from turnwright.strategy import STRATEGIES, Strategy
 from turnwright.surface import FAMILIES, Surface
 from turnwright.tool import Tool, Waviness, WavinessTable
 from turnwright.units import Angle, Count, Feed, Flag, Length, Size, Speed, Step, Text, Thickness, unit
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from turnwright._arrays import Floats
 
 __all__ = ["Job", "PassTable", "faults"]
 
@@ -151,8 +148,7 @@ class PassTable(Table):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        if self.spindle_rpm is not None and self.spindle_speeds is not None:
-            raise JobError("only one of spindle_speed and spindle_speeds can be stated, got both: remove one")
+        check_one_speed(self)
 
     def repeats(self, stock: float) -> int:
         """Return the number of repetitions of the pass that remove ``stock`` [mm] down to its allowance."""
@@ -639,6 +635,12 @@ class Job(Table):
         if servo.spindle_speeds is not None:
             require_variable(self.machine)
         return servo
+
+    @property
+    def reference(self) -> Surface:
+        """The surface from which a map of departures is measured."""
+        stated = self.measurement.departure_from
+        return stated if isinstance(stated, Surface) else self.part.surface
 
     @property
     def actual_tool(self) -> Tool:

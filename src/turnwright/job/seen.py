@@ -4,39 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import is_even
+from turnwright._arrays import Floats, is_even
 from turnwright.heightmap import HeightMap
-from turnwright.job.predicted_finish import feed_of, finished
+from turnwright.instrument import Instrument
+from turnwright.job.predicted_finish import cut_by, feed_of, motion_of
+from turnwright.job.schema import Job
 from turnwright.metrology import filter_map
-from turnwright.surface import Surface
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Floats
-    from turnwright.instrument import Instrument
-    from turnwright.job.schema import Job
-    from turnwright.pose import Pose
+from turnwright.pose import Pose
 
 __all__ = ["TextureComparison", "design_as_seen", "texture_as_seen"]
 
 MOST_POINTS = 20_000_000
-"""Most points of the design on a grid fine enough for the instrument model."""
-
 WINDOW_POINTS = 600_000
-"""Most points of the predicted cusps."""
-
 FEED_STEPS = 8
-"""Least steps of the predicted cusps per feed."""
-
-FINEST_STEPS = 2
-"""Least steps per pixel or optical resolution."""
-
-BALL_STEPS = 10
-"""Least steps per radius of a stylus."""
-
 MARGIN_LENGTHS = 4
 """Margin of the surface around the map, in pixels or optical resolutions."""
 
@@ -47,8 +30,6 @@ CUTOFF_STEPS = 5
 """Least steps of a map per cutoff of the texture."""
 
 MIN_MEASURED_FRACTION = 0.5
-"""Least fraction of the window that is measured."""
-
 NM = 1e6
 
 
@@ -88,20 +69,8 @@ def design_as_seen(job: Job, heights: HeightMap, pose: Pose) -> Floats | None:
     Optics act on the cusps only: their linear filter holds for heights small against the wavelength. On a form of many
     fringes light from distant points averages out, while the filter would include the slow tails of the image.
 
-    Parameters
-    ----------
-    job
-        Job of the part, with the instrument.
-    heights
-        The map, converted to heights if it was a departure from a reference.
-    pose
-        Pose of the map on the part.
-
-    Returns
-    -------
-    ndarray or None
-        0 where the design has no height; ``None`` if the job states no instrument, or the map is not evenly spaced or
-        needs too fine a grid.
+    It is 0 where the design has no height, and ``None`` if the job states no instrument, or the map is not evenly
+    spaced or needs too fine a grid.
     """
     stated = job.measurement.instrument
     if stated is None or heights.x is None or heights.y is None or heights.scattered or min(heights.z.shape) < 2:
@@ -109,7 +78,7 @@ def design_as_seen(job: Job, heights: HeightMap, pose: Pose) -> Floats | None:
     instrument = replace(stated, resolution=None, numerical_aperture=None, wavelength=None)
     if instrument.pixel is None and instrument.stylus_radius is None:
         return np.zeros(heights.z.shape)
-    grid = _grid(heights.x, heights.y, _step_limit(instrument), _reach(instrument))
+    grid = _grid(heights.x, heights.y, instrument.max_step, _reach(instrument))
     if grid is None:
         return None
     u, v, _ = pose.apply(*np.meshgrid(grid.x, grid.y), 0.0)
@@ -119,26 +88,14 @@ def design_as_seen(job: Job, heights: HeightMap, pose: Pose) -> Floats | None:
 
 
 def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> TextureComparison | None:
-    """Return the texture in the middle of a map against the prediction of the job.
+    """Return the texture in the middle of a map of the error against the prediction of the job.
 
-    Parameters
-    ----------
-    job
-        Job that the part was cut by, with the instrument.
-    error
-        Cut minus design in the grid of the map, nan where nothing was measured. [mm]
-    pose
-        Pose of the map on the part.
-
-    Returns
-    -------
-    TextureComparison or None
-        ``None`` if the job states no instrument or no feed, or the window holds too few heights.
+    ``None`` if the job states no instrument or no feed, or the window holds too few heights.
     """
     feed, instrument = feed_of(job), job.measurement.instrument
     if instrument is None or not feed or error.x is None or error.y is None or error.scattered:
         return None
-    limit = min(_step_limit(instrument), feed / FEED_STEPS)
+    limit = min(instrument.max_step, feed / FEED_STEPS)
     steps = [float(np.diff(axis).mean()) for axis in (error.y, error.x)]
     # The window has the shape of the map, and as many pixels as the finer grid allows.
     most = math.sqrt(WINDOW_POINTS) * limit
@@ -158,7 +115,7 @@ def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> TextureComparison
     design = _inspected(job, u, v)
     inside = np.isfinite(design) & (np.hypot(u, v) <= job.part.radius)
     made = np.full(u.shape, np.nan)
-    made[inside] = finished(job, job, u[inside], v[inside])
+    made[inside] = cut_by(motion_of(job), job, u[inside], v[inside])
     surface = np.where(np.isfinite(made), design, np.nan)
     through = (instrument.see(HeightMap(x=grid.x, y=grid.y, z=one)).z for one in (made, surface))
     seen = next(through) - next(through)
@@ -189,16 +146,7 @@ class _Grid:
 
 
 def _reach(instrument: Instrument) -> float:
-    """Return the margin of the surface around the map. [mm]."""
-    finest = max(instrument.pixel or 0.0, 1 / instrument.cutoff)
-    return max(MARGIN_LENGTHS * finest, instrument.stylus_radius or 0.0)
-
-
-def _step_limit(instrument: Instrument) -> float:
-    """Return the largest grid step for the instrument model. [mm]."""
-    finest = max(instrument.pixel or 0.0, 1 / instrument.cutoff)
-    ball = instrument.stylus_radius
-    return min(finest / FINEST_STEPS or math.inf, math.inf if ball is None else ball / BALL_STEPS)
+    return max(MARGIN_LENGTHS * instrument.finest, instrument.stylus_radius or 0.0)
 
 
 def _grid(x: Floats, y: Floats, limit: float, reach: float) -> _Grid | None:
@@ -220,15 +168,11 @@ def _grid(x: Floats, y: Floats, limit: float, reach: float) -> _Grid | None:
 
 def _inspected(job: Job, u: Floats, v: Floats) -> Floats:
     """Return the reading of an ideal instrument on the design: height, or departure from the reference. [mm]."""
-    settings = job.measurement
     surfaces = [job.part.surface]
-    if settings.quantity != "height":
-        reference = settings.departure_from
-        surfaces.append(reference if isinstance(reference, Surface) else surfaces[0])
-    on = np.ones(u.shape, dtype=np.bool_)
-    for surface in surfaces:
-        inside = surface.inside(u, v)
-        on &= True if inside is None else inside
+    if job.measurement.quantity != "height":
+        surfaces.append(job.reference)
+    masks = [inside for surface in surfaces if (inside := surface.inside(u, v)) is not None]
+    on = np.logical_and.reduce([np.ones(u.shape, dtype=np.bool_), *masks])
     shown = np.full(u.shape, np.nan)
     shown[on] = surfaces[0].sag(u[on], v[on])
     if len(surfaces) > 1:

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import best_fit
+from turnwright.part import Part
 from turnwright.units import say_length
-
-if TYPE_CHECKING:
-    from turnwright.part import Part
 
 __all__ = ["PartShape", "part_shape"]
 

@@ -7,38 +7,32 @@ from collections.abc import Callable
 from dataclasses import replace
 from decimal import Decimal
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright.errors import LimitError
 from turnwright.generation import generate_polar
+from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import FEWEST_ANGLES, lines, without_servos
+from turnwright.machine import Machine
 from turnwright.motion import check_limits, drive
+from turnwright.part import Part
+from turnwright.path import Motion, Path, Spiral
 from turnwright.speed_profile import SpeedProfile
+from turnwright.strategy import Strategy
+from turnwright.tool import Tool
 from turnwright.tracking import precorrect, track
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Floats
-    from turnwright.heightmap import HeightMap
-    from turnwright.machine import Machine
-    from turnwright.part import Part
-    from turnwright.path import Motion, Path, Spiral
-    from turnwright.strategy import Strategy
-    from turnwright.tool import Tool
 
 __all__ = ["NEAR", "ROUNDS", "Servos", "at_speed", "few_lines", "guess", "largest", "round_down"]
 
 TURN = 2 * math.pi
-
 NEAR = 0.93
 """Fraction of a limit from which on a search stops."""
 
 TARGET = (1 + NEAR) / 2
 
 ROUNDS = 8
-"""Most iterations of a search."""
-
 MIN_SPEED_FRACTION = 0.05
 """Smallest fraction to which a speed profile is lowered so that the axes can ramp to it and to rest."""
 
@@ -46,13 +40,10 @@ SAMPLE_STEP = 4
 """Only every n-th sample is used where only the difference of two surfaces counts."""
 
 TRACKING_CHORD_MM = 1e-5
-"""Chord error of the simulated motion during a search. [mm]"""
-
 FIRST_EXPONENT = 1.6
 """Exponent of the tracking error over the speed to begin with: 1, or 2 with feed forward."""
 
 EXPONENT_RANGE = (0.5, 4.0)
-"""Range of the exponent from two iterations."""
 
 MAX_STEP_RATIO = 8.0
 """Largest ratio by which a value is reduced in one iteration, since the error may be overestimated."""
@@ -62,8 +53,6 @@ ERROR_RATIO = 0.95
 """A value does not cause an error that stays above ERROR_RATIO while the value is reduced by VALUE_RATIO."""
 
 RINGS = 24
-"""Number of rings with their own speed."""
-
 MARGIN_BLOCKS = 3
 """Blocks on either side of a ring that count for its limits: the span of a jerk."""
 
@@ -144,16 +133,9 @@ def largest(error: Callable[[float], float], limit: float, first: float, most: f
 
 
 class Servos:
-    """Surface errors from the servos of a machine, for motions over a part.
+    """Surface errors from the servos of a machine, for motions over a part that may be precorrected for them.
 
-    Parameters
-    ----------
-    part, tool, machine
-        Part, tool and machine.
-    spiral
-        Spiral of any of the motions: its feed sets the sampling of the surface, and azimuths keep clear of its ends.
-    corrected
-        Whether the motions are precorrected for the servos.
+    ``spiral`` is that of any of the motions: its feed sets the sampling, and azimuths keep clear of its ends.
     """
 
     def __init__(self, part: Part, tool: Tool, machine: Machine, *, spiral: Spiral, corrected: bool) -> None:
@@ -167,19 +149,9 @@ class Servos:
         return precorrect(nominal, self.machine) if self.corrected else nominal
 
     def constant(self, top: Motion, share: float) -> Motion:
-        """Return a motion at the highest constant speed within the limits and the share of the servos.
+        """Return a motion at the highest constant speed within the limits and the share of the servos [mm].
 
-        Parameters
-        ----------
-        top
-            At the highest speed within the limits of the machine.
-        share
-            Largest difference between the real surface and that of the motion. [mm]
-
-        Raises
-        ------
-        LimitError
-            If there is no such speed.
+        ``top`` is at the highest speed within the limits of the machine. Raises `LimitError` if there is no such speed.
         """
         nominal_surface = self._surface(top, self.ideal)
         speed = abs(float(top.axes["C"][-1] - top.axes["C"][0]) / float(top.time[-1] - top.time[0]))
@@ -205,19 +177,10 @@ class Servos:
     def varied(
         self, path: Path, servo: Strategy, machine: Machine, share: float, steady: Motion
     ) -> tuple[SpeedProfile, Motion] | None:
-        """Return the fastest speed over the radius within the limits and the share of the servos, and its motion.
+        """Return the fastest speed over the radius within the limits and the share of the servos [mm], and its motion.
 
-        The speed of every ring starts from the error of a motion at constant speed, and is then reduced or increased
-        iteratively by the error of the ring.
-
-        Parameters
-        ----------
-        path, servo, machine
-            Path, strategy, and machine with variable speed.
-        share
-            Largest difference between the real surface and that of the motion. [mm]
-        steady
-            Motion at a constant speed within the share.
+        The speed of every ring starts from the error of a motion at constant speed within the share, and is then
+        reduced or increased iteratively by the error of the ring.
         """
         top = drive(path, servo, machine)
         nominal_surface = self._surface(top, self.ideal)
@@ -305,17 +268,13 @@ class _Rings:
         )
 
     def utilisation(self, motion: Motion, machine: Machine) -> Floats:
-        """Return the highest utilisation of the limits in each ring."""
         highest = np.zeros(len(self.pieces))
         # A motion with ramps has more points than its path.
         turned = np.abs(motion.axes["C"] - motion.axes["C"][0])
         for ring, piece in enumerate(self.pieces):
             first, last = np.searchsorted(turned, self.turned[[piece.start, piece.stop - 1]])
             blocks = slice(max(int(first) - MARGIN_BLOCKS, 0), int(last) + 1 + MARGIN_BLOCKS)
-            axes = {letter: values[blocks] for letter, values in motion.axes.items()}
-            velocity = motion.velocity and {letter: values[blocks] for letter, values in motion.velocity.items()}
-            section = replace(motion, time=motion.time[blocks], axes=axes, velocity=velocity, stated_blocks=None)
-            highest[ring] = max(check_limits(section, machine).utilisation.values())
+            highest[ring] = max(check_limits(motion.select(blocks), machine).utilisation.values())
         return highest
 
     def profile(self, speed: Floats) -> SpeedProfile:

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import csv
 import re
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 
-from turnwright._arrays import Value
+from turnwright._arrays import Floats, Value
 from turnwright._tables import Stated
 from turnwright.errors import JobError, UnitError
 from turnwright.units import parse
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
-    from turnwright._arrays import Floats
 
 __all__ = ["Table", "read_columns"]
 
@@ -33,17 +29,7 @@ class Table(Stated, Value):
 def read_columns(file: Path, columns: Mapping[str, str]) -> Iterator[Floats]:
     """Read a CSV table whose first row names the columns with their units, such as ``sweep [deg],deviation [um]``.
 
-    Parameters
-    ----------
-    file
-        Rows of plain numbers below the names; lines starting with # are comments.
-    columns
-        Names of the columns to read, and the unit to return each in.
-
-    Yields
-    ------
-    Floats
-        One column. (n,)
+    Lines starting with # are comments. Yields each of the named columns in the stated unit. (n,)
 
     Raises
     ------

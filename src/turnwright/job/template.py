@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import textwrap
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
 
 import tomlkit
 
@@ -14,20 +15,15 @@ from turnwright.job.reference import job_schema
 from turnwright.strategy import STRATEGIES
 from turnwright.surface import FAMILIES
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
 __all__ = ["KeyHelp", "TableHelp", "job_template", "reference_tables"]
 
 WIDTH = 110
-"""Characters per line of a template."""
 
 _EXAMPLES: dict[str, dict[str, Any]] = {
     "part": {"name": "lens", "radius": "5 mm"},
     "tool": {"nose_radius": "0.5 mm", "included": "120 deg", "clearance": "20 deg", "rake": "0 deg"},
     "machine": {"name": "generic"},
 }
-"""Example values of tables whose classes have none."""
 
 _ADDED: dict[str, dict[str, Any]] = {
     "simulation.patches": {"name": "zone", "centre": ["2 mm", "0 mm"], "size": ["0.1 mm", "0.1 mm"], "pixel": "1 um"},
@@ -74,19 +70,9 @@ class TableHelp(NamedTuple):
 
 
 def job_template(family: str, strategy: str = "slow tool servo") -> str:
-    """Return a job file to start from, with an explanation of every key; optional keys are commented out.
+    """Return a job file of a surface family and a kind of strategy to start from, with an explanation of every key.
 
-    Parameters
-    ----------
-    family
-        Surface family, one of `turnwright.surface.FAMILIES`.
-    strategy
-        Kind of strategy, one of `turnwright.strategy.STRATEGIES`.
-
-    Raises
-    ------
-    JobError
-        If there is no such family or strategy.
+    Optional keys are commented out. Raises `JobError` if there is no such family or strategy.
     """
     for name, classes in ((family, FAMILIES), (strategy, STRATEGIES)):
         if name not in classes:
@@ -132,7 +118,6 @@ def reference_tables() -> tuple[TableHelp, ...]:
 def _collect(
     schema: dict[str, Any], place: str, table: dict[str, Any], tables: list[TableHelp], seen: set[str]
 ) -> None:
-    """Add a table and its sub-tables."""
     title = str(table.get("title", ""))
     if place:
         keys = _keys(table, {**_EXAMPLES.get(place, {}), **_ADDED.get(place, {}), **_example_of(title)})
@@ -179,7 +164,6 @@ def _keys(table: dict[str, Any], values: Mapping[str, Any]) -> tuple[KeyHelp, ..
 
 
 def _key(name: str, field: dict[str, Any], value: Any, *, required: bool) -> KeyHelp:
-    """Return the help of a key."""
     default = field.get("default")
     stated = default not in (None, "", [], {})
     example = next((one for one in (value, default if stated else None, _BY_KEY.get(name)) if one is not None), None)
@@ -192,7 +176,6 @@ def _key(name: str, field: dict[str, Any], value: Any, *, required: bool) -> Key
 
 
 def _takes(field: dict[str, Any]) -> str:
-    """Describe the type of a key."""
     if "unit" in field:
         return "a plain number" if field["unit"] == "1" else f"a quantity in {field['display']}"
     if "const" in field or "enum" in field:
@@ -205,7 +188,6 @@ def _takes(field: dict[str, Any]) -> str:
 
 
 def _limits(field: dict[str, Any]) -> str:
-    """Describe the choices or limits of a key."""
     if "enum" in field:
         return f"One of {', '.join(map(_toml, field['enum']))}."
     if "above" in field:
@@ -240,7 +222,6 @@ def _bare(key: str) -> str:
 
 
 def _toml(value: Any) -> str:
-    """Return a value as TOML on one line."""
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{_bare(key)} = {_toml(one)}" for key, one in value.items()) + " }"
     if isinstance(value, list | tuple):

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from turnwright.access import check_access
 from turnwright.errors import JobError
-from turnwright.job.pass_plan import PassPlan
-from turnwright.job.schema import SimulationTable, Tolerances
+from turnwright.job.pass_plan import PassPlan, Watch
+from turnwright.job.schema import Job, SimulationTable, Tolerances
 from turnwright.motion import check_limits
+from turnwright.progress import StageProgress
 from turnwright.strategy import HybridToolServo
 from turnwright.surface import Plane, Sphere, Surface
-
-if TYPE_CHECKING:
-    from turnwright.job.schema import Job
-    from turnwright.progress import StageProgress
 
 __all__ = ["TestPartKind", "make_test_part"]
 
@@ -104,9 +101,7 @@ def make_test_part(
 
 def _find_speed(job: Job, progress: StageProgress | None) -> float:
     """Return the spindle speed of the finishing pass of a part. [rev/min]."""
-    report = progress or (lambda _stage, _done, _total: None)
-    report("speed of the part", 0, 1)
-    rpm = check_limits(PassPlan(job).planned, job.machine).spindle_rpm
-    report("speed of the part", 1, 1)
+    with Watch(progress).stage("speed of the part"):
+        rpm = check_limits(PassPlan(job).planned, job.machine).spindle_rpm
     # Rounded down, so that the part stays within the limits of the machine.
     return math.floor(rpm * 1000) / 1000

@@ -5,19 +5,17 @@ from __future__ import annotations
 import os
 import re
 import tomllib
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import tomli_w
 
 from turnwright.errors import TurnwrightError, UnitError
 from turnwright.job.schema import Job
 from turnwright.units import parse
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
 
 __all__ = ["as_tables", "edited", "written"]
 
@@ -50,15 +48,7 @@ def as_tables(value: Any, depth: int = 0) -> Any:
 
 
 def written(data: Mapping[str, Any], before: str = "") -> str:
-    """Return a job as TOML.
-
-    Parameters
-    ----------
-    data
-        The job.
-    before
-        Text of the same job before the change; its comments, order and layout are preserved.
-    """
+    """Return a job as TOML. Comments, order and layout of ``before``, its text before the change, are preserved."""
     wanted = as_tables(_without_none(data))
     # Some notations cannot be changed in place: then the tables that differ are rewritten.
     for rewrite in (False, True) if 0 < len(before) <= MAX_CHARACTERS else ():
@@ -74,26 +64,19 @@ def written(data: Mapping[str, Any], before: str = "") -> str:
 def edited(before: str, old: Job, new: Job, *, folder: Path, into: Path) -> str:
     """Return the text of a job file after a change of the job: only changed keys are set.
 
-    A quantity keeps the unit that it was written in, where that gives the same number.
-
-    Parameters
-    ----------
-    before
-        Text of the file; if empty, a new text is written.
-    old, new
-        The job that it describes, and the job after the change.
-    folder
-        Folder of the file, and of the files that it names.
-    into
-        Folder of the new text. Names of files stay as they are in the same folder, and become absolute paths in
-        another; a file of the new job in that folder is written by its name alone, so that the folder can move.
+    A quantity keeps the unit that it was written in, where that gives the same number. Names of files stay as they are
+    where ``into``, the folder of the new text, is that of ``before``, and become absolute paths in another; a file of
+    the new job in that folder is written by its name alone, so that the folder can move.
     """
     table = tomllib.loads(before.removeprefix(MARK))
     into = into.resolve()
     if folder.resolve() != into:
         table = _with_absolute_paths(table, folder)
-    was, now = (_with_relative_paths(one.table(), into) for one in (old, new))
-    for convert in (_in_old_unit, _as_new) if table else ():
+    was, now = (
+        _replace_texts(one.table(), lambda text: Path(text).name if Path(text).parent == into else text)
+        for one in (old, new)
+    )
+    for convert in (_in_old_unit, lambda _value, new: new) if table else ():
         text = written(_merge_changes(table, was, now, convert), before)
         with suppress(TurnwrightError, tomllib.TOMLDecodeError):
             if Job.read(tomllib.loads(text), folder=into) == new:
@@ -101,25 +84,20 @@ def edited(before: str, old: Job, new: Job, *, folder: Path, into: Path) -> str:
     return tomli_w.dumps(now)
 
 
-def _with_relative_paths(value: Any, folder: Path) -> Any:
-    """Return data in which files of a folder have their names only."""
-    if isinstance(value, dict):
-        return {key: _with_relative_paths(one, folder) for key, one in value.items()}
-    if isinstance(value, list):
-        return [_with_relative_paths(one, folder) for one in value]
-    if isinstance(value, str) and Path(value).parent == folder:
-        return Path(value).name
-    return value
-
-
 def _with_absolute_paths(value: Any, folder: Path) -> Any:
+    def absolute(text: str) -> str:
+        is_file = Path(text).suffix and os.path.isfile(folder / text)  # noqa: PTH113 - see `existing`
+        return str((folder / text).resolve()) if is_file else text
+
+    return _replace_texts(value, absolute)
+
+
+def _replace_texts(value: Any, change: Callable[[str], str]) -> Any:
     if isinstance(value, dict):
-        return {key: _with_absolute_paths(one, folder) for key, one in value.items()}
+        return {key: _replace_texts(one, change) for key, one in value.items()}
     if isinstance(value, list):
-        return [_with_absolute_paths(one, folder) for one in value]
-    if isinstance(value, str) and Path(value).suffix and os.path.isfile(folder / value):  # noqa: PTH113 - see `existing`
-        return str((folder / value).resolve())
-    return value
+        return [_replace_texts(one, change) for one in value]
+    return change(value) if isinstance(value, str) else value
 
 
 def _merge_changes(value: Any, was: Any, now: Any, convert: Callable[[Any, Any], Any]) -> Any:
@@ -133,18 +111,9 @@ def _merge_changes(value: Any, was: Any, now: Any, convert: Callable[[Any, Any],
             for key, one in now.items()
             if one != was.get(key)
         }
-    if (
-        isinstance(value, list)
-        and isinstance(was, list)
-        and isinstance(now, list)
-        and len(value) == len(was) == len(now)
-    ):
+    if all(isinstance(one, list) for one in (value, was, now)) and len(value) == len(was) == len(now):
         return [_merge_changes(*one, convert) for one in zip(value, was, now, strict=True)]
     return convert(value, now)
-
-
-def _as_new(_value: Any, now: Any) -> Any:
-    return now
 
 
 def _in_old_unit(value: Any, now: Any) -> Any:
@@ -223,7 +192,6 @@ def _change_list(place: Any, has: list[Any], wanted: list[Any]) -> None:
 
 
 def _count_common(old: list[Any], new: list[Any]) -> int:
-    """Count the equal values at the beginning of two lists."""
     return sum(1 for _ in takewhile(lambda pair: _same(*pair), zip(old, new, strict=False)))
 
 

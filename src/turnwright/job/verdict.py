@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
+from turnwright.job.prediction import Prediction
+from turnwright.job.schema import Job
 
-    from turnwright.job.prediction import Prediction
-    from turnwright.job.schema import Job
-
-__all__ = ["Verdict", "judge", "judge_form", "missed", "tolerances_of", "unjudged"]
+__all__ = ["WHOLE", "Verdict", "judge", "judge_form", "missed", "tolerances_of", "unjudged"]
 
 NM = 1e6
-
 TOLERANCE_NAMES = {"form_pv": "form error PV", "sq": "Sq"}
-"""The name of each tolerance of a job file, as messages write it."""
 
 WHOLE = "whole part"
 
@@ -44,8 +39,8 @@ class Verdict:
     tolerance: str
     place: str
     limit_nm: float
-    value_nm: float | None
-    is_kept: bool | None
+    value_nm: float | None = None
+    is_kept: bool | None = None
     reason: str = ""
 
     @property
@@ -81,79 +76,39 @@ def judge(job: Job, predictions: Iterable[Prediction]) -> tuple[Verdict, ...]:
     Form error is the peak to valley between the highest and the lowest point of the whole part. Surface finish is the
     Sq of each patch, after the form removal of the job's ``roughness``; without patches it is the Sq of the roughest
     ring of the whole part. A patch or a part with points that no pass cuts misses every tolerance.
-
-    Parameters
-    ----------
-    job
-        States the tolerances.
-    predictions
-        Of the whole part and of the patches, see `predict`.
     """
-    limits, verdicts = tolerances_of(job), list[Verdict]()
     by_name = {one.name: one for one in predictions}
+    return tuple(_judge_place(one, by_name.get(one.place)) for one in unjudged(job, ""))
 
-    def add(tolerance: str, place: str, value: float | None, reason: str) -> None:
-        one, limit = by_name.get(place), limits[tolerance]
-        uncut = 0 if one is None else one.uncut
-        if value is None or one is None:
-            is_kept = None
-        else:
-            is_kept, reason = value <= limit and not uncut, ""
-        if uncut and one is not None:
-            reason = f"{uncut:,} of {one.error.z.size:,} points are not cut"
-        verdicts.append(
-            Verdict(tolerance=tolerance, place=place, limit_nm=limit, value_nm=value, is_kept=is_kept, reason=reason)
-        )
 
-    whole_part = by_name.get(WHOLE)
-    if "form_pv" in limits:
-        add("form_pv", WHOLE, None if whole_part is None else whole_part.pv_nm, "the whole part was not predicted")
-    if "sq" in limits:
-        for patch in job.simulation.patches:
-            one = by_name.get(patch.name)
-            add("sq", patch.name, None if one is None else one.roughness.sq_nm, "this patch was not predicted")
-        if not job.simulation.patches:
-            add("sq", WHOLE, None if whole_part is None else whole_part.finish_nm, "the job has no patch")
-    return tuple(verdicts)
+def _judge_place(verdict: Verdict, prediction: Prediction | None) -> Verdict:
+    is_form, is_patch = verdict.tolerance == "form_pv", verdict.place != WHOLE
+    if prediction is None:
+        reason = "the whole part was not predicted" if is_form else "the job has no patch"
+        return replace(verdict, reason="this patch was not predicted" if is_patch else reason)
+    value = prediction.pv_nm if is_form else prediction.roughness.sq_nm if is_patch else prediction.finish_nm
+    reason = "the job has no patch" if value is None else ""
+    if prediction.uncut:
+        reason = f"{prediction.uncut:,} of {prediction.error.z.size:,} points are not cut"
+    is_kept = None if value is None else value <= verdict.limit_nm and not prediction.uncut
+    return replace(verdict, value_nm=value, is_kept=is_kept, reason=reason)
 
 
 def judge_form(job: Job, pv_nm: float, *, sq_reason: str) -> tuple[Verdict, ...]:
-    """Return verdicts where only the form error of the whole part is known.
-
-    Parameters
-    ----------
-    job
-        States the tolerances.
-    pv_nm
-        Peak to valley of the surface minus the design. [nm]
-    sq_reason
-        Why the finish is not evaluated.
-    """
-    verdicts = []
-    for name, limit in tolerances_of(job).items():
-        is_form = name == "form_pv"
-        verdicts += [
-            Verdict(
-                tolerance=name, place=place, limit_nm=limit, value_nm=pv_nm if is_form else None,
-                is_kept=pv_nm <= limit if is_form else None, reason="" if is_form else sq_reason,
-            )
-            for place in _places(job, name)
-        ]  # fmt: skip
-    return tuple(verdicts)
+    """Return verdicts where only the form error PV of the whole part is known, and why the finish is not evaluated."""
+    return tuple(
+        replace(one, value_nm=pv_nm, is_kept=pv_nm <= one.limit_nm, reason="") if one.tolerance == "form_pv" else one
+        for one in unjudged(job, sq_reason)
+    )
 
 
 def unjudged(job: Job, reason: str) -> tuple[Verdict, ...]:
     """Return every stated tolerance as not evaluated, for a reason."""
-    return tuple(
-        Verdict(tolerance=name, place=place, limit_nm=limit, value_nm=None, is_kept=None, reason=reason)
-        for name, limit in tolerances_of(job).items()
-        for place in _places(job, name)
-    )
-
-
-def _places(job: Job, tolerance: str) -> list[str]:
-    """Return where a tolerance is evaluated: the patches, or the whole part."""
-    return [patch.name for patch in job.simulation.patches if tolerance == "sq"] or [WHOLE]
+    verdicts = []
+    for name, limit in tolerances_of(job).items():
+        places = [patch.name for patch in job.simulation.patches if name == "sq"] or [WHOLE]
+        verdicts += [Verdict(tolerance=name, place=one, limit_nm=limit, reason=reason) for one in places]
+    return tuple(verdicts)
 
 
 def missed(verdicts: Iterable[Verdict]) -> bool:

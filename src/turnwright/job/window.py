@@ -14,42 +14,31 @@ has been generated, so the section is checked afterwards and widened until it su
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from turnwright._arrays import Floats, Ints
 from turnwright.job.predicting import predict
+from turnwright.job.prediction import Prediction
+from turnwright.job.schema import Job, Patch
 from turnwright.motion import drive
-from turnwright.path import Spiral
+from turnwright.path import Motion, Spiral
 from turnwright.placing import place
-from turnwright.strategy import FastToolServo, SlowToolServo
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Floats, Ints
-    from turnwright.job.prediction import Prediction
-    from turnwright.job.schema import Job, Patch
-    from turnwright.path import Motion, Path
-    from turnwright.strategy import Strategy
+from turnwright.strategy import FastToolServo, SlowToolServo, Strategy
 
 __all__ = ["can_predict_window", "predict_window"]
 
 TURN = 2 * math.pi
-
 EDGE_SAMPLES = 4001
-"""Points on the edge at which it is compared with the surface."""
-
 MAX_SWEEP_RAD = math.radians(89.9)
-"""Largest contact angle of these points. [rad]"""
+"""Largest contact angle at which the edge is compared with the surface. [rad]"""
 
 SLOPE_MARGIN = 1.1
 """Factor by which the slope between the samples may exceed that at the samples."""
 
 MIN_SAMPLES, MAX_SAMPLES = 48, 360
-"""Least and most radii and azimuths at which the slope is sampled."""
-
 SAMPLES_PER_FEATURE = 8
-"""Samples per feature size of the surface, within these limits."""
-
 HEIGHT_MARGIN_MM = 2e-4
 """First estimate of the height above the design, without cusps and deviations. [mm]"""
 
@@ -57,7 +46,6 @@ MAX_POINT_FRACTION = 0.7
 """Most points of the section as a fraction of the pass; with more of them it saves no time."""
 
 MAX_WIDENINGS = 3
-"""Most sections tried before the whole pass is placed."""
 
 
 class _Edge(NamedTuple):
@@ -102,14 +90,9 @@ def can_predict_window(job: Job) -> bool:
 
 
 def predict_window(job: Job, name: str) -> Prediction | None:
-    """Predict a window from the section of the finishing pass that cuts it; ``None`` if not exact or not faster.
+    """Predict a patch, or the "whole part", from a section of the finishing pass; ``None`` if not exact or not faster.
 
-    Parameters
-    ----------
-    job
-        A job for which `can_predict_window` is true.
-    name
-        Name of a patch, or "whole part", which needs only the points at the azimuths of its map.
+    The whole part needs only the points at the azimuths of its map. `can_predict_window` must be true.
     """
     part, tool = job.part.aimed, job.tool
     servo = job.servo(job.passes[-1])
@@ -139,31 +122,8 @@ def predict_window(job: Job, name: str) -> Prediction | None:
 
 def _motion(job: Job, servo: Strategy, spiral: Spiral, keep: Ints) -> Motion:
     """Return the motion through some of the points; the speed is arbitrary for straight lines."""
-    some = Spiral(angle=spiral.angle[keep], radius=spiral.radius[keep])
-    path = place(some, job.part.aimed, job.tool)
-    return drive(path, _Steady(servo), job.machine)
-
-
-class _Steady(NamedTuple):
-    """A strategy at an arbitrary constant speed."""
-
-    servo: Strategy
-
-    @property
-    def spindle_rpm(self) -> float:
-        """Spindle speed. [rev/min]."""
-        return self.servo.spindle_rpm or 1.0
-
-    @property
-    def spindle_speeds(self) -> None:
-        """``None``: the speed is constant."""
-
-    def axes(self, path: Path) -> dict[str, Floats]:
-        """Return the axes of the strategy."""
-        return self.servo.axes(path)
-
-    def rates(self, _path: Path) -> None:
-        """Return ``None``: no controller with velocities is used here."""
+    path = place(spiral.select(keep), job.part.aimed, job.tool)
+    return drive(path, servo.with_fields(spindle_rpm=servo.spindle_rpm or 1.0), job.machine)
 
 
 def _edge(job: Job, spiral: Spiral) -> _Edge:

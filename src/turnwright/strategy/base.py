@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin
 
 import numpy as np
 
-from turnwright._arrays import Floats, Ints
+from turnwright._arrays import Floats
 from turnwright._tables import Stated, forget_adapters, types_of, written, written_by
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
@@ -18,7 +18,7 @@ from turnwright.machine import Machine
 from turnwright.part import Part
 from turnwright.path import Path, Spiral
 from turnwright.progress import Progress
-from turnwright.speed_profile import SpeedProfile
+from turnwright.speed_profile import SpeedProfile, check_one_speed
 from turnwright.strategy.sampling import sample_turns
 from turnwright.tool import Tool
 from turnwright.units import unit
@@ -31,11 +31,6 @@ __all__ = ["STRATEGIES", "Strategy"]
 
 STRATEGIES: dict[str, type[Strategy]] = {}
 """The strategies by the ``kind`` that a job file states; each class is added when its module is imported."""
-
-
-def _some_points(spiral: Spiral, at: Ints) -> Spiral:
-    y = None if spiral.y is None else spiral.y[at]
-    return Spiral(angle=spiral.angle[at], radius=spiral.radius[at], y=y)
 
 
 class Strategy(Stated, ABC):
@@ -119,7 +114,7 @@ class Strategy(Stated, ABC):
         wanted = sample_turns(float(turned[-1]), turns, per_turn)
         near = np.clip(np.searchsorted(turned, wanted), 1, turned.size - 1)
         near = np.unique(near - (wanted - turned[near - 1] < turned[near] - wanted))
-        return _some_points(spiral, near)
+        return spiral.select(near)
 
     def extent(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> tuple[int, Spiral]:
         """Return the number of points of `spiral`, and its outermost revolution with the point at the other end."""
@@ -129,7 +124,7 @@ class Strategy(Stated, ABC):
         away = np.abs(spiral.angle - spiral.angle[0 if inwards else -1])
         turn = np.flatnonzero(away <= 2 * np.pi)
         at = np.unique([*turn, size - 1 if inwards else 0])
-        return size, _some_points(spiral, at)
+        return size, spiral.select(at)
 
     @abstractmethod
     def axes(self, path: Path) -> dict[str, Floats]:
@@ -167,8 +162,7 @@ class Strategy(Stated, ABC):
                     positive(value, name, symbol)
                 if value < limit.least:
                     raise InputError(f"{name} is {value:g} {symbol}, it must be at least {limit.least:g} {symbol}")
-        if self.spindle_rpm is not None and self.spindle_speeds is not None:
-            raise InputError("spindle_speed and spindle_speeds are both given, only one can be right: remove one")
+        check_one_speed(self)
 
     @classmethod
     def table_keys(cls) -> Mapping[str, Any]:
