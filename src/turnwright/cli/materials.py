@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from turnwright._io import whole_file, write_whole
+from turnwright._io import write_whole
 from turnwright.cli.shared import Session, app, require_unused, show_progress
 from turnwright.errors import InputError
 from turnwright.progress import Step
 
 if TYPE_CHECKING:
-    from turnwright.cutting import Experiment
     from turnwright.material import CriticalThickness, CuttingCoefficient, Material
 
 __all__: list[str] = []
@@ -89,40 +88,15 @@ def fit(context: typer.Context, data: Data, out: Out, picture: Picture = None) -
         text = tomli_w.dumps(experiment.table())
         progress("learn", 1, 1)
     if picture is not None:
-        _draw_fit(experiment, picture)
+        from turnwright.report import write_fit_picture  # noqa: PLC0415 - imports matplotlib
+
+        write_fit_picture(experiment, picture)
     write_whole(out, text)
     for sentence in experiment.learned.sentences:
         session.echo(sentence)
     session.echo(f"material: {out}")
     if picture is not None:
         session.echo(f"picture: {picture}")
-
-
-def _draw_fit(experiment: Experiment, picture: Path) -> None:
-    """Draw measured and fitted forces, and the residuals."""
-    from matplotlib.figure import Figure  # noqa: PLC0415
-
-    fit, critical = experiment.learned.fit, experiment.learned.critical
-    count = len(fit.components)
-    figure = Figure(figsize=(4.2 * count, 5.6), layout="constrained")
-    axes = figure.subplots(2, count, squeeze=False, sharex=True, height_ratios=(2, 1))
-    nm = fit.thickness * 1e6
-    for name, column, measured, fitted in zip(fit.components, axes.T, fit.measured.T, fit.fitted.T, strict=True):
-        column[0].plot(nm, measured * 1e3, ".", ms=3, color="tab:blue", label="measured, without drift")
-        column[0].plot(nm, fitted * 1e3, ".", ms=2, color="k", label="fitted")
-        column[1].plot(nm, (measured - fitted) * 1e3, ".", ms=3, color="tab:blue")
-        column[1].axhline(0, color="k", lw=0.8)
-        column[0].set(title=name, ylabel="force [mN]")
-        column[1].set(xlabel="maximum uncut chip thickness [nm]", ylabel="measured - fitted [mN]")
-        for ax in column:
-            if critical is not None:
-                ax.axvspan(
-                    critical.low * 1e6, critical.high * 1e6, color="tab:red", alpha=0.3, label="critical chip thickness"
-                )
-        column[0].legend(fontsize=7)
-    figure.suptitle(experiment.name)
-    with whole_file(picture) as stream:
-        figure.savefig(stream, dpi=150, format=picture.suffix[1:])
 
 
 def _describe_forces(material: Material) -> str:
