@@ -11,10 +11,10 @@ import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from turnwright._io import read_toml
+from turnwright._io import json_data, read_toml
 from turnwright.errors import InputError
 from turnwright.job import as_tables, written
-from turnwright.web.jobs import look_into, plain, read, require
+from turnwright.web.jobs import look_into, read, require
 from turnwright.web.limits import BODY_BYTES, FILE_BYTES, FILE_ENDINGS, MIN_FREE_BYTES
 from turnwright.web.references import JOB, named, place_of, plain_name, renamed, require_flat, unpack_references
 
@@ -97,7 +97,7 @@ def opened(file: str, folder: str) -> dict[str, Any]:
             raise
         why = error.strerror if isinstance(error, OSError) else str(error)[:80]  # without paths of this computer
         raise InputError(f"the archive cannot be read ({why}): create it again, without a password") from None
-    data = plain(renamed(as_tables(job), lambda kind, name: references.get((kind, name), name)))
+    data = json_data(renamed(as_tables(job), lambda kind, name: references.get((kind, name), name)))
     return {"toml": written(data, text.decode("utf-8-sig")), "data": data, "errors": read(data, folder)[1]}
 
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import fields, is_dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import ValidationError
 
 from turnwright._faults import sentences
-from turnwright._io import read_toml
+from turnwright._io import json_data, read_toml
 from turnwright._tables import adapter, types_of
 from turnwright.errors import InputError, TurnwrightError, shortened
 from turnwright.instrument import Instrument
@@ -35,7 +32,7 @@ from turnwright.web.limits import MAX_POINTS
 from turnwright.web.references import located, require_flat
 
 __all__ = [
-    "check", "look_into", "machines", "parse", "plain", "read", "require", "warm", "warm_kernels", "write",
+    "check", "look_into", "machines", "parse", "read", "require", "warm", "warm_kernels", "write",
 ]  # fmt: skip
 
 MEMORY_BYTES = 6 * 2**30
@@ -234,7 +231,7 @@ def parse(toml: str, folder: str) -> dict[str, Any]:
         require_flat(table)
     except InputError as error:
         return {"data": {}, "errors": [{"field": "", "sentence": str(error)}]}
-    data = plain(as_tables(table))
+    data = json_data(as_tables(table))
     return {"data": data, "errors": read(data, folder)[1]}
 
 
@@ -275,10 +272,10 @@ def check(data: dict[str, Any], folder: str) -> dict[str, Any]:
     except TurnwrightError as error:
         result["errors"] = [{"field": "strategy", "sentence": str(error)}]
         with suppress(TurnwrightError):
-            result["access"] = plain(check_access(job.part.aimed, job.tool, sense=job.strategy.sense))
+            result["access"] = json_data(check_access(job.part.aimed, job.tool, sense=job.strategy.sense))
         return result
-    result["access"] = plain(plan.access)
-    result["preview"] = plain(
+    result["access"] = json_data(plan.access)
+    result["preview"] = json_data(
         {
             "points": plan.points,
             "shortest_s": plan.shortest_s,
@@ -303,18 +300,3 @@ def too_many(points: int) -> str:
         f"the program must have at most {MAX_POINTS} points on the page, got {points}: increase the feed, reduce the "
         "points per revolution, or use the command line"
     )
-
-
-def plain(value: Any) -> Any:
-    """Convert a value to JSON types; non-finite numbers become ``None``."""
-    if is_dataclass(value) and not isinstance(value, type):
-        value = {one.name: getattr(value, one.name) for one in fields(value)}
-    elif isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        return {str(key): plain(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value if isinstance(value, bool | str | int) or value is None else str(value)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from turnwright._io import write_json
 from turnwright.errors import InputError
 from turnwright.files import read_map
 from turnwright.metrology import area_psd, level, overview
-from turnwright.web.jobs import plain, require
+from turnwright.web.jobs import require
 from turnwright.web.packed import pack
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def write_shown(measured: Measured, diagnosis: Diagnosis, out: Path) -> None:
         "explained_rms_nm": diagnosis.explained_rms_nm,
         "unexplained_rms_nm": diagnosis.unexplained_rms_nm,
     }
-    (out / "shown.json").write_text(json.dumps(plain(numbers), allow_nan=False), encoding="utf-8")
+    write_json(out / "shown.json", numbers)
 
 
 def _psd(measured: Measured) -> dict[str, Any] | None:
@@ -108,7 +108,7 @@ def write_predicted(better: Correction, out: Path) -> None:
     sizes = {name: {"pv_nm": pv, "rms_nm": rms} for name, (pv, rms) in better.numbers_nm.items()}
     missed = [one.sentence for one in better.verdicts if one.is_kept is False]
     summary = sizes | {"missed": missed, "sentences": better.sentences}
-    (out / "shown.json").write_text(json.dumps(plain(summary)), encoding="utf-8")
+    write_json(out / "shown.json", summary)
 
 
 def shown_map(file: str, data: dict[str, Any], folder: str, nx: int, ny: int) -> bytes:
@@ -149,12 +149,17 @@ def lone_map(file: str, name: str) -> bytes:
         values = flat.z[::stride, ::stride]
         ends = [[float(axis[::stride][0]), float(axis[::stride][-1])] for axis in (flat.x, flat.y)]
         ends = [[low, high] if high > low else [low - 0.5, low + 0.5] for low, high in ends]
+    return _packed(values, ends, heights.z, name=name, rows=rows)
+
+
+def _packed(values: Floats, ends: list[list[float]], z: Floats, **more: Any) -> bytes:
+    """Pack a map in mm as a picture in nm, with its ends along x and y."""
     values = values * 1e6
     finite = values[np.isfinite(values)]
     low, high = np.percentile(finite, COLOUR_PERCENTILES) if finite.size else (0.0, 0.0)
     header = {
-        "name": name, "rows": rows, "unit": "nm", "x": ends[0], "y": ends[1], "low": float(low), "high": float(high),
-        "diverging": True, "points": int(np.isfinite(heights.z).sum()),
+        "unit": "nm", "x": ends[0], "y": ends[1], "low": float(low), "high": float(high), "diverging": True,
+        "points": int(np.isfinite(z).sum()), **more,
     }  # fmt: skip
     return pack(header, {"values": values})
 
@@ -173,20 +178,8 @@ def picture(file: str, radius: float, nx: int, ny: int) -> bytes:
     """
     heights = read_map(file)
     x, y = heights.points()
-    values = _means(x.ravel(), y.ravel(), heights.z.ravel(), radius, nx, ny) * 1e6
-    finite = values[np.isfinite(values)]
-    low, high = np.percentile(finite, COLOUR_PERCENTILES) if finite.size else (0.0, 0.0)
-    header = {
-        "unit": "nm",
-        "x": [-radius, radius],
-        "y": [-radius, radius],
-        "radius": radius,
-        "low": float(low),
-        "high": float(high),
-        "diverging": True,
-        "points": int(np.isfinite(heights.z).sum()),
-    }
-    return pack(header, {"values": values})
+    values = _means(x.ravel(), y.ravel(), heights.z.ravel(), radius, nx, ny)
+    return _packed(values, [[-radius, radius]] * 2, heights.z, radius=radius)
 
 
 def _means(x: Floats, y: Floats, z: Floats, radius: float, nx: int, ny: int) -> Floats:
