@@ -22,7 +22,7 @@ from turnwright.errors import InputError
 from turnwright.web import bundles, jobs
 from turnwright.web.guard import CLOSE_CONNECTION
 from turnwright.web.limits import FILE_BYTES, FILE_ENDINGS, MAX_FILE_READ_S, MIN_FREE_BYTES
-from turnwright.web.models import Kept, Opened
+from turnwright.web.models import BINARY, FileName, Kept, Opened
 from turnwright.web.references import UPLOAD_REFERENCE, place_of, plain_name, shown_name
 from turnwright.web.workers import TooLong
 
@@ -37,7 +37,7 @@ RAW_BODY = {
     "requestBody": {
         "description": "The bytes of the file.",
         "required": True,
-        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+        "content": {"application/octet-stream": {"schema": BINARY}},
     }
 }
 
@@ -48,7 +48,7 @@ Kind = Literal["heights", "waviness", "straightness", "correction", "machine", "
 async def bring(
     request: Request,
     kind: Annotated[Kind, Query(description="Kind of the file; the schema of a job states it for each field.")],
-    name: Annotated[str, Query(min_length=1, max_length=200, description="Name of the file.")],
+    name: FileName,
 ) -> Kept:
     """Upload and validate a file for use in a job."""
     state = request.app.state

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from annotated_types import MaxLen
+from fastapi import Path, Query
 from pydantic import BaseModel, ConfigDict, Field
 
 from turnwright.web.limits import BODY_BYTES
 
 __all__ = [
+    "BINARY",
     "About",
     "Causes",
     "Check",
+    "Coordinate",
     "Data",
     "Edited",
     "ExampleJob",
     "ExampleLine",
     "Fault",
+    "FileName",
     "Id",
     "Kept",
     "Limits",
@@ -33,17 +38,25 @@ __all__ = [
     "Question",
     "RunDetail",
     "RunFile",
+    "RunId",
     "RunLine",
     "Toml",
     "Written",
-    "archived",
+    "answer_of",
 ]
 
 
-def archived(description: str) -> dict[int | str, dict[str, Any]]:
-    """Return the OpenAPI responses of a route that returns a ZIP archive."""
-    content = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
-    return {200: {"description": description, "content": content}}
+BINARY = {"type": "string", "format": "binary"}
+"""JSON schema of a file."""
+
+RunId = Annotated[str, Path(pattern="^[0-9a-f]{16}$", description="Identifier of the run.")]
+Coordinate = Annotated[float, Query(ge=-1e5, le=1e5, allow_inf_nan=False, description="[mm]")]
+FileName = Annotated[str, Query(min_length=1, max_length=200, description="Name of the file.")]
+
+
+def answer_of(description: str, media_type: str, schema: Mapping[str, str] = BINARY) -> dict[int | str, dict[str, Any]]:
+    """Return the OpenAPI responses of a route that does not return JSON of a model."""
+    return {200: {"description": description, "content": {media_type: {"schema": schema}}}}
 
 
 class Model(BaseModel):

@@ -27,7 +27,7 @@ from turnwright.web.limits import MAX_RUN_H, PARSE_BYTES, PARSE_S
 from turnwright.web.references import JOB, text_in
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Iterator, Mapping
+    from collections.abc import AsyncIterator, Callable, Iterator, Mapping
     from pathlib import Path
 
 __all__ = ["ENDED", "Run", "Runs"]
@@ -269,40 +269,44 @@ class Runs:
     async def changes(self) -> AsyncIterator[str]:
         """Yield an event at once, and whenever a run is added, changes its state or is deleted."""
         sent = -1
-        quiet = time.monotonic()
-        while not self._closed and not self._is_ending:
-            if sent != self._changed:
-                sent = self._changed
-                yield _event("runs", {"changed": sent})
-                quiet = time.monotonic()
-            elif time.monotonic() - quiet > HEARTBEAT_S:
-                quiet = time.monotonic()
-                yield HEARTBEAT
-            await asyncio.sleep(POLL_S)
+
+        def news() -> list[str]:
+            nonlocal sent
+            if sent == self._changed:
+                return []
+            sent = self._changed
+            return [_event("runs", {"changed": sent})]
+
+        async for event in self._polled(news):
+            yield event
 
     async def events(self, name: str) -> AsyncIterator[str]:
         """Yield the state and progress events of a run until it has ended."""
-        sent: tuple[str, str] | None = None
-        last: dict[str, Any] | None = None
-        quiet = time.monotonic()
-        while True:
+        sent: dict[str, dict[str, Any]] = {}
+
+        def news() -> list[str] | None:
             run = self._runs.get(name)
-            if run is None:
+            if run is None or sent.get("state", {}).get("state") in ENDED:
+                return None
+            latest = {"state": {"state": run.state, "sentence": run.sentence}}
+            if run.state == "running" and (progress := self.progress(name)) is not None:
+                latest["progress"] = progress
+            changed = {kind: data for kind, data in latest.items() if data != sent.get(kind)}
+            sent.update(changed)
+            return [_event(kind, data) for kind, data in changed.items()]
+
+        async for event in self._polled(news):
+            yield event
+
+    async def _polled(self, news: Callable[[], list[str] | None]) -> AsyncIterator[str]:
+        """Yield new events, and heartbeats between them, until there are ``None`` or the server ends."""
+        quiet = time.monotonic()
+        while (events := news()) is not None:
+            for event in events or ([HEARTBEAT] if time.monotonic() - quiet > HEARTBEAT_S else []):
+                quiet = time.monotonic()
+                yield event
+            if self._closed or self._is_ending:
                 return
-            if (run.state, run.sentence) != sent:
-                sent = run.state, run.sentence
-                yield _event("state", {"state": run.state, "sentence": run.sentence})
-                quiet = time.monotonic()
-            if run.state in ENDED or self._closed or self._is_ending:
-                return
-            progress = self.progress(name) if run.state == "running" else None
-            if progress is not None and progress != last:
-                last = progress
-                yield _event("progress", progress)
-                quiet = time.monotonic()
-            elif time.monotonic() - quiet > HEARTBEAT_S:
-                quiet = time.monotonic()
-                yield HEARTBEAT
             await asyncio.sleep(POLL_S)
 
     def _keep(self, run: Run) -> None:

@@ -49,8 +49,6 @@ FILE_OR_NAME = frozenset({"material", "instrument"})
 MAX_DEPTH = 40
 """Largest nesting depth of tables and lists."""
 
-TOO_DEEP = f"the nesting depth of a job must be at most {MAX_DEPTH}"
-
 MAX_VALUES = 500_000
 
 JOB = "job.toml"
@@ -64,10 +62,6 @@ BUNDLE = "job.zip"
 
 RUN_REFERENCE = re.compile(r"runs/([0-9a-f]{16})/([A-Za-z0-9_-]{1,60}\.[A-Za-z0-9]{1,8})")
 UPLOAD_REFERENCE = re.compile(r"files/([0-9a-f]{32})/([A-Za-z0-9_-]{1,60}(\.[a-z0-9]{1,8}))")
-
-
-class _Refused(Exception):  # noqa: N818
-    pass
 
 
 class Located(NamedTuple):
@@ -133,47 +127,50 @@ def located(data: dict[str, Any], folder: Path) -> Located:
         Folder of the server.
     """
     result = Located({}, [], {})
-    count = 0
 
-    def walked(value: object, field: str, key: str, depth: int) -> Any:
-        nonlocal count
-        count += 1
-        if depth > MAX_DEPTH or count > MAX_VALUES:
-            raise _Refused(TOO_DEEP if depth > MAX_DEPTH else f"a job must have at most {MAX_VALUES} values")
-        if isinstance(value, dict):
-            return {
-                name: walked(one, f"{field}.{name}" if field else str(name), str(name), depth + 1)
-                for name, one in value.items()
-            }
-        if isinstance(value, list):
-            return [walked(one, f"{field}[{place}]", key, depth + 1) for place, one in enumerate(value, 1)]
+    def replaced(value: object, field: str, key: str) -> object:
         if isinstance(value, str) and "\0" in value:
             result.problems.append({"field": field, "sentence": "must not contain the null character"})
             return ""
-        if _names_file(key, value):
-            return _path(value, field, key, folder, result)
-        return value
+        return _path(value, field, key, folder, result) if _names_file(key, value) else value
 
     try:
-        return result._replace(data=walked(data, "", "", 0))
-    except _Refused as error:
+        require_flat(data)
+    except InputError as error:
         return Located({}, [{"field": "", "sentence": str(error)}], {})
+    return result._replace(data=_rebuilt(data, replaced))
+
+
+def _rebuilt(value: Any, replaced: Callable[[object, str, str], object], field: str = "", key: str = "") -> Any:
+    """Replace each value of a job by ``replaced(value, field, key)``."""
+    if isinstance(value, dict):
+        return {
+            name: _rebuilt(one, replaced, f"{field}.{name}" if field else str(name), str(name))
+            for name, one in value.items()
+        }
+    if isinstance(value, list):
+        return [_rebuilt(one, replaced, f"{field}[{place}]", key) for place, one in enumerate(value, 1)]
+    return replaced(value, field, key)
 
 
 def require_flat(data: dict[str, Any]) -> None:
-    """Raise if a job is nested too deeply to be walked; a dotted key can create any depth.
+    """Raise if a job has too many values, or is nested too deeply to be walked; a dotted key can create any depth.
 
     Raises
     ------
     InputError
-        If the nesting depth exceeds `MAX_DEPTH`.
+        If `MAX_DEPTH` or `MAX_VALUES` is exceeded.
     """
     level: list[Any] = [data]
+    count = 0
     for _ in range(MAX_DEPTH + 1):
+        count += len(level)
         tables = [one.values() if isinstance(one, dict) else one for one in level if isinstance(one, dict | list)]
         level = [inner for one in tables for inner in one]
     if level:
-        raise InputError(TOO_DEEP)
+        raise InputError(f"the nesting depth of a job must be at most {MAX_DEPTH}")
+    if count > MAX_VALUES:
+        raise InputError(f"a job must have at most {MAX_VALUES} values")
 
 
 def _names_file(key: str, value: object) -> bool:
@@ -288,28 +285,18 @@ def named(data: dict[str, Any]) -> list[Named]:
     """Return the files that a job names."""
     names: list[Named] = []
 
-    def walked(value: object, field: str, key: str) -> None:
-        if isinstance(value, dict):
-            for name, one in value.items():
-                walked(one, f"{field}.{name}" if field else name, name)
-        elif isinstance(value, list):
-            for place, one in enumerate(value, 1):
-                walked(one, f"{field}[{place}]", key)
-        elif isinstance(value, str) and _names_file(key, value):
+    def listed(value: object, field: str, key: str) -> None:
+        if isinstance(value, str) and _names_file(key, value):
             names.append(Named(field, kind_of(field, key), value))
 
-    walked(data, "", "")
+    _rebuilt(data, listed)
     return names
 
 
 def renamed(data: dict[str, Any], name: Callable[[str, str], str]) -> dict[str, Any]:
     """Replace each file name in a job by ``name(kind, file_name)``."""
 
-    def walked(value: object, field: str, key: str) -> Any:
-        if isinstance(value, dict):
-            return {one: walked(inner, f"{field}.{one}" if field else one, one) for one, inner in value.items()}
-        if isinstance(value, list):
-            return [walked(one, field, key) for one in value]
+    def replaced(value: object, field: str, key: str) -> object:
         return name(kind_of(field, key), value) if isinstance(value, str) and _names_file(key, value) else value
 
-    return walked(data, "", "")  # type: ignore[no-any-return]
+    return _rebuilt(data, replaced)  # type: ignore[no-any-return]
