@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from turnwright._io import write_whole
-from turnwright.cli.shared import Session, app, require_unused, show_progress
-from turnwright.errors import InputError
+from turnwright.cli.shared import Session, app, require_picture, require_unused, show_progress
 from turnwright.progress import Step
+from turnwright.units import say_length
 
 if TYPE_CHECKING:
     from turnwright.material import CriticalThickness, CuttingCoefficient, Material
 
 __all__: list[str] = []
-
-PICTURE_FORMATS = (".png", ".svg", ".pdf")
 
 REFERENCE_THICKNESS = 1e-3
 """Uncut chip thickness at which varying coefficients are listed. [mm]"""
@@ -75,9 +73,7 @@ def fit(context: typer.Context, data: Data, out: Out, picture: Picture = None) -
     session: Session = context.obj
     require_unused(out)
     if picture is not None:
-        require_unused(picture)
-        if picture.suffix.lower() not in PICTURE_FORMATS:
-            raise InputError(f"the picture is {picture.name!r}, it must end in {', '.join(PICTURE_FORMATS)}")
+        require_picture(picture)
     import tomli_w  # noqa: PLC0415
 
     from turnwright.cutting import learn_from_file  # noqa: PLC0415
@@ -131,18 +127,14 @@ def _describe_dependence(quantity: CuttingCoefficient | CriticalThickness) -> st
     return f"; varies with {', '.join(names)}" if names else ""
 
 
-def _format_thickness(length: float) -> str:
-    return f"{length:g} mm" if length >= 1 else f"{length * 1e3:.4g} um" if length >= 1e-3 else f"{length * 1e6:.4g} nm"
-
-
 def _describe_coefficient(coefficient: CuttingCoefficient) -> str:
     reference, bounds = coefficient.reference_thickness, coefficient.stated
     spread = "" if coefficient.uncertainty is None else f" +- {coefficient.uncertainty:.3g}"
-    at = "" if reference is None else f" at {_format_thickness(reference)}"
+    at = "" if reference is None else f" at {say_length(reference, 4)}"
     power = f", decreasing with chip thickness to the power {coefficient.exponent:g}" if coefficient.exponent else ""
     valid = ""
     if bounds is not None:
-        valid = f"; valid for chips of {_format_thickness(bounds[0])} to {_format_thickness(bounds[1])}"
+        valid = f"; valid for chips of {say_length(bounds[0], 4)} to {say_length(bounds[1], 4)}"
     return f"{coefficient.value:.5g}{spread} N/mm^2{at}{power}{_describe_dependence(coefficient)}{valid}"
 
 
