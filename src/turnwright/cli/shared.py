@@ -113,13 +113,7 @@ def print_status(text: str) -> None:
 
 
 def exit_on_missed(session: Session, verdicts: Iterable[Verdict]) -> None:
-    """Exit with `MISSED_CODE` if a tolerance is missed.
-
-    Raises
-    ------
-    typer.Exit
-        With `MISSED_CODE`.
-    """
+    """Exit with `MISSED_CODE` if a tolerance is missed."""
     from turnwright.job import missed  # noqa: PLC0415
 
     verdicts = tuple(verdicts)

@@ -82,15 +82,7 @@ ARRAY_UNITS = {
 
 
 def archive_run(result: Result, folder: str | PathLike[str]) -> None:
-    """Write ``job.toml``, ``result.json``, ``maps/*.npy`` and ``run.h5``.
-
-    Parameters
-    ----------
-    result
-        Result of a run.
-    folder
-        Existing folder that holds the program files.
-    """
+    """Write ``job.toml``, ``result.json``, ``maps/*.npy`` and ``run.h5`` to the folder of the program."""
     folder = Path(folder)
     job = result.job.to_toml()
     write_whole(folder / "job.toml", job)
@@ -117,15 +109,7 @@ def archive_run(result: Result, folder: str | PathLike[str]) -> None:
 
 
 def archive_comparison(found: Comparison, folder: str | PathLike[str]) -> None:
-    """Write ``job.toml`` and ``comparison.json`` with all numbers of every strategy.
-
-    Parameters
-    ----------
-    found
-        Comparison of the strategies.
-    folder
-        Existing folder.
-    """
+    """Write ``job.toml`` and ``comparison.json`` with all numbers of every strategy."""
     folder = Path(folder)
     write_whole(folder / "job.toml", found.job.to_toml())
     numbers = {
@@ -144,15 +128,7 @@ def archive_comparison(found: Comparison, folder: str | PathLike[str]) -> None:
 
 
 def archive_tiled(made: TiledMap, rough: Roughness, spectrum: Spectrum, folder: str | PathLike[str]) -> None:
-    """Write ``tiled.json`` and ``spectrum.csv``.
-
-    Parameters
-    ----------
-    made, rough, spectrum
-        Tiled map, its roughness and its spectrum.
-    folder
-        Existing folder.
-    """
+    """Write ``tiled.json`` and ``spectrum.csv``."""
     folder = Path(folder)
     numbers = {
         "map": {"shape": list(made.shape), "pixel_mm": list(made.pixel), "extent_mm": list(made.extent)},
@@ -166,15 +142,7 @@ def archive_tiled(made: TiledMap, rough: Roughness, spectrum: Spectrum, folder: 
 
 
 def archive_measured(measured: Measured, folder: str | PathLike[str]) -> None:
-    """Write ``measured.json``, ``error.npz`` (error over the part) and, for a lens array, ``lenslets.csv``.
-
-    Parameters
-    ----------
-    measured
-        Registered measurement of a part.
-    folder
-        Existing folder.
-    """
+    """Write ``measured.json``, ``error.npz`` (error over the part) and, for a lens array, ``lenslets.csv``."""
     folder = Path(folder)
     write_map(measured.error, folder / "error.npz")
     if measured.lenslets is not None:
@@ -227,15 +195,7 @@ def _base_form(measured: Measured) -> dict[str, object] | None:
 
 
 def archive_diagnosis(measured: Sequence[Measured], found: Diagnosis, folder: str | PathLike[str]) -> None:
-    """Write ``diagnosis.json`` and the residual of each map as ``left-1.npz``, ``left-2.npz`` ...
-
-    Parameters
-    ----------
-    measured, found
-        Measured parts and their diagnosis.
-    folder
-        Existing folder.
-    """
+    """Write ``diagnosis.json`` and the residual of each map as ``left-1.npz``, ``left-2.npz`` ..."""
     folder = Path(folder)
     for number, residual in enumerate(found.residuals, 1):
         write_map(residual, folder / f"left-{number}.npz")
@@ -264,15 +224,7 @@ def _diagnosis_numbers(measured: Sequence[Measured], diagnosis: Diagnosis) -> di
 def archive_correction(
     measured: Sequence[Measured], found: Diagnosis, better: Correction, folder: str | PathLike[str]
 ) -> None:
-    """Write ``correction.json`` and ``predicted.npz`` to the folder of the corrected job.
-
-    Parameters
-    ----------
-    measured, found, better
-        Measured parts, their diagnosis and the correction.
-    folder
-        Existing folder.
-    """
+    """Write ``correction.json`` and ``predicted.npz`` to the folder of the corrected job."""
     folder = Path(folder)
     write_map(better.simulated if better.predicted is None else better.predicted, folder / "predicted.npz")
     numbers = {name: {"pv_nm": pv, "rms_nm": rms} for name, (pv, rms) in better.numbers_nm.items()}
@@ -294,13 +246,7 @@ def _write_json(file: Path, numbers: Mapping[str, object]) -> None:
 
 
 def write_maps(predictions: Iterable[Prediction], folder: str | PathLike[str]) -> list[dict[str, Any]]:
-    """Write the heights and axes of maps as ``maps/NAME.npy``, ``maps/NAME.x.npy`` ...
-
-    Returns
-    -------
-    list
-        Their entries in ``result.json``.
-    """
+    """Write heights and axes of maps as ``maps/NAME.npy`` ...; return their entries in ``result.json``."""
     entries = []
     (Path(folder) / "maps").mkdir()
     for prediction in predictions:
@@ -373,12 +319,7 @@ def _store(group: Any, arrays: Mapping[str, Floats | None]) -> None:
 
 
 def read_maps(path: str | PathLike[str]) -> dict[str, HeightMap]:
-    """Read the error maps of a run archive.
-
-    Parameters
-    ----------
-    path
-        ``run.h5``.
+    """Read the error maps of a run archive, ``run.h5``.
 
     Raises
     ------

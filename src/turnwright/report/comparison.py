@@ -54,15 +54,7 @@ def cells(one: Candidate) -> tuple[str, ...]:
 
 
 def write_comparison(found: Comparison, path: str | PathLike[str]) -> File:
-    """Write the page of a comparison and return its file.
-
-    Parameters
-    ----------
-    found
-        Comparison of the strategies.
-    path
-        File, or an existing folder in which the page is named ``report.html``.
-    """
+    """Write the page of a comparison, see `write_page`."""
     done = [one for one in found.candidates if not one.refused]
     letters = sorted({letter for one in done if one.limits for letter in one.limits.travel if letter != "C"})
     kinds = ("stroke [mm]", "peak speed [mm/s]", "peak acceleration [mm/s²]")

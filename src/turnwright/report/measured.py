@@ -66,15 +66,7 @@ def _number(label: str, value: float, note: str) -> Number:
 
 
 def write_measured(measured: Measured, path: str | PathLike[str]) -> File:
-    """Write the page of a measured part and return its file.
-
-    Parameters
-    ----------
-    measured
-        From `turnwright.measure`.
-    path
-        File, or an existing folder in which the page is named ``report.html``.
-    """
+    """Write the page of a measured part, see `write_page`."""
     rough = measured.roughness
     page = Page(
         kind="Measured",
@@ -98,17 +90,7 @@ def write_measured(measured: Measured, path: str | PathLike[str]) -> File:
 
 
 def write_diagnosis(measured: Sequence[Measured], found: Diagnosis, path: str | PathLike[str]) -> File:
-    """Write the page of a diagnosis and return its file.
-
-    Parameters
-    ----------
-    measured
-        Parts that were diagnosed.
-    found
-        From `turnwright.diagnose`.
-    path
-        File, or an existing folder in which the page is named ``report.html``.
-    """
+    """Write the page of a diagnosis of measured parts, see `write_page`."""
     correctable = [one for one in found if one.verdict == "correct"]
     page = Page(
         title=" and ".join(dict.fromkeys(one.job.part.name or "part" for one in measured)),
@@ -137,17 +119,7 @@ def write_diagnosis(measured: Sequence[Measured], found: Diagnosis, path: str | 
 def write_correction(
     measured: Sequence[Measured], found: Diagnosis, better: Correction, path: str | PathLike[str]
 ) -> File:
-    """Write the page of a correction and return its file.
-
-    Parameters
-    ----------
-    measured, found
-        Measured parts and their diagnosis.
-    better
-        From `turnwright.correct`.
-    path
-        File, or an existing folder in which the page is named ``report.html``.
-    """
+    """Write the page of a correction, see `write_page`."""
     sizes = better.numbers_nm
     radius, is_compensated = better.job.part.radius, better.job.part.correction is not None
     names = {"measured": "as measured", "predicted": "predicted after the correction", "simulated": "simulated alone"}

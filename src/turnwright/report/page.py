@@ -112,7 +112,10 @@ def page_file(path: str | PathLike[str]) -> File:
 
 
 def write_page(page: Page, path: str | PathLike[str]) -> File:
-    """Render a page, write it atomically, and return its file."""
+    """Render a page, write it atomically, and return its file.
+
+    In an existing folder, the file is named ``report.html``.
+    """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("turnwright.report", "."),
         autoescape=True,

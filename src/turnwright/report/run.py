@@ -59,15 +59,7 @@ CHIP_TEXT = (
 
 
 def write_report(result: Result, path: str | PathLike[str]) -> File:
-    """Write the page of a run and return its file.
-
-    Parameters
-    ----------
-    result
-        Result of the run.
-    path
-        File, or an existing folder in which the page is named ``report.html``.
-    """
+    """Write the page of a run, see `write_page`."""
     path = page_file(path)
     verdicts, program, feed = result.verdicts, result.program, result.passes[-1].feed
     failed = _failed(verdicts)
@@ -164,20 +156,9 @@ def write_backplot(
     predictions: Sequence[Prediction],
     path: str | PathLike[str],
 ) -> File:
-    """Write the page of a back-plotted NC program and return its file.
+    """Write the page of a back-plotted NC program, see `write_page`.
 
-    Parameters
-    ----------
-    program
-        Program file.
-    job
-        Job with the nominal surface, tool and machine of the simulation.
-    motion, limits
-        Motion of the program and its check against the machine limits.
-    predictions
-        Simulated surfaces, see `turnwright.job.predict`.
-    path
-        File, or an existing folder in which the page is named ``report.html``.
+    The job has the nominal surface, tool and machine of the simulation.
     """
     path, program = page_file(path), File(program)
     verdicts = judge(job, predictions)

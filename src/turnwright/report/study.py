@@ -30,15 +30,7 @@ MAX_LISTED_VALUES = 4
 
 
 def write_study(found: Study, path: str | PathLike[str]) -> File:
-    """Write the page of a study and return its file.
-
-    Parameters
-    ----------
-    found
-        Study with the results of all cases.
-    path
-        File, or an existing folder in which the page is named ``report.html``.
-    """
+    """Write the page of a study, see `write_page`."""
     numbers = [one.name for one in found.measures if one.values.dtype.kind in "fi"]
     sections = [Section(text=_describe_design(found)), Section(title="Results", items=_pictures(found, numbers))]
     if numbers and (best := found.best(numbers[0], MAX_BEST_CASES)):

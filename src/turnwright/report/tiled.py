@@ -25,15 +25,7 @@ WINDOW_PIXELS = 300
 
 
 def write_tiled(job: Job, made: TiledMap, rough: Roughness, spectrum: Spectrum, path: str | PathLike[str]) -> File:
-    """Write the page of a tiled map of a whole part and return its file.
-
-    Parameters
-    ----------
-    job, made, rough, spectrum
-        Job, tiled map of its error, and roughness and spectrum of the map.
-    path
-        File, or an existing folder in which the page is named ``report.html``.
-    """
+    """Write the page of a tiled map of a whole part, see `write_page`."""
     part = job.part
     x_low, x_high, y_low, y_high = made.extent
     side = WINDOW_PIXELS * max(made.pixel) / 2

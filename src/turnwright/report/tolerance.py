@@ -32,15 +32,7 @@ SENSITIVITY_TEXT = (
 
 
 def write_tolerance(found: ToleranceStudy, path: str | PathLike[str]) -> File:
-    """Write the page of a tolerance study and return its file.
-
-    Parameters
-    ----------
-    found
-        Tolerance study.
-    path
-        File, or an existing folder in which the page is named ``report.html``.
-    """
+    """Write the page of a tolerance study, see `write_page`."""
     kind, best = list(found.outcomes.items())[-1]
     grade, word = _grade(best.probability.value)
     page = Page(

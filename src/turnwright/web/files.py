@@ -102,17 +102,7 @@ def _too_long(what: str, error: TooLong) -> str:
 
 
 async def stored(request: Request, file: File, most: int) -> tuple[int, str]:
-    """Stream a request body to disk; return its size and the beginning of its SHA-256.
-
-    Parameters
-    ----------
-    request
-        Request with the body.
-    file
-        File to write.
-    most
-        Size limit. [byte]
-    """
+    """Stream a request body of at most ``most`` bytes to disk; return its size and the beginning of its SHA-256."""
     seen, digest = 0, hashlib.sha256()
     most = min(most, shutil.disk_usage(file.parent).free - MIN_FREE_BYTES)
     try:

@@ -76,15 +76,7 @@ def limit_memory(extra: int) -> None:
 
 
 def read(data: dict[str, Any], folder: str) -> tuple[Job | None, list[dict[str, str]]]:
-    """Return the job of a page, or its problems.
-
-    Parameters
-    ----------
-    data
-        Job as JSON data.
-    folder
-        Folder of the server, to resolve references.
-    """
+    """Return the job of a page, or its problems; references are resolved in the folder of the server."""
     real, problems, references = located(data, Path(folder))
     problems += _unknown_machine(real)
     if problems:
@@ -109,20 +101,7 @@ def _with_names(sentence: str, references: Mapping[str, str]) -> str:
 
 
 def look_into(file: str, kind: str) -> None:
-    """Validate a file for use in a job.
-
-    Parameters
-    ----------
-    file
-        Path of the file.
-    kind
-        See `turnwright.web.limits.FILE_ENDINGS`.
-
-    Raises
-    ------
-    InputError
-        If it is not a valid file of this kind.
-    """
+    """Raise unless a file is valid for use in a job; for its kind see `turnwright.web.limits.FILE_ENDINGS`."""
     path = Path(file)
     reasons = []
     for units in UNITS if kind == "heights" else ({},):
@@ -211,13 +190,7 @@ def _unknown_machine(data: dict[str, Any]) -> list[dict[str, str]]:
 
 
 def require(data: dict[str, Any], folder: str) -> Job:
-    """Return the job of a page.
-
-    Raises
-    ------
-    InputError
-        With the first problems of the job.
-    """
+    """Return the job of a page, or raise an InputError with its first problems."""
     job, problems = read(data, folder)
     if job is None:
         raise InputError("\n".join(one["sentence"] for one in problems[:5]))
@@ -236,17 +209,7 @@ def parse(toml: str, folder: str) -> dict[str, Any]:
 
 
 def write(data: dict[str, Any], folder: str, before: str = "") -> dict[str, Any]:
-    """Return a job as a file, with its problems.
-
-    Parameters
-    ----------
-    data
-        Job as JSON data.
-    folder
-        Folder of the server, to resolve references.
-    before
-        Previous text of the file, whose comments and layout are kept.
-    """
+    """Return a job as a file, with its problems; comments and layout of the text ``before`` are kept."""
     _, problems = read(data, folder)
     try:
         toml = written(data, before)

@@ -117,17 +117,7 @@ def _ready(folder: str) -> _Opened:
 
 
 class FinishingPass(NamedTuple):
-    """The last pass of a run, on disk.
-
-    Parameters
-    ----------
-    job
-        Job of the run.
-    file
-        Main program file.
-    name
-        Name of the pass.
-    """
+    """The last pass of a run on disk: its job, main program file and name."""
 
     job: Job
     file: File

@@ -31,13 +31,7 @@ PICTURES = {"measured": "error.npz", "residual": "left-1.npz", "predicted": "pre
 
 
 def _map_suffix(name: str) -> str:
-    """Return the extension of a map file.
-
-    Raises
-    ------
-    HTTPException
-        If it is not the extension of a supported format.
-    """
+    """Return the extension of a map file; refuse any that is not of a supported format."""
     suffix = File(name.replace("\\", "/")).suffix.lower()
     if suffix not in MAP_TYPES:
         raise HTTPException(422, f"a measured map must end in {', '.join(MAP_TYPES)}, got {suffix[:12]!r}")

@@ -95,19 +95,7 @@ class Run:
 
 
 class Runs:
-    """All runs of a server.
-
-    Parameters
-    ----------
-    folder
-        Folder of the server.
-    at_a_time
-        Number of parallel runs.
-    nice
-        Niceness of their processes.
-    parse_s, parse_bytes
-        Time and memory limits for reading a measured file. [s, byte]
-    """
+    """All runs of a server; for the parameters see `turnwright.web.create_app`."""
 
     def __init__(
         self,
@@ -172,24 +160,7 @@ class Runs:
             shutil.rmtree(folder, ignore_errors=True)
 
     def add(self, folder: Path, data: Mapping[str, Any], *, kind: str, name: str, text: str = "", **more: Any) -> Run:
-        """Queue a run.
-
-        Parameters
-        ----------
-        folder
-            Folder from `new_folder`, with all input besides the job.
-        data
-            The job.
-        kind, name, more
-            See `Run`.
-        text
-            The job as text.
-
-        Raises
-        ------
-        InputError
-            If too many runs are waiting.
-        """
+        """Queue a run whose input, besides the job, is in a folder from `new_folder`; ``more`` are fields of `Run`."""
         waiting = sum(run.state == "queued" for run in self._runs.values())
         if waiting >= MAX_QUEUED:
             raise InputError(f"at most {MAX_QUEUED} runs can wait, got {waiting}: cancel some, or try again later")

@@ -65,17 +65,7 @@ UPLOAD_REFERENCE = re.compile(r"files/([0-9a-f]{32})/([A-Za-z0-9_-]{1,60}(\.[a-z
 
 
 class Located(NamedTuple):
-    """A job with paths in place of references.
-
-    Parameters
-    ----------
-    data
-        The job.
-    problems
-        Faults of its references.
-    references
-        Path by valid reference. A file that was uploaded under several names has several references.
-    """
+    """A job with paths in place of references, the faults of its references, and the path of each valid one."""
 
     data: dict[str, Any]
     problems: list[dict[str, str]]
@@ -117,15 +107,7 @@ def place_of(folder: Path, name: str, kind: str, ending: str) -> Path:
 
 
 def located(data: dict[str, Any], folder: Path) -> Located:
-    """Replace the references of a job by paths, and report invalid ones.
-
-    Parameters
-    ----------
-    data
-        The job as a page sent it.
-    folder
-        Folder of the server.
-    """
+    """Replace the references of a job by paths in the folder of the server, and report invalid ones."""
     result = Located({}, [], {})
 
     def replaced(value: object, field: str, key: str) -> object:
@@ -154,13 +136,7 @@ def _rebuilt(value: Any, replaced: Callable[[object, str, str], object], field: 
 
 
 def require_flat(data: dict[str, Any]) -> None:
-    """Raise if a job has too many values, or is nested too deeply to be walked; a dotted key can create any depth.
-
-    Raises
-    ------
-    InputError
-        If `MAX_DEPTH` or `MAX_VALUES` is exceeded.
-    """
+    """Raise if a job has too many values, or is nested too deeply to be walked; a dotted key can create any depth."""
     level: list[Any] = [data]
     count = 0
     for _ in range(MAX_DEPTH + 1):
@@ -209,15 +185,7 @@ def _file(reference: str, kind: str, folder: Path) -> Path | None:
 
 
 def unpack_references(data: dict[str, Any], folder: Path) -> tuple[dict[str, Any], dict[str, Path]]:
-    """Replace the references of a job by plain file names; return it with the files by name.
-
-    Parameters
-    ----------
-    data
-        The job as a page sent it.
-    folder
-        Folder of the server.
-    """
+    """Replace the references of a job by plain file names; return it with the files by name."""
     references = {reference: Path(path) for reference, path in located(data, folder).references.items()}
     files: dict[str, Path] = {}
     names: dict[str, str] = {}
@@ -239,15 +207,7 @@ def text_in(run: Path) -> str:
 
 
 def job_in(run: Path, folder: Path) -> dict[str, Any]:
-    """Return the job of a run, with references; for a correction, the corrected job.
-
-    Parameters
-    ----------
-    run
-        Folder of the run.
-    folder
-        Folder of the server.
-    """
+    """Return the job in the folder of a run, with references; for a correction, the corrected job."""
     data: dict[str, Any] = json.loads((run / "job.json").read_text(encoding="utf-8"))
     corrected = run / CORRECTION / JOB
     if not corrected.is_file():
@@ -264,17 +224,7 @@ def job_in(run: Path, folder: Path) -> dict[str, Any]:
 
 
 class Named(NamedTuple):
-    """A file that a job names.
-
-    Parameters
-    ----------
-    field
-        Path of the field.
-    kind
-        See `kind_of`.
-    name
-        Value of the field.
-    """
+    """A file that a job names: path of the field, kind as of `kind_of`, and value."""
 
     field: str
     kind: str

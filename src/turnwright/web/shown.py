@@ -39,15 +39,7 @@ LENSLET = (
 
 
 def write_shown(measured: Measured, diagnosis: Diagnosis, out: Path) -> None:
-    """Write ``shown.json``, the data of a measured part for the page.
-
-    Parameters
-    ----------
-    measured, found
-        Measured part and its diagnosis.
-    out
-        Existing folder.
-    """
+    """Write ``shown.json``, the data of a measured part for the page, to an existing folder."""
     registration, terms, lenses = measured.registration, measured.zernike, measured.lenslets
     zernike = [] if terms is None else zip(terms.indices, terms.coefficients, terms.uncertainty, strict=True)
     numbers = {
@@ -119,17 +111,7 @@ def shown_map(file: str, data: dict[str, Any], folder: str, nx: int, ny: int) ->
 def lone_map(file: str, name: str) -> bytes:
     """Return a measured map as a packed picture, with the facts that `turnwright show` prints.
 
-    Parameters
-    ----------
-    file
-        Path of the measured file.
-    name
-        Original name of the file.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read; the message contains ``name``.
+    An error message names the file by its original ``name``.
     """
     try:
         heights = read_map(file)
@@ -165,16 +147,9 @@ def _packed(values: Floats, ends: list[list[float]], z: Floats, **more: Any) -> 
 
 
 def picture(file: str, radius: float, nx: int, ny: int) -> bytes:
-    """Return a map of errors over the whole part as a packed picture.
+    """Return a map of errors over the whole part as a packed picture of ``nx`` by ``ny`` pixels.
 
-    Parameters
-    ----------
-    file
-        File from `turnwright.write_map`, gridded or scattered.
-    radius
-        Semi-diameter of the clear aperture. [mm]
-    nx, ny
-        Pixels along x and y. Each is the mean of its points, or of neighbouring pixels if it has none.
+    Each is the mean of its points, or of neighbouring pixels if it has none.
     """
     heights = read_map(file)
     x, y = heights.points()
