@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import secrets
 import shutil
 from contextlib import suppress
 from pathlib import Path as File
@@ -13,9 +12,9 @@ from fastapi import APIRouter, HTTPException, Query, Request
 from fastapi.responses import FileResponse, Response
 
 from turnwright.web import shown
-from turnwright.web.files import RAW_BODY, stored
+from turnwright.web.files import RAW_BODY, stored, uploaded
 from turnwright.web.guard import UPLOAD_BYTES
-from turnwright.web.limits import FILE_BYTES, MAP_TYPES, MAX_FILE_READ_S
+from turnwright.web.limits import MAP_TYPES, MAX_FILE_READ_S
 from turnwright.web.models import Causes, FileName, Id, Measurement, RunId
 from turnwright.web.queue import Run, Runs
 from turnwright.web.references import CORRECTION, shown_name
@@ -69,12 +68,8 @@ async def show(
     """Return the picture and the facts of a measured map without a job; nothing is stored."""
     state = request.app.state
     suffix = _map_suffix(name)
-    file = state.folder / "files" / f".{secrets.token_hex(16)}{suffix}"
-    try:
-        await stored(request, file, FILE_BYTES)
+    async with uploaded(request, suffix) as (file, *_):
         packed = await state.workers.ask(shown.lone_map, str(file), shown_name(name), limit_s=MAX_FILE_READ_S)
-    finally:
-        file.unlink(missing_ok=True)
     return PackedResponse(packed)
 
 

@@ -40,6 +40,7 @@ __all__ = [
     "RunFile",
     "RunId",
     "RunLine",
+    "RunState",
     "Toml",
     "Written",
     "answer_of",
@@ -209,8 +210,7 @@ class Check(Model):
     warnings: list[str]
 
 
-RunKind = Literal["run", "compare", "measure", "correct"]
-RunState = Literal["queued", "running", "done", "failed", "cancelled"]
+State = Literal["queued", "running", "done", "failed", "cancelled"]
 Time = Annotated[str, Field(description="ISO 8601 time in UTC.")]
 
 
@@ -237,22 +237,28 @@ class Progress(Model):
     left_s: float = Field(description="Estimated remaining time. [s]")
 
 
-class RunLine(Model):
-    """A run in a list."""
+class RunState(Model):
+    """State of a run."""
 
     id: str
     name: str
-    kind: RunKind
-    state: RunState
+    kind: Literal["run", "compare", "measure", "correct"]
+    state: State = "queued"
     created: Time
-    started: Time | None
-    ended: Time | None
-    sentence: str = Field(description="Outcome.")
-    missed: bool = Field(description="Whether the part misses a stated tolerance.")
+    started: Time | None = None
+    ended: Time | None = None
+    sentence: str = Field(default="", description="Outcome.")
+    missed: bool = Field(default=False, description="Whether the part misses a stated tolerance.")
     of: str = Field(
-        description="Identifier of the measured run, for a measurement; of the measurement, for a correction."
+        default="",
+        description="Identifier of the measured run, for a measurement; of the measurement, for a correction.",
     )
-    progress: Progress | None = Field(description="Progress of a running run.")
+
+
+class RunLine(RunState):
+    """A run in a list."""
+
+    progress: Progress | None = Field(default=None, description="Progress of a running run.")
 
 
 class RunFile(Model):
@@ -294,7 +300,7 @@ class Measurement(Model):
     id: str
     name: str
     run: str
-    state: RunState
+    state: State
     sentence: str
     progress: Progress | None
     form_pv_nm: float | None = None

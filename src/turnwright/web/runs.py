@@ -15,7 +15,7 @@ from fastapi import APIRouter, HTTPException, Query, Request
 from fastapi.responses import FileResponse, Response, StreamingResponse
 
 from turnwright.web import jobs
-from turnwright.web.models import Id, Line, Lines, NewRun, RunDetail, RunFile, RunId, RunLine, answer_of
+from turnwright.web.models import Id, Line, Lines, NewRun, RunDetail, RunFile, RunId, RunLine, RunState, answer_of
 from turnwright.web.program import lines, near as nearest_line
 from turnwright.web.queue import ENDED, Run, Runs
 from turnwright.web.references import BUNDLE, CORRECTION, JOB, job_in
@@ -52,11 +52,8 @@ def find_run(request: Request, name: str, *kinds: str, folder: bool = True) -> R
 
 def line_of(runs: Runs, run: Run) -> RunLine:
     """Return the list entry of a run."""
-    return RunLine(
-        id=run.id, name=run.name, kind=run.kind, state=run.state, created=run.created, started=run.started,  # type: ignore[arg-type]
-        ended=run.ended, sentence=run.sentence, missed=run.missed, of=run.of,
-        progress=runs.progress(run.id) if run.state == "running" else None,  # type: ignore[arg-type]
-    )  # fmt: skip
+    progress = runs.progress(run.id) if run.state == "running" else None
+    return RunLine(**run.model_dump(include=set(RunState.model_fields)), progress=progress)  # type: ignore[arg-type]
 
 
 def job_of(runs: Runs, run: Run) -> dict[str, Any]:
