@@ -108,30 +108,30 @@ def archive_run(result: Result, folder: str | PathLike[str]) -> None:
     _write_h5(result, job, (folder / "result.json").read_text(encoding="utf-8"), folder / "run.h5")
 
 
-def archive_comparison(found: Comparison, folder: str | PathLike[str]) -> None:
+def archive_comparison(comparison: Comparison, folder: str | PathLike[str]) -> None:
     """Write ``job.toml`` and ``comparison.json`` with all numbers of every strategy."""
     folder = Path(folder)
-    write_whole(folder / "job.toml", found.job.to_toml())
+    write_whole(folder / "job.toml", comparison.job.to_toml())
     numbers = {
-        "scallop": found.scallop,
-        "chord": found.chord,
+        "scallop": comparison.scallop,
+        "chord": comparison.chord,
         "candidates": [
             {
                 **_fields(one, "name", "refused", "turns", "size_bytes", "limits", "wall_s"),
-                "strategy": found.stated(one),
+                "strategy": comparison.stated(one),
                 "shares": None if one.shares is None else _fields(one.shares, *_field_names(one.shares, but="error")),
             }
-            for one in found.candidates
+            for one in comparison.candidates
         ],
     }
     _write_json(folder / "comparison.json", numbers)
 
 
-def archive_tiled(made: TiledMap, rough: Roughness, spectrum: Spectrum, folder: str | PathLike[str]) -> None:
+def archive_tiled(tiled: TiledMap, rough: Roughness, spectrum: Spectrum, folder: str | PathLike[str]) -> None:
     """Write ``tiled.json`` and ``spectrum.csv``."""
     folder = Path(folder)
     numbers = {
-        "map": {"shape": list(made.shape), "pixel_mm": list(made.pixel), "extent_mm": list(made.extent)},
+        "map": {"shape": list(tiled.shape), "pixel_mm": list(tiled.pixel), "extent_mm": list(tiled.extent)},
         "roughness": rough,
     }
     _write_json(folder / "tiled.json", numbers)
@@ -194,12 +194,12 @@ def _base_form(measured: Measured) -> dict[str, object] | None:
     }
 
 
-def archive_diagnosis(measured: Sequence[Measured], found: Diagnosis, folder: str | PathLike[str]) -> None:
+def archive_diagnosis(measured: Sequence[Measured], diagnosis: Diagnosis, folder: str | PathLike[str]) -> None:
     """Write ``diagnosis.json`` and the residual of each map as ``left-1.npz``, ``left-2.npz`` ..."""
     folder = Path(folder)
-    for number, residual in enumerate(found.residuals, 1):
+    for number, residual in enumerate(diagnosis.residuals, 1):
         write_map(residual, folder / f"left-{number}.npz")
-    _write_json(folder / "diagnosis.json", _diagnosis_numbers(measured, found))
+    _write_json(folder / "diagnosis.json", _diagnosis_numbers(measured, diagnosis))
 
 
 def _diagnosis_numbers(measured: Sequence[Measured], diagnosis: Diagnosis) -> dict[str, object]:
@@ -222,14 +222,14 @@ def _diagnosis_numbers(measured: Sequence[Measured], diagnosis: Diagnosis) -> di
 
 
 def archive_correction(
-    measured: Sequence[Measured], found: Diagnosis, better: Correction, folder: str | PathLike[str]
+    measured: Sequence[Measured], diagnosis: Diagnosis, correction: Correction, folder: str | PathLike[str]
 ) -> None:
     """Write ``correction.json`` and ``predicted.npz`` to the folder of the corrected job."""
     folder = Path(folder)
-    write_map(better.simulated if better.predicted is None else better.predicted, folder / "predicted.npz")
-    numbers = {name: {"pv_nm": pv, "rms_nm": rms} for name, (pv, rms) in better.numbers_nm.items()}
-    summary = _fields(better, "cutoff", "sources", "proof", "sentences")
-    _write_json(folder / "correction.json", {**summary, **numbers, **_diagnosis_numbers(measured, found)})
+    write_map(correction.simulated if correction.predicted is None else correction.predicted, folder / "predicted.npz")
+    numbers = {name: {"pv_nm": pv, "rms_nm": rms} for name, (pv, rms) in correction.numbers_nm.items()}
+    summary = _fields(correction, "cutoff", "sources", "proof", "sentences")
+    _write_json(folder / "correction.json", {**summary, **numbers, **_diagnosis_numbers(measured, diagnosis)})
 
 
 def _fields(value: Any, *names: str) -> dict[str, Any]:

@@ -53,21 +53,22 @@ def cells(one: Candidate) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def write_comparison(found: Comparison, path: str | PathLike[str]) -> File:
+def write_comparison(comparison: Comparison, path: str | PathLike[str]) -> File:
     """Write the page of a comparison, see `write_page`."""
-    done = [one for one in found.candidates if not one.refused]
+    done = [one for one in comparison.candidates if not one.refused]
     letters = sorted({letter for one in done if one.limits for letter in one.limits.travel if letter != "C"})
     kinds = ("stroke [mm]", "peak speed [mm/s]", "peak acceleration [mm/s²]")
     motions = [f"{letter} {kind}" for letter in letters for kind in kinds]
+    scallop, chord, machine = comparison.scallop * NM, comparison.chord * NM, comparison.job.machine.name
     basis = (
-        f"Every strategy is planned for cusps of {found.scallop * NM:.3g} nm away from the axis and from valleys "
-        f"narrower than the nose, and for chord errors of {found.chord * NM:.3g} nm, on {found.job.machine.name}."
+        f"Every strategy is planned for cusps of {scallop:.3g} nm away from the axis and from valleys narrower than "
+        f"the nose, and for chord errors of {chord:.3g} nm, on {machine}."
     )
     sections = [
         Section(
             text=[basis],
             items=[_table(COLUMNS, [cells(one) for one in done], [TABLE_TEXT])],
-            notes=[f"{one.name}: {one.refused}" for one in found.candidates if one.refused],
+            notes=[f"{one.name}: {one.refused}" for one in comparison.candidates if one.refused],
         ),
         Section(
             title="Cutting time and form error",
@@ -82,7 +83,7 @@ def write_comparison(found: Comparison, path: str | PathLike[str]) -> File:
             items=[draw.error_map(one.shares.error)._replace(title=one.name) for one in done if one.shares],
         ),
     ]
-    return write_page(Page(kind="Strategy comparison", job=found.job, sections=sections), path)
+    return write_page(Page(kind="Strategy comparison", job=comparison.job, sections=sections), path)
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[str] = ()) -> Table:

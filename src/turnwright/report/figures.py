@@ -839,18 +839,18 @@ def shares_of(tried: Sequence[Candidate]) -> Picture:
     )
 
 
-def dislocation_map(found: Lenslets) -> Picture:
+def dislocation_map(lenslets: Lenslets) -> Picture:
     """Draw the dislocations with their mean removed, and the residual after shift, rotation and scale.
 
     Each panel scales its arrows by its own root mean square, given in the title. A cross is a lenslet that could not
     be fitted.
     """
-    design, is_measured = found.design, found.measured
+    design, is_measured = lenslets.design, lenslets.measured
     reach = float(np.ptp(design, axis=0).max()) or 1.0
-    panels = [("mean removed", found.centred)]
-    if found.alignment is not None:
-        rotation, scale = found.alignment.rotation * 1e6, found.alignment.scale * 1e6
-        panels.append((f"without rotation {rotation:.4g} µrad and scale {scale:.4g} ppm", found.irregular))
+    panels = [("mean removed", lenslets.centred)]
+    if lenslets.alignment is not None:
+        rotation, scale = lenslets.alignment.rotation * 1e6, lenslets.alignment.scale * 1e6
+        panels.append((f"without rotation {rotation:.4g} µrad and scale {scale:.4g} ppm", lenslets.irregular))
     titles = []
     with _canvas(5.3 * len(panels), 4.6) as canvas:
         frames = np.atleast_1d(canvas.figure.subplots(1, len(panels)))

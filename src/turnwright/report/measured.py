@@ -89,9 +89,10 @@ def write_measured(measured: Measured, path: str | PathLike[str]) -> File:
     return write_page(page, path)
 
 
-def write_diagnosis(measured: Sequence[Measured], found: Diagnosis, path: str | PathLike[str]) -> File:
+def write_diagnosis(measured: Sequence[Measured], diagnosis: Diagnosis, path: str | PathLike[str]) -> File:
     """Write the page of a diagnosis of measured parts, see `write_page`."""
-    correctable = [one for one in found if one.verdict == "correct"]
+    correctable = [one for one in diagnosis if one.verdict == "correct"]
+    noise = f"point-to-point noise {max(diagnosis.noise_nm):.3g} nm"
     page = Page(
         title=" and ".join(dict.fromkeys(one.job.part.name or "part" for one in measured)),
         kind="Diagnosis",
@@ -100,16 +101,16 @@ def write_diagnosis(measured: Sequence[Measured], found: Diagnosis, path: str | 
         word=f"{len(correctable)} to correct" if correctable else "Nothing to correct",
         why=[", ".join(one.name for one in correctable) or "No error source needs correction."],
         numbers=[
-            _number("Form error", found.measured_rms_nm, "rms after registration"),
-            _number("Attributed", found.explained_rms_nm, "rms attributed to error sources"),
-            _number("Residual", found.unexplained_rms_nm, f"rms; point-to-point noise {max(found.noise_nm):.3g} nm"),
+            _number("Form error", diagnosis.measured_rms_nm, "rms after registration"),
+            _number("Attributed", diagnosis.explained_rms_nm, "rms attributed to error sources"),
+            _number("Residual", diagnosis.unexplained_rms_nm, f"rms; {noise}"),
         ],
         notes=[note for one in measured for note in one.open_questions],
         sections=[
-            _causes(found),
-            _terms(found),
-            *_setup(measured, found),
-            _signatures(measured, found),
+            _causes(diagnosis),
+            _terms(diagnosis),
+            *_setup(measured, diagnosis),
+            _signatures(measured, diagnosis),
             *(section for one in measured for section in _through_instrument(one)),
         ],
     )
@@ -117,23 +118,23 @@ def write_diagnosis(measured: Sequence[Measured], found: Diagnosis, path: str | 
 
 
 def write_correction(
-    measured: Sequence[Measured], found: Diagnosis, better: Correction, path: str | PathLike[str]
+    measured: Sequence[Measured], diagnosis: Diagnosis, correction: Correction, path: str | PathLike[str]
 ) -> File:
     """Write the page of a correction, see `write_page`."""
-    sizes = better.numbers_nm
-    radius, is_compensated = better.job.part.radius, better.job.part.correction is not None
+    sizes = correction.numbers_nm
+    radius, is_compensated = correction.job.part.radius, correction.job.part.correction is not None
     names = {"measured": "as measured", "predicted": "predicted after the correction", "simulated": "simulated alone"}
-    maps = {"measured": better.measured, "predicted": better.predicted, "simulated": better.simulated}
+    maps = {"measured": correction.measured, "predicted": correction.predicted, "simulated": correction.simulated}
     changes = [
-        "The tool path uses the diagnosed tool." if better.job.tool != measured[0].job.tool else "",
-        "The tool path uses the diagnosed machine." if better.job.machine != measured[0].job.machine else "",
-        f"Repeatable form error at wavelengths above {better.cutoff:.3g} mm is compensated."
-        if better.cutoff
+        "The tool path uses the diagnosed tool." if correction.job.tool != measured[0].job.tool else "",
+        "The tool path uses the diagnosed machine." if correction.job.machine != measured[0].job.machine else "",
+        f"Repeatable form error at wavelengths above {correction.cutoff:.3g} mm is compensated."
+        if correction.cutoff
         else "No repeatable form error remains to be compensated.",
     ]
     page = Page(
         kind="Correction",
-        job=better.job,
+        job=correction.job,
         grade="good",
         word="Corrected job",
         why=[one for one in changes if one],
@@ -142,15 +143,15 @@ def write_correction(
         sections=[
             Section(
                 title="Before and after",
-                text=[*better.sentences, PREDICTION_TEXT, *([SIMULATION_TEXT] if is_compensated else [])],
+                text=[*correction.sentences, PREDICTION_TEXT, *([SIMULATION_TEXT] if is_compensated else [])],
                 items=[
                     draw.places_map(one, radius, names[name], what=f"Error {names[name]}")
                     for name, one in maps.items()
                     if one is not None
                 ],
             ),
-            _causes(found),
-            _terms(found),
+            _causes(diagnosis),
+            _terms(diagnosis),
         ],
     )
     return write_page(page, path)

@@ -29,23 +29,23 @@ MAX_LISTED_VALUES = 4
 """Values of a field that are listed individually; more are given as a range."""
 
 
-def write_study(found: Study, path: str | PathLike[str]) -> File:
+def write_study(study: Study, path: str | PathLike[str]) -> File:
     """Write the page of a study, see `write_page`."""
-    numbers = [one.name for one in found.measures if one.values.dtype.kind in "fi"]
-    sections = [Section(text=_describe_design(found)), Section(title="Results", items=_pictures(found, numbers))]
-    if numbers and (best := found.best(numbers[0], MAX_BEST_CASES)):
-        columns = ["case", *(one.heading for one in found.columns)]
+    numbers = [one.name for one in study.measures if one.values.dtype.kind in "fi"]
+    sections = [Section(text=_describe_design(study)), Section(title="Results", items=_pictures(study, numbers))]
+    if numbers and (best := study.best(numbers[0], MAX_BEST_CASES)):
+        columns = ["case", *(one.heading for one in study.columns)]
         table = Table(
             columns=columns,
             numeric=range(1, len(columns)),
-            rows=[[str(number + 1), *(_shown(one.values[number]) for one in found.columns)] for number in best],
+            rows=[[str(number + 1), *(_shown(one.values[number]) for one in study.columns)] for number in best],
             notes=["Valid cases, smallest value first. All cases are in study.csv, numbered from 0."],
             dense=True,
         )
         sections.append(Section(title=f"Best cases by {numbers[0]}", items=[table]))
-    if reasons := _reasons(found):
+    if reasons := _reasons(study):
         sections.append(Section(title="Failed cases", notes=reasons))
-    return write_page(Page(kind="Study", job=found.job, sections=sections), path)
+    return write_page(Page(kind="Study", job=study.job, sections=sections), path)
 
 
 def _pictures(study: Study, numbers: Sequence[str]) -> list[Picture]:

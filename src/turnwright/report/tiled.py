@@ -24,27 +24,27 @@ WINDOW_PIXELS = 300
 """Side of a window that is shown at full resolution."""
 
 
-def write_tiled(job: Job, made: TiledMap, rough: Roughness, spectrum: Spectrum, path: str | PathLike[str]) -> File:
+def write_tiled(job: Job, tiled: TiledMap, rough: Roughness, spectrum: Spectrum, path: str | PathLike[str]) -> File:
     """Write the page of a tiled map of a whole part, see `write_page`."""
     part = job.part
-    x_low, x_high, y_low, y_high = made.extent
-    side = WINDOW_PIXELS * max(made.pixel) / 2
+    x_low, x_high, y_low, y_high = tiled.extent
+    side = WINDOW_PIXELS * max(tiled.pixel) / 2
     middle = min(part.radius / 2, x_high - side)
     windows = []
     for name, x in (("the axis", 0.0), ("half the radius", middle)):
-        window = made.window(x=(x - side, x + side), y=(-side, side), pixels=WINDOW_PIXELS)
+        window = tiled.window(x=(x - side, x + side), y=(-side, side), pixels=WINDOW_PIXELS)
         windows.append(draw.error_map(window)._replace(title=f"At {name}, full resolution"))
-    rows, columns = made.shape
+    rows, columns = tiled.shape
     size = (
-        f"{columns:,} × {rows:,} pixels of {made.pixel[0] * 1e3:.4g} µm, {rough.valid:,} heights within a clear "
+        f"{columns:,} × {rows:,} pixels of {tiled.pixel[0] * 1e3:.4g} µm, {rough.valid:,} heights within a clear "
         f"aperture of {part.radius:.4g} mm semi-diameter."
     )
     levels = (
-        f"The map is a Zarr version 3 group with {made.levels} resolution levels; each level halves the pixel count "
+        f"The map is a Zarr version 3 group with {tiled.levels} resolution levels; each level halves the pixel count "
         "along each axis."
     )
     overview = draw.error_map(
-        made.window(x=(x_low, x_high), y=(y_low, y_high), pixels=MIN_PICTURE_PIXELS),
+        tiled.window(x=(x_low, x_high), y=(y_low, y_high), pixels=MIN_PICTURE_PIXELS),
         "Mean error in each pixel, so that finer structure is averaged out",
     )
     maps = [overview._replace(title="The whole part"), *windows, draw.density(spectrum)._replace(title="Spectrum")]

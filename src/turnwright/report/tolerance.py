@@ -31,19 +31,19 @@ SENSITIVITY_TEXT = (
 )
 
 
-def write_tolerance(found: ToleranceStudy, path: str | PathLike[str]) -> File:
+def write_tolerance(study: ToleranceStudy, path: str | PathLike[str]) -> File:
     """Write the page of a tolerance study, see `write_page`."""
-    kind, best = list(found.outcomes.items())[-1]
+    kind, best = list(study.outcomes.items())[-1]
     grade, word = _grade(best.probability.value)
     page = Page(
         kind="Tolerances",
-        job=found.job,
+        job=study.job,
         grade=grade,
         word=word,
-        why=[f"{found.count} parts, {kind}"],
-        numbers=_numbers(found),
-        notes=_notes(found),
-        sections=[_distributions(found), *(_sensitivities(*one) for one in found.outcomes.items()), _budget(found)],
+        why=[f"{study.count} parts, {kind}"],
+        numbers=_numbers(study),
+        notes=_notes(study),
+        sections=[_distributions(study), *(_sensitivities(*one) for one in study.outcomes.items()), _budget(study)],
     )
     return write_page(page, path)
 
