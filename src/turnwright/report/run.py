@@ -22,10 +22,11 @@ if TYPE_CHECKING:
     from turnwright.access import Access
     from turnwright.job import Entry, Job, Pass, Prediction, Result, Verdict
     from turnwright.machine import Machine
+    from turnwright.metrology import Roughness
     from turnwright.motion import Limits
     from turnwright.tool import Tool
 
-__all__ = ["write_backplot", "write_report"]
+__all__ = ["roughness_rows", "write_backplot", "write_report"]
 
 NM = 1e6
 TURN = 2 * math.pi
@@ -550,21 +551,26 @@ def _form(form: str | int) -> str:
 
 def _parameters(predictions: Sequence[Prediction]) -> list[list[str]]:
     """Return the table of surface parameters, one column per map."""
-    fields = {
-        "Sa [nm]": "sa_nm", "Sq [nm]": "sq_nm", "Sz (PV) [nm]": "sz_nm", "Ssk": "ssk", "Sku": "sku", "Sdq": "sdq",
-        "Sdr [%]": "sdr",
-    }  # fmt: skip
-    rows = [[name, *(_number(getattr(one.roughness, key)) for one in predictions)] for name, key in fields.items()]
-    rows.append(["Sal [µm]", *(_number(one.roughness.sal * 1e3) for one in predictions)])
-    bounds = ["≤ " * any("upper bound" in note for note in one.roughness.notes) for one in predictions]
-    rows.append(["Str", *(f"{at}{_number(one.roughness.str)}" for at, one in zip(bounds, predictions, strict=True))])
+    rows = roughness_rows([one.roughness for one in predictions])
     if any(one.tracking_nm for one in predictions):
         for index, kind in enumerate(("PV", "rms")):
             sizes = [one.tracking_nm[index] if one.tracking_nm else math.nan for one in predictions]
             rows.append([f"Servo contribution, {kind} [nm]", *map(_number, sizes)])
-    rows.append(["Form removed", *(_form(one.roughness.form) for one in predictions)])
-    rows.append(["Heights counted", *(f"{one.roughness.valid:,}" for one in predictions)])
-    rows.append(["Not cut", *(f"{one.uncut:,}" for one in predictions)])
+    return [*rows, ["Not cut", *(f"{one.uncut:,}" for one in predictions)]]
+
+
+def roughness_rows(maps: Sequence[Roughness]) -> list[list[str]]:
+    """Return the rows of a table of surface parameters, one column per map."""
+    fields = {
+        "Sa [nm]": "sa_nm", "Sq [nm]": "sq_nm", "Sp [nm]": "sp_nm", "Sv [nm]": "sv_nm", "Sz (PV) [nm]": "sz_nm",
+        "Ssk": "ssk", "Sku": "sku", "Sdq": "sdq", "Sdr [%]": "sdr",
+    }  # fmt: skip
+    rows = [[name, *(_number(getattr(one, key)) for one in maps)] for name, key in fields.items()]
+    rows.append(["Sal [µm]", *(_number(one.sal * 1e3) for one in maps)])
+    bounds = ["≤ " if any("upper bound" in note for note in one.notes) else "" for one in maps]
+    rows.append(["Str", *(f"{bound}{_number(one.str)}" for bound, one in zip(bounds, maps, strict=True))])
+    rows.append(["Form removed", *(_form(one.form) for one in maps)])
+    rows.append(["Heights counted", *(f"{one.valid:,}" for one in maps)])
     return rows
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from turnwright.report import figures as draw
 from turnwright.report.page import Page, Section, Table, write_page
+from turnwright.report.run import roughness_rows
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -53,26 +54,10 @@ def write_tiled(job: Job, tiled: TiledMap, rough: Roughness, spectrum: Spectrum,
         Section(title="Error maps", items=maps),
         Section(
             title="Roughness of the whole part",
-            items=[Table(rows=_rows(rough), numeric=(1,), span=3)],
+            items=[Table(rows=roughness_rows([rough]), span=3)],
             notes=[
                 f"{what}: {note}." for what, one in (("roughness", rough), ("spectrum", spectrum)) for note in one.notes
             ],
         ),
     ]
     return write_page(Page(kind="Whole part", job=job, sections=sections), path)
-
-
-def _rows(rough: Roughness) -> list[tuple[str, str, str]]:
-    return [
-        ("Sa", f"{rough.sa_nm:.4g}", "nm"),
-        ("Sq", f"{rough.sq_nm:.4g}", "nm"),
-        ("Sp", f"{rough.sp_nm:.4g}", "nm"),
-        ("Sv", f"{rough.sv_nm:.4g}", "nm"),
-        ("Sz, PV", f"{rough.sz_nm:.4g}", "nm"),
-        ("Ssk", f"{rough.ssk:.4g}", ""),
-        ("Sku", f"{rough.sku:.4g}", ""),
-        ("Sdq", f"{rough.sdq:.4g}", ""),
-        ("Sdr", f"{rough.sdr:.4g}", "%"),
-        ("Form removed", str(rough.form), ""),
-        ("Heights counted", f"{rough.valid:,}", ""),
-    ]
