@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import errno
+import json
+import math
 import os
 import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import IO, Any
 
 from turnwright.errors import InputError
 
-__all__ = ["answer_parent", "bytes_of", "part_of", "read_isolated", "read_toml", "whole_file", "write_whole"]
+__all__ = [
+    "answer_parent", "bytes_of", "json_data", "part_of", "read_isolated", "read_toml", "whole_file", "write_json",
+    "write_whole",
+]  # fmt: skip
 
 MAX_TOML_BYTES = 1 << 20
 """Bytes of a TOML file; Python reads about a megabyte of TOML per second."""
@@ -111,6 +117,26 @@ READER = "import sys, {module} as reader; sys.exit(reader.main())"
 
 REFUSAL_EXIT_CODE = 3
 """Exit code of a process that wrote a message of refusal to its standard error."""
+
+
+def json_data(value: Any) -> Any:
+    """Convert dataclasses, arrays and mappings to JSON data; numbers that are not finite become ``None``."""
+    if is_dataclass(value) and not isinstance(value, type):
+        value = {one.name: getattr(value, one.name) for one in fields(value)}
+    elif hasattr(value, "tolist"):  # of NumPy
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): json_data(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_data(one) for one in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if isinstance(value, bool | str | int) or value is None else str(value)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write `json_data` of a value."""
+    write_whole(path, json.dumps(json_data(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def read_isolated(

@@ -17,7 +17,6 @@ from pathlib import Path
 from types import SimpleNamespace
 import numpy as np
 from turnwright import report
-from turnwright.cli import materials
 from turnwright.report import archive
 from turnwright.heightmap import HeightMap
 
@@ -38,7 +37,7 @@ def picture(folder):
     force = np.ones((2, 1))
     fit = SimpleNamespace(components=("cutting",), thickness=np.arange(2.0), measured=force, fitted=force)
     found = SimpleNamespace(name="x", learned=SimpleNamespace(fit=fit, critical=None))
-    materials._draw_fit(found, folder / "picture.png")
+    report.write_fit_picture(found, folder / "picture.png")
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # the system then says that the file is too large
 work, folder = globals()[sys.argv[1]], Path(sys.argv[2])

@@ -6,7 +6,7 @@ import pytest
 import turnwright as tw
 from turnwright.errors import InputError
 from turnwright.metrology import has_lenslets
-from turnwright.report.lenslets import dislocation_map
+from turnwright.report.figures import dislocation_map
 
 SPHERE = tw.Sphere(radius=5.0)
 ARRAY = tw.LensArray.square(pitch=1.0, rows=2, columns=2, lenslet=SPHERE, aperture=0.4, surround=0.0)

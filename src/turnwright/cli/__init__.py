@@ -35,18 +35,7 @@ DISK_FULL_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Parameters
-    ----------
-    arguments
-        Command-line arguments; those of the process by default.
-
-    Returns
-    -------
-    int
-        The exit code.
-    """
+    """Run the command line, by default with the arguments of the process; return the exit code."""
     with Stop(records_only=True) as stop:  # what it raises must be caught below
         try:
             stop.arm()

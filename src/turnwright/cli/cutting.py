@@ -20,6 +20,7 @@ from turnwright.cli.shared import (
     require_unused,
     show_progress,
     warn,
+    write_edited,
 )
 from turnwright.errors import InputError, JobError
 
@@ -133,15 +134,13 @@ def plan(
 ) -> None:
     """Choose feed and spindle speed to meet tolerances."""
     session: Session = context.obj
-    from turnwright._io import write_whole  # noqa: PLC0415
-    from turnwright.job import Job, edited, plan, steps_of_plan  # noqa: PLC0415
+    from turnwright.job import Job, plan, steps_of_plan  # noqa: PLC0415
 
     require_unused(out)
     recipe = Job.load(job)
-    text = job.read_bytes().decode("utf-8")
     with show_progress(session.stop, steps_of_plan(recipe)) as progress:
         chosen = plan(recipe, progress=progress)
-    write_whole(out, edited(text, recipe, chosen.job, folder=job.absolute().parent, into=out.absolute().parent))
+    write_edited(out, job, recipe, chosen.job)
     for trial in chosen.tried if len(chosen.tried) > 1 else ():
         session.echo(f"{trial.interpolation}: {trial.refused or f'{trial.points} points, {trial.minutes:.1f} min'}")
     budget = chosen.shares

@@ -7,18 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from turnwright._io import whole_file, write_whole
-from turnwright.cli.shared import Session, app, require_unused, show_progress
-from turnwright.errors import InputError
+from turnwright._io import write_whole
+from turnwright.cli.shared import Session, app, require_picture, require_unused, show_progress
 from turnwright.progress import Step
+from turnwright.units import say_length
 
 if TYPE_CHECKING:
-    from turnwright.cutting import Experiment
     from turnwright.material import CriticalThickness, CuttingCoefficient, Material
 
 __all__: list[str] = []
-
-PICTURE_FORMATS = (".png", ".svg", ".pdf")
 
 REFERENCE_THICKNESS = 1e-3
 """Uncut chip thickness at which varying coefficients are listed. [mm]"""
@@ -76,9 +73,7 @@ def fit(context: typer.Context, data: Data, out: Out, picture: Picture = None) -
     session: Session = context.obj
     require_unused(out)
     if picture is not None:
-        require_unused(picture)
-        if picture.suffix.lower() not in PICTURE_FORMATS:
-            raise InputError(f"the picture is {picture.name!r}, it must end in {', '.join(PICTURE_FORMATS)}")
+        require_picture(picture)
     import tomli_w  # noqa: PLC0415
 
     from turnwright.cutting import learn_from_file  # noqa: PLC0415
@@ -89,40 +84,15 @@ def fit(context: typer.Context, data: Data, out: Out, picture: Picture = None) -
         text = tomli_w.dumps(experiment.table())
         progress("learn", 1, 1)
     if picture is not None:
-        _draw_fit(experiment, picture)
+        from turnwright.report import write_fit_picture  # noqa: PLC0415 - imports matplotlib
+
+        write_fit_picture(experiment, picture)
     write_whole(out, text)
     for sentence in experiment.learned.sentences:
         session.echo(sentence)
     session.echo(f"material: {out}")
     if picture is not None:
         session.echo(f"picture: {picture}")
-
-
-def _draw_fit(experiment: Experiment, picture: Path) -> None:
-    """Draw measured and fitted forces, and the residuals."""
-    from matplotlib.figure import Figure  # noqa: PLC0415
-
-    fit, critical = experiment.learned.fit, experiment.learned.critical
-    count = len(fit.components)
-    figure = Figure(figsize=(4.2 * count, 5.6), layout="constrained")
-    axes = figure.subplots(2, count, squeeze=False, sharex=True, height_ratios=(2, 1))
-    nm = fit.thickness * 1e6
-    for name, column, measured, fitted in zip(fit.components, axes.T, fit.measured.T, fit.fitted.T, strict=True):
-        column[0].plot(nm, measured * 1e3, ".", ms=3, color="tab:blue", label="measured, without drift")
-        column[0].plot(nm, fitted * 1e3, ".", ms=2, color="k", label="fitted")
-        column[1].plot(nm, (measured - fitted) * 1e3, ".", ms=3, color="tab:blue")
-        column[1].axhline(0, color="k", lw=0.8)
-        column[0].set(title=name, ylabel="force [mN]")
-        column[1].set(xlabel="maximum uncut chip thickness [nm]", ylabel="measured - fitted [mN]")
-        for ax in column:
-            if critical is not None:
-                ax.axvspan(
-                    critical.low * 1e6, critical.high * 1e6, color="tab:red", alpha=0.3, label="critical chip thickness"
-                )
-        column[0].legend(fontsize=7)
-    figure.suptitle(experiment.name)
-    with whole_file(picture) as stream:
-        figure.savefig(stream, dpi=150, format=picture.suffix[1:])
 
 
 def _describe_forces(material: Material) -> str:
@@ -157,18 +127,14 @@ def _describe_dependence(quantity: CuttingCoefficient | CriticalThickness) -> st
     return f"; varies with {', '.join(names)}" if names else ""
 
 
-def _format_thickness(length: float) -> str:
-    return f"{length:g} mm" if length >= 1 else f"{length * 1e3:.4g} um" if length >= 1e-3 else f"{length * 1e6:.4g} nm"
-
-
 def _describe_coefficient(coefficient: CuttingCoefficient) -> str:
     reference, bounds = coefficient.reference_thickness, coefficient.stated
     spread = "" if coefficient.uncertainty is None else f" +- {coefficient.uncertainty:.3g}"
-    at = "" if reference is None else f" at {_format_thickness(reference)}"
+    at = "" if reference is None else f" at {say_length(reference, 4)}"
     power = f", decreasing with chip thickness to the power {coefficient.exponent:g}" if coefficient.exponent else ""
     valid = ""
     if bounds is not None:
-        valid = f"; valid for chips of {_format_thickness(bounds[0])} to {_format_thickness(bounds[1])}"
+        valid = f"; valid for chips of {say_length(bounds[0], 4)} to {say_length(bounds[1], 4)}"
     return f"{coefficient.value:.5g}{spread} N/mm^2{at}{power}{_describe_dependence(coefficient)}{valid}"
 
 

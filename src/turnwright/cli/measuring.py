@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import tomllib
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from turnwright._io import write_whole
 from turnwright.cli.shared import (
     Folder,
     Force,
     JobFile,
     Session,
+    Unit,
     app,
     exit_on_missed,
     new_folder,
+    parse_option,
     require_unused,
     show_progress,
     warn,
+    write_edited,
 )
 from turnwright.errors import InputError
 from turnwright.progress import Step
@@ -47,7 +50,6 @@ MapFile = Annotated[
     Path, typer.Argument(metavar="MAP", help="Measured map, in any supported format.", show_default=False)
 ]
 JobOption = Annotated[Path, typer.Option("--job", help="The job that cut the part.", show_default=False)]
-Unit = Annotated[str | None, typer.Option(help='Height unit of a text file that states none, such as "um".')]
 Keys = Annotated[
     list[str],
     typer.Option(
@@ -88,12 +90,11 @@ def write_test_part(
     It is cut like the part, so that measuring it reveals tool and machine errors before the part is cut.
     """
     session: Session = context.obj
-    from turnwright.job import Job, edited, make_test_part  # noqa: PLC0415
+    from turnwright.job import Job, make_test_part  # noqa: PLC0415
     from turnwright.units import parse  # noqa: PLC0415
 
     require_unused(out)
     recipe = Job.load(job)
-    text = job.read_bytes().decode()
     with show_progress(session.stop, [Step(stage="speed of the part", work=3.0)]) as progress:
         made = make_test_part(
             recipe,
@@ -102,7 +103,7 @@ def write_test_part(
             slope=None if slope is None else parse(slope, "rad"),
             progress=progress,
         )
-    write_whole(out, edited(text, recipe, made, folder=job.absolute().parent, into=out.absolute().parent))
+    write_edited(out, job, recipe, made)
     session.echo(f"{made.part.name}: radius {made.part.radius:g} mm, {made.strategy.spindle_rpm:.4g} rpm")
     session.echo(f"job: {out}")
 
@@ -187,10 +188,8 @@ def correct(
 
         measured = _measured(files, job, progress, unit, keys)
         diagnosis = diagnose(measured, progress=progress)
-        if of is None:
-            correction = correct(measured[0].job, diagnosis, measured, out=folder, source=job[0], progress=progress)
-        else:
-            correction = correct(_load_job(of, keys), diagnosis, measured, out=folder, source=of, progress=progress)
+        base = measured[0].job if of is None else _load_job(of, keys)
+        correction = correct(base, diagnosis, measured, out=folder, source=of or job[0], progress=progress)
         progress("report", 0, 1)
         from turnwright.report import archive_correction, write_correction  # noqa: PLC0415 - costly to import
 
@@ -224,13 +223,10 @@ def _load_job(file: Path, keys: Sequence[str]) -> Job:
         return job
     table = job.table()
     for option in keys:
-        key, equals, value = (part.strip() for part in option.partition("="))
-        if not (key and equals and value):
-            raise InputError(f'--set must be KEY=VALUE, such as "clocking=20 deg", got {option!r}')
-        try:
+        key, value = parse_option("--set", option, "KEY=VALUE", "clocking=20 deg")
+        stated: object = value  # words and quantities need no quotes on the command line
+        with suppress(tomllib.TOMLDecodeError):
             stated = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
-            stated = value  # words and quantities need no quotes on the command line
         table.setdefault("measurement", {})[key] = stated
     return Job.read(table)
 

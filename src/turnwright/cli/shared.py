@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from turnwright import __version__
+from turnwright._io import write_whole
 from turnwright._signals import Stop
 from turnwright.errors import InputError, shortened
 from turnwright.progress import OverallProgress
@@ -30,7 +31,7 @@ except ImportError:  # Windows: the folder of a killed process stays
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from turnwright.job import Verdict
+    from turnwright.job import Job, Verdict
     from turnwright.progress import Overall, StageProgress, Step
 
 __all__ = [
@@ -39,14 +40,20 @@ __all__ = [
     "Force",
     "JobFile",
     "Session",
+    "Unit",
     "app",
     "exit_on_missed",
     "new_folder",
+    "parse_option",
     "print_status",
+    "require_picture",
     "require_unused",
     "show_progress",
     "warn",
+    "write_edited",
 ]
+
+PICTURE_FORMATS = (".png", ".svg", ".pdf")
 
 MISSED_CODE = 4
 """Exit code when results are written but a stated tolerance is missed."""
@@ -60,6 +67,7 @@ app = typer.Typer(
 
 JobFile = Annotated[Path, typer.Argument(metavar="JOB.toml", help="The job file.", show_default=False)]
 Folder = Annotated[Path, typer.Option(help="Folder for the results; created on completion.", show_default=False)]
+Unit = Annotated[str | None, typer.Option(help='Height unit of a text file that states none, such as "um".')]
 Force = Annotated[bool, typer.Option("--force", help="Rename an existing folder instead of refusing it.")]
 
 
@@ -105,13 +113,7 @@ def print_status(text: str) -> None:
 
 
 def exit_on_missed(session: Session, verdicts: Iterable[Verdict]) -> None:
-    """Exit with `MISSED_CODE` if a tolerance is missed.
-
-    Raises
-    ------
-    typer.Exit
-        With `MISSED_CODE`.
-    """
+    """Exit with `MISSED_CODE` if a tolerance is missed."""
     from turnwright.job import missed  # noqa: PLC0415
 
     verdicts = tuple(verdicts)
@@ -146,6 +148,29 @@ def require_unused(file: Path) -> None:
         raise InputError(f"{str(file)!r} already exists: choose another file")
     if not file.absolute().parent.is_dir():
         raise InputError(f"the folder of {str(file)!r} does not exist")
+
+
+def require_picture(file: Path) -> None:
+    """Raise unless a picture can be written to a file."""
+    if file.suffix.lower() not in PICTURE_FORMATS:
+        raise InputError(f"the picture is {file.name!r}, it must end in {', '.join(PICTURE_FORMATS)}")
+    require_unused(file)
+
+
+def parse_option(option: str, text: str, kind: str, example: str) -> tuple[str, str]:
+    """Return both sides of an option such as ``KEY=VALUE``, which ``kind`` names."""
+    name, _, value = (part.strip() for part in text.partition("="))
+    if not (name and value):
+        raise InputError(f'{option} must be {kind}, such as "{example}", got {text!r}')
+    return name, value
+
+
+def write_edited(out: Path, file: Path, job: Job, changed: Job) -> None:
+    """Write a changed job as the text of its file with the changes, so that comments and layout are kept."""
+    from turnwright.job import edited  # noqa: PLC0415
+
+    text = file.read_bytes().decode("utf-8")
+    write_whole(out, edited(text, job, changed, folder=file.absolute().parent, into=out.absolute().parent))
 
 
 @contextmanager

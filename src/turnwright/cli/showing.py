@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from turnwright.cli.shared import Session, app, require_unused
+from turnwright.cli.shared import Session, Unit, app, require_picture
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 __all__: list[str] = []
 
-PICTURE_FORMATS = (".png", ".svg", ".pdf")
 File = Annotated[
     Path, typer.Argument(metavar="MAP", help="Measured map or profile, in any supported format.", show_default=False)
 ]
@@ -32,7 +31,7 @@ def show(
     form: Annotated[
         str, typer.Option(help='Form to remove: "none", "mean", "plane", "sphere" or a polynomial degree.')
     ] = "plane",
-    unit: Annotated[str | None, typer.Option(help='Height unit of a text file that states none, such as "um".')] = None,
+    unit: Unit = None,
     lateral_unit: Annotated[str | None, typer.Option(help="Lateral unit of a text file that states none.")] = None,
     pixel_size: Annotated[
         str | None, typer.Option(help='Pixel size if the file states none, such as "0.87 um".')
@@ -61,9 +60,7 @@ def show(
     from turnwright.units import parse  # noqa: PLC0415
 
     if picture is not None:
-        if picture.suffix.lower() not in PICTURE_FORMATS:
-            raise InputError(f"the picture is {picture.name!r}, it must end in {', '.join(PICTURE_FORMATS)}")
-        require_unused(picture)
+        require_picture(picture)
     kind = int(form) if form.isdigit() else form
 
     def parse_option(quantity: str | None, unit: str = "mm") -> float | None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from turnwright.cli.shared import Folder, Force, JobFile, Session, app, new_folder, show_progress
+from turnwright.cli.shared import Folder, Force, JobFile, Session, app, new_folder, parse_option, show_progress
 from turnwright.errors import InputError
 from turnwright.progress import Step
 
@@ -102,9 +102,7 @@ def _parse_fields(options: list[str]) -> dict[str, str]:
     """Parse the ``FIELD=VALUES`` options."""
     fields: dict[str, str] = {}
     for option in options:
-        name, equals, values = (part.strip() for part in option.partition("="))
-        if not equals or not name or not values:
-            raise InputError(f'--vary must be FIELD=VALUES, such as "tool.nose_radius=0.1..1 mm:10", got {option!r}')
+        name, values = parse_option("--vary", option, "FIELD=VALUES", "tool.nose_radius=0.1..1 mm:10")
         if name in fields:
             raise InputError(f"--vary must name a field once, got {name} twice")
         fields[name] = values

@@ -34,32 +34,28 @@ has the keys
 from __future__ import annotations
 
 import io
-import json
-import math
 import re
-from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from turnwright import __version__
-from turnwright._io import whole_file, write_whole
+from turnwright._io import json_data, whole_file, write_json, write_whole
 from turnwright.errors import InputError
 from turnwright.files import write_map
 from turnwright.heightmap import HeightMap
 from turnwright.post import entry_words
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from os import PathLike
 
     from turnwright._arrays import Floats
     from turnwright.diagnosis import Diagnosis
     from turnwright.job import Comparison, Correction, Measured, Prediction, Result
     from turnwright.metrology import Roughness, Spectrum
-    from turnwright.path import Motion
     from turnwright.studies import TiledMap
 
 __all__ = [
@@ -86,109 +82,56 @@ ARRAY_UNITS = {
 
 
 def archive_run(result: Result, folder: str | PathLike[str]) -> None:
-    """Write ``job.toml``, ``result.json``, ``maps/*.npy`` and ``run.h5``.
-
-    Parameters
-    ----------
-    result
-        Result of a run.
-    folder
-        Existing folder that holds the program files.
-    """
+    """Write ``job.toml``, ``result.json``, ``maps/*.npy`` and ``run.h5`` to the folder of the program."""
     folder = Path(folder)
     job = result.job.to_toml()
     write_whole(folder / "job.toml", job)
     numbers = {
-        "schema": 1,
-        "turnwright": __version__,
         "ok": result.ok,
         "verdicts": [
-            {
-                "tolerance": one.tolerance,
-                "place": one.place,
-                "limit_nm": one.limit_nm,
-                "value_nm": one.value_nm,
-                "kept": one.is_kept,
-                "reason": one.reason,
-                "sentence": one.sentence,
-            }
+            {"kept": one.is_kept, **_fields(one, "tolerance", "place", "limit_nm", "value_nm", "reason", "sentence")}
             for one in result.verdicts
         ],
-        "keeps_tolerances": result.keeps_tolerances,
         "part": result.part.name,
         "machine": result.machine.name,
         "dialect": result.machine.dialect,
-        "access": result.access,
-        "passes": result.passes,
-        "least_clearance": result.least_clearance,
+        **_fields(result, "keeps_tolerances", "access", "passes", "least_clearance"),
         "program": {
             "files": [file.name for file in result.program.files],
-            "lines": result.program.lines,
-            "bytes": result.program.bytes,
-            "minutes": result.program.minutes,
-            "links_minutes": result.program.links_minutes,
             "entries": {name: entry_words(one) for name, one in result.program.approaches.items()},
-            "hash": result.program.hash,
+            **_fields(result.program, "lines", "bytes", "minutes", "links_minutes", "hash"),
         },
         "predictions": write_maps(result.predictions, folder),
-        "rounding_nm": result.rounding_nm,
-        "rounding_limit_nm": result.rounding_limit_nm,
-        "warnings": result.warnings,
-        "timings": result.timings,
-        "peak_memory_gb": result.peak_memory_gb,
+        **_fields(result, "rounding_nm", "rounding_limit_nm", "warnings", "timings", "peak_memory_gb"),
     }
-    text = json.dumps(_plain(numbers), indent=2, ensure_ascii=False, allow_nan=False)
-    write_whole(folder / "result.json", text + "\n")
-    _write_h5(result, job, text, folder / "run.h5")
+    _write_json(folder / "result.json", numbers)
+    _write_h5(result, job, (folder / "result.json").read_text(encoding="utf-8"), folder / "run.h5")
 
 
-def archive_comparison(found: Comparison, folder: str | PathLike[str]) -> None:
-    """Write ``job.toml`` and ``comparison.json`` with all numbers of every strategy.
-
-    Parameters
-    ----------
-    found
-        Comparison of the strategies.
-    folder
-        Existing folder.
-    """
+def archive_comparison(comparison: Comparison, folder: str | PathLike[str]) -> None:
+    """Write ``job.toml`` and ``comparison.json`` with all numbers of every strategy."""
     folder = Path(folder)
-    write_whole(folder / "job.toml", found.job.to_toml())
+    write_whole(folder / "job.toml", comparison.job.to_toml())
     numbers = {
-        "scallop": found.scallop,
-        "chord": found.chord,
+        "scallop": comparison.scallop,
+        "chord": comparison.chord,
         "candidates": [
             {
-                "name": one.name,
-                "refused": one.refused,
-                "strategy": found.stated(one),
-                "turns": one.turns,
-                "size_bytes": one.size_bytes,
-                "limits": one.limits,
-                "shares": None
-                if one.shares is None
-                else {part.name: getattr(one.shares, part.name) for part in fields(one.shares) if part.name != "error"},
-                "wall_s": one.wall_s,
+                **_fields(one, "name", "refused", "turns", "size_bytes", "limits", "wall_s"),
+                "strategy": comparison.stated(one),
+                "shares": None if one.shares is None else _fields(one.shares, *_field_names(one.shares, but="error")),
             }
-            for one in found.candidates
+            for one in comparison.candidates
         ],
     }
     _write_json(folder / "comparison.json", numbers)
 
 
-def archive_tiled(made: TiledMap, rough: Roughness, spectrum: Spectrum, folder: str | PathLike[str]) -> None:
-    """Write ``tiled.json`` and ``spectrum.csv``.
-
-    Parameters
-    ----------
-    made, rough, spectrum
-        Tiled map, its roughness and its spectrum.
-    folder
-        Existing folder.
-    """
+def archive_tiled(tiled: TiledMap, rough: Roughness, spectrum: Spectrum, folder: str | PathLike[str]) -> None:
+    """Write ``tiled.json`` and ``spectrum.csv``."""
     folder = Path(folder)
     numbers = {
-        "map": {"shape": list(made.shape), "pixel_mm": list(made.pixel), "extent_mm": list(made.extent)},
+        "map": {"shape": list(tiled.shape), "pixel_mm": list(tiled.pixel), "extent_mm": list(tiled.extent)},
         "roughness": rough,
     }
     _write_json(folder / "tiled.json", numbers)
@@ -199,15 +142,7 @@ def archive_tiled(made: TiledMap, rough: Roughness, spectrum: Spectrum, folder: 
 
 
 def archive_measured(measured: Measured, folder: str | PathLike[str]) -> None:
-    """Write ``measured.json``, ``error.npz`` (error over the part) and, for a lens array, ``lenslets.csv``.
-
-    Parameters
-    ----------
-    measured
-        Registered measurement of a part.
-    folder
-        Existing folder.
-    """
+    """Write ``measured.json``, ``error.npz`` (error over the part) and, for a lens array, ``lenslets.csv``."""
     folder = Path(folder)
     write_map(measured.error, folder / "error.npz")
     if measured.lenslets is not None:
@@ -224,28 +159,23 @@ def _measured_numbers(measured: Measured) -> dict[str, object]:
         "form_rms_nm": measured.form_rms_nm,
         "spikes": measured.outliers,
         "registration": {
-            "pose": registration.pose,
-            "pivot": registration.pivot,
-            "std": registration.std,
-            "held": registration.held,
-            "count": registration.count,
-            "lost": registration.lost,
-            "rms_nm": registration.rms_nm,
-            "noise_nm": registration.noise_nm,
-            "correlated_nm": registration.correlated_nm,
-            "correlation_length": registration.correlation_length,
-            "candidates": registration.candidates,
+            **_fields(
+                registration,
+                "pose",
+                "pivot",
+                "std",
+                "held",
+                "count",
+                "lost",
+                "rms_nm",
+                "noise_nm",
+                "correlated_nm",
+                "correlation_length",
+                "candidates",
+            ),
             "sentences": (registration.sentences[0], *measured.open_questions),
         },
-        "zernike": None
-        if terms is None
-        else {
-            "indexing": terms.indexing,
-            "radius": terms.radius,
-            "indices": terms.indices,
-            "coefficients": terms.coefficients.tolist(),
-            "uncertainty": terms.uncertainty.tolist(),
-        },
+        "zernike": terms and _fields(terms, "indexing", "radius", "indices", "coefficients", "uncertainty"),
         "roughness": measured.roughness,
         "instrument_effect_nm": measured.instrument_effect_nm,
         "texture": measured.texture,
@@ -264,20 +194,12 @@ def _base_form(measured: Measured) -> dict[str, object] | None:
     }
 
 
-def archive_diagnosis(measured: Sequence[Measured], found: Diagnosis, folder: str | PathLike[str]) -> None:
-    """Write ``diagnosis.json`` and the residual of each map as ``left-1.npz``, ``left-2.npz`` ...
-
-    Parameters
-    ----------
-    measured, found
-        Measured parts and their diagnosis.
-    folder
-        Existing folder.
-    """
+def archive_diagnosis(measured: Sequence[Measured], diagnosis: Diagnosis, folder: str | PathLike[str]) -> None:
+    """Write ``diagnosis.json`` and the residual of each map as ``left-1.npz``, ``left-2.npz`` ..."""
     folder = Path(folder)
-    for number, residual in enumerate(found.residuals, 1):
+    for number, residual in enumerate(diagnosis.residuals, 1):
         write_map(residual, folder / f"left-{number}.npz")
-    _write_json(folder / "diagnosis.json", _diagnosis_numbers(measured, found))
+    _write_json(folder / "diagnosis.json", _diagnosis_numbers(measured, diagnosis))
 
 
 def _diagnosis_numbers(measured: Sequence[Measured], diagnosis: Diagnosis) -> dict[str, object]:
@@ -285,55 +207,46 @@ def _diagnosis_numbers(measured: Sequence[Measured], diagnosis: Diagnosis) -> di
     return {
         "measured": [_measured_numbers(part) for part in measured],
         "findings": list(diagnosis),
-        "contributions": list(diagnosis.contributions),
-        "names": diagnosis.names,
-        "correlation": diagnosis.correlation.tolist(),
-        "measured_rms_nm": diagnosis.measured_rms_nm,
-        "explained_rms_nm": diagnosis.explained_rms_nm,
-        "unexplained_rms_nm": diagnosis.unexplained_rms_nm,
-        "noise_nm": diagnosis.noise_nm,
-        "repeatability_nm": diagnosis.repeatability_nm,
+        **_fields(
+            diagnosis,
+            "contributions",
+            "names",
+            "correlation",
+            "measured_rms_nm",
+            "explained_rms_nm",
+            "unexplained_rms_nm",
+            "noise_nm",
+            "repeatability_nm",
+        ),
     }
 
 
 def archive_correction(
-    measured: Sequence[Measured], found: Diagnosis, better: Correction, folder: str | PathLike[str]
+    measured: Sequence[Measured], diagnosis: Diagnosis, correction: Correction, folder: str | PathLike[str]
 ) -> None:
-    """Write ``correction.json`` and ``predicted.npz`` to the folder of the corrected job.
-
-    Parameters
-    ----------
-    measured, found, better
-        Measured parts, their diagnosis and the correction.
-    folder
-        Existing folder.
-    """
+    """Write ``correction.json`` and ``predicted.npz`` to the folder of the corrected job."""
     folder = Path(folder)
-    write_map(better.simulated if better.predicted is None else better.predicted, folder / "predicted.npz")
-    numbers = {name: {"pv_nm": pv, "rms_nm": rms} for name, (pv, rms) in better.numbers_nm.items()}
-    summary = {
-        "cutoff": better.cutoff,
-        "sources": better.sources,
-        "proof": better.proof,
-        "sentences": better.sentences,
-    }
-    _write_json(folder / "correction.json", {**summary, **numbers, **_diagnosis_numbers(measured, found)})
+    write_map(correction.simulated if correction.predicted is None else correction.predicted, folder / "predicted.npz")
+    numbers = {name: {"pv_nm": pv, "rms_nm": rms} for name, (pv, rms) in correction.numbers_nm.items()}
+    summary = _fields(correction, "cutoff", "sources", "proof", "sentences")
+    _write_json(folder / "correction.json", {**summary, **numbers, **_diagnosis_numbers(measured, diagnosis)})
+
+
+def _fields(value: Any, *names: str) -> dict[str, Any]:
+    return {name: getattr(value, name) for name in names}
+
+
+def _field_names(value: Any, *, but: str) -> list[str]:
+    return [one.name for one in fields(value) if one.name != but]
 
 
 def _write_json(file: Path, numbers: Mapping[str, object]) -> None:
     """Write numbers with the schema and the version."""
-    document = {"schema": 1, "turnwright": __version__, **numbers}
-    write_whole(file, json.dumps(_plain(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    write_json(file, {"schema": 1, "turnwright": __version__, **numbers})
 
 
 def write_maps(predictions: Iterable[Prediction], folder: str | PathLike[str]) -> list[dict[str, Any]]:
-    """Write the heights and axes of maps as ``maps/NAME.npy``, ``maps/NAME.x.npy`` ...
-
-    Returns
-    -------
-    list
-        Their entries in ``result.json``.
-    """
+    """Write heights and axes of maps as ``maps/NAME.npy`` ...; return their entries in ``result.json``."""
     entries = []
     (Path(folder) / "maps").mkdir()
     for prediction in predictions:
@@ -353,8 +266,8 @@ def write_maps(predictions: Iterable[Prediction], folder: str | PathLike[str]) -
                 "file": f"{stem}.npy",
                 "axes": axes,
                 "shape": prediction.error.z.shape,
-                "roughness": _plain(prediction.roughness),
-                "pv_nm": _plain(prediction.pv_nm),
+                "roughness": json_data(prediction.roughness),
+                "pv_nm": json_data(prediction.pv_nm),
                 "form": _extremes(prediction),
                 "tracking": tracking,
             }
@@ -363,7 +276,6 @@ def write_maps(predictions: Iterable[Prediction], folder: str | PathLike[str]) -
 
 
 def _extremes(prediction: Prediction) -> dict[str, dict[str, float]] | None:
-    """Return the highest and the lowest point of the whole part."""
     if prediction.form is None:
         return None
     return {"highest": prediction.form.highest._asdict(), "lowest": prediction.form.lowest._asdict()}
@@ -372,19 +284,6 @@ def _extremes(prediction: Prediction) -> dict[str, dict[str, float]] | None:
 def _save(file: Path, values: Floats) -> None:
     with whole_file(file) as stream:
         np.save(stream, values)
-
-
-def _plain(value: object) -> object:
-    """Convert a value to JSON types; non-finite numbers become ``None``."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): _plain(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(inner) for inner in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _write_h5(result: Result, job: str, numbers: str, file: Path) -> None:
@@ -399,22 +298,17 @@ def _write_h5(result: Result, job: str, numbers: str, file: Path) -> None:
         for prediction in result.predictions:
             group = archive.create_group(f"maps/{prediction.name.replace('/', '-')}")
             group.attrs["name"] = prediction.name
-            _store(group, {"z": prediction.error.z} | {name: getattr(prediction.error, name) for name in AXES})
+            _store(group, _fields(prediction.error, "z", *AXES))
             if prediction.tracking is not None:
                 _store(group, {"tracking": prediction.tracking.z})
         for name, chips in result.chips.items():
-            arrays = {item.name: getattr(chips, item.name) for item in fields(chips) if item.name != "feed"}
-            _store(archive.create_group(f"chips/{name}"), arrays)
+            _store(archive.create_group(f"chips/{name}"), _fields(chips, *_field_names(chips, but="feed")))
         names = ("angle", "radius", "z", "sweep", "contact_x", "contact_y", "contact_z", "clearance")
-        _store(archive.create_group("path"), {name: getattr(result.path, name) for name in names})
-        _store_motion(archive.create_group("motion"), result.motion)
-        for number, turn in enumerate(result.revolutions, 1):
-            _store_motion(archive.create_group(f"turns/{number}"), turn)
+        _store(archive.create_group("path"), _fields(result.path, *names))
+        motions = {"motion": result.motion, **{f"turns/{n}": turn for n, turn in enumerate(result.revolutions, 1)}}
+        for name, motion in motions.items():
+            _store(archive.create_group(name), {"time": motion.time, **motion.axes})
     write_whole(file, image.getbuffer())
-
-
-def _store_motion(group: Any, motion: Motion) -> None:
-    _store(group, {"time": motion.time, **motion.axes})
 
 
 def _store(group: Any, arrays: Mapping[str, Floats | None]) -> None:
@@ -425,12 +319,7 @@ def _store(group: Any, arrays: Mapping[str, Floats | None]) -> None:
 
 
 def read_maps(path: str | PathLike[str]) -> dict[str, HeightMap]:
-    """Read the error maps of a run archive.
-
-    Parameters
-    ----------
-    path
-        ``run.h5``.
+    """Read the error maps of a run archive, ``run.h5``.
 
     Raises
     ------

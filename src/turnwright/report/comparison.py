@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from turnwright.report.page import Page, page_file, set_page
+from turnwright.report import figures as draw
+from turnwright.report.page import Page, Section, Table, write_page
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from pathlib import Path as File
 
     from turnwright.job import Candidate, Comparison
-    from turnwright.report.figures import Picture
 
 __all__ = ["COLUMNS", "cells", "write_comparison"]
 
@@ -29,18 +28,11 @@ COLUMNS = (
 """Columns of the table of strategies."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Page(Page):
-    """Content of the page, passed to the template."""
-
-    basis: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    axes: Sequence[str]
-    motions: Sequence[Sequence[str]]
-    refused: Sequence[tuple[str, str]]
-    pictures: Sequence[Picture]
-    maps: Sequence[tuple[str, Picture]]
+TABLE_TEXT = (
+    "PV and rms are of cut minus nominal surface, simulated from the program with the controller's interpolation and "
+    "the servos. The error contributions are differences of simulated surfaces: cusps are the error of an exact path; "
+    "chord, decimals and servos are the largest change that each causes."
+)
 
 
 def _shown(value: float) -> str:
@@ -61,49 +53,42 @@ def cells(one: Candidate) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def write_comparison(found: Comparison, path: str | PathLike[str]) -> File:
-    """Write the page of a comparison.
-
-    Parameters
-    ----------
-    found
-        Comparison of the strategies.
-    path
-        File, or an existing folder in which the page is named ``report.html``.
-
-    Returns
-    -------
-    pathlib.Path
-        The file written.
-    """
-    from turnwright.report import figures as draw  # noqa: PLC0415 - matplotlib is costly to import
-
-    path = page_file(path)
-    done = [one for one in found.candidates if not one.refused]
+def write_comparison(comparison: Comparison, path: str | PathLike[str]) -> File:
+    """Write the page of a comparison, see `write_page`."""
+    done = [one for one in comparison.candidates if not one.refused]
     letters = sorted({letter for one in done if one.limits for letter in one.limits.travel if letter != "C"})
-    part = found.job.part
-    page = _Page(
-        title=part.name or "Part",
-        kind="Strategy comparison",
-        basis=f"Every strategy is planned for cusps of {found.scallop * NM:.3g} nm away from the axis and from valleys "
-        f"narrower than the nose, and for chord errors of {found.chord * NM:.3g} nm, on {found.job.machine.name}.",
-        columns=COLUMNS,
-        rows=[cells(one) for one in done],
-        axes=[
-            "strategy",
-            *(
-                f"{letter} {what}"
-                for letter in letters
-                for what in ("stroke [mm]", "peak speed [mm/s]", "peak acceleration [mm/s²]")
-            ),
-        ],
-        motions=[(one.name, *_motions(one, letters)) for one in done],
-        refused=[(one.name, one.refused) for one in found.candidates if one.refused],
-        pictures=[draw.minutes_and_errors(done), draw.shares_of(done)] if done else [],
-        maps=[(one.name, draw.error_map(one.shares.error)) for one in done if one.shares],
-        job=found.job.to_toml(),
+    kinds = ("stroke [mm]", "peak speed [mm/s]", "peak acceleration [mm/s²]")
+    motions = [f"{letter} {kind}" for letter in letters for kind in kinds]
+    scallop, chord, machine = comparison.scallop * NM, comparison.chord * NM, comparison.job.machine.name
+    basis = (
+        f"Every strategy is planned for cusps of {scallop:.3g} nm away from the axis and from valleys narrower than "
+        f"the nose, and for chord errors of {chord:.3g} nm, on {machine}."
     )
-    return set_page("comparison.html.j2", page, path)
+    sections = [
+        Section(
+            text=[basis],
+            items=[_table(COLUMNS, [cells(one) for one in done], [TABLE_TEXT])],
+            notes=[f"{one.name}: {one.refused}" for one in comparison.candidates if one.refused],
+        ),
+        Section(
+            title="Cutting time and form error",
+            items=[draw.minutes_and_errors(done), draw.shares_of(done)] if done else [],
+        ),
+        Section(
+            title="Axes",
+            items=[_table(["strategy", *motions], [(one.name, *_motions(one, letters)) for one in done])],
+        ),
+        Section(
+            title="Error maps",
+            items=[draw.error_map(one.shares.error)._replace(title=one.name) for one in done if one.shares],
+        ),
+    ]
+    return write_page(Page(kind="Strategy comparison", job=comparison.job, sections=sections), path)
+
+
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[str] = ()) -> Table:
+    numeric = range(1, len(columns))
+    return Table(columns=columns, numeric=numeric, rows=rows, notes=notes, numbered=True, dense=True)
 
 
 def _motions(candidate: Candidate, letters: Sequence[str]) -> list[str]:
@@ -115,7 +100,7 @@ def _motions(candidate: Candidate, letters: Sequence[str]) -> list[str]:
             row += ["", "", ""]
             continue
         low, high = candidate.limits.travel[letter]
-        row += [
-            *map(_shown, (high - low, candidate.limits.peak_speed[letter], candidate.limits.peak_acceleration[letter])),
-        ]  # fmt: skip
+        row += map(
+            _shown, (high - low, candidate.limits.peak_speed[letter], candidate.limits.peak_acceleration[letter])
+        )
     return row

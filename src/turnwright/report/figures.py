@@ -12,7 +12,7 @@ import re
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path as File
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import numpy as np
@@ -24,6 +24,7 @@ from matplotlib.ticker import MaxNLocator
 from turnwright._io import write_whole
 from turnwright.metrology import area_rms
 from turnwright.profile import Profile
+from turnwright.report.page import Picture
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -33,24 +34,24 @@ if TYPE_CHECKING:
 
     from turnwright._arrays import Floats
     from turnwright.access import AccessFinding
-    from turnwright.cutting import ChipMap
+    from turnwright.cutting import ChipMap, Experiment
     from turnwright.diagnosis import Move
     from turnwright.heightmap import HeightMap
     from turnwright.job import Candidate, Entry
     from turnwright.material import Material
-    from turnwright.metrology import Spectrum
+    from turnwright.metrology import Lenslets, Spectrum
     from turnwright.part import Part
     from turnwright.path import Motion, Path
     from turnwright.tool import Tool
 
 __all__ = [
-    "Picture",
     "access_map",
     "approach_view",
     "axes_over_time",
     "chip_map",
     "contact",
     "density",
+    "dislocation_map",
     "error_map",
     "minutes_and_errors",
     "over_radius",
@@ -62,6 +63,7 @@ __all__ = [
     "spiral",
     "tool_moves",
     "view",
+    "write_fit_picture",
     "write_picture",
     "z_over_turns",
 ]
@@ -80,6 +82,8 @@ GAP_TEXT = "0.1 mm"
 
 MIN_BOUNDED_FRACTION = 1e-3
 """Smallest fraction of the area that is outlined where a limit is exceeded."""
+
+COLOUR_TEXT = "red is above the nominal surface, blue below, white is on it."
 
 COLOUR_PERCENTILE = 99.9
 """Percentile of the absolute heights at which the colours of an error map saturate. [%]"""
@@ -112,15 +116,12 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
 }
 
+PLAIN_STYLE = {key: value for key, value in STYLE.items() if not key.endswith(("color", "labelcolor"))}
+PLAIN_STYLE |= {"figure.facecolor": "white", "savefig.facecolor": "white"}
+"""Style of pictures in files of their own, in black on white."""
+
 # A perceptually uniform map for heights, diverging maps for errors and angles; all are safe for colour-blind readers.
 HEIGHTS, ERRORS, ANGLES = "viridis", "RdBu_r", "PuOr_r"
-
-
-class Picture(NamedTuple):
-    """An inline SVG."""
-
-    svg: str
-    alt: str
 
 
 class _Canvas:
@@ -131,9 +132,26 @@ class _Canvas:
         self.figure = Figure(figsize=(width, height), dpi=dpi, layout=self.layout)
         self.svg = ""
 
+    def chart(self, xlabel: str, ylabel: str, *, tight: bool = True) -> Axes:
+        """Add axes with labels and a grid; ``tight`` without margins along x."""
+        axes = self.figure.add_subplot()
+        axes.set(xlabel=xlabel, ylabel=ylabel)
+        axes.grid(visible=True)
+        axes.set_axisbelow(True)
+        if tight:
+            axes.margins(x=0)
+        return axes
+
+    def write(self, file: File) -> None:
+        """Write the figure in the format of the suffix, atomically."""
+        kind = file.suffix.lower().removeprefix(".")
+        picture = io.BytesIO()
+        self.figure.savefig(picture, format=kind, metadata={"Date": None} if kind == "svg" else None)
+        write_whole(file, picture.getvalue())
+
 
 @contextmanager
-def _canvas(width: float, height: float, dpi: int = 130) -> Iterator[_Canvas]:
+def _canvas(width: float = 4.6, height: float = 3.7, dpi: int = 130) -> Iterator[_Canvas]:
     """Yield a figure of a given size [in]; on exit its ``svg`` is set."""
     with mpl.rc_context(STYLE):
         canvas = _Canvas(width, height, dpi)
@@ -168,6 +186,19 @@ def _bar(canvas: _Canvas, axes: Axes, image: Any, label: str, extend: str = "nei
     bar.ax.yaxis.set_major_locator(MaxNLocator(6))
 
 
+def _legend_above(axes: Axes, ncols: int, **how: Any) -> None:
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=ncols, **how)
+
+
+def _hide_spines(axes: Axes, *sides: str) -> None:
+    for side in sides:
+        axes.spines[side].set_visible(False)
+
+
+def _arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float], colour: str, **how: Any) -> None:
+    axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": colour, "linewidth": 1.6, **how})
+
+
 def _square(radius: float) -> tuple[Floats, Floats, Floats]:
     """Return x, y and the distance from the axis on a square grid around a part. Each (n, n) [mm]."""
     x, y = np.meshgrid(*2 * [np.linspace(-radius, radius, PIXELS)])
@@ -188,8 +219,7 @@ def _plan(axes: Axes, image: Floats, radius: float, **how: Any) -> Any:
     )
     turn = np.linspace(0, TURN, 241)
     axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=INK, linewidth=0.7)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    _hide_spines(axes, "top", "right")
     axes.set(xlabel="x [mm]", ylabel="y [mm]")
     return drawn
 
@@ -199,7 +229,7 @@ def sag_map(part: Part) -> Picture:
     x, y, r = _square(part.radius)
     sag = _over_disc(part.radius, part.surface.sag(x[r <= part.radius], y[r <= part.radius]), r)
     factor, unit = _length(float(np.nanmax(sag) - np.nanmin(sag)))
-    with _canvas(4.6, 3.7) as canvas:
+    with _canvas() as canvas:
         axes = canvas.figure.add_subplot()
         image = _plan(axes, sag * factor, part.radius, cmap=HEIGHTS)
         if np.nanmax(sag) > np.nanmin(sag):
@@ -208,7 +238,8 @@ def sag_map(part: Part) -> Picture:
             axes.contour(x[few], y[few], sag[few] * factor, levels=9, **lines)
         _bar(canvas, axes, image, f"nominal height z [{unit}]")
     low, high = float(np.nanmin(sag)) * factor, float(np.nanmax(sag)) * factor
-    return Picture(canvas.svg, f"Map of the nominal height over the part, from {low:.4g} to {high:.4g} {unit}.")
+    extent = f"from {low:.4g} to {high:.4g} {unit}"
+    return Picture(canvas.svg, f"Nominal height over the part, {extent}: check shape, sign and orientation.")
 
 
 def view(part: Part) -> Picture:
@@ -218,7 +249,7 @@ def view(part: Part) -> Picture:
     z = part.surface.sag(x, y)
     factor, unit = _length(float(np.ptp(z)))
     stretch = 0.7 * part.radius / np.ptp(z) if np.ptp(z) > 0 else 1.0
-    with _canvas(4.6, 3.7, dpi=150) as canvas:
+    with _canvas(dpi=150) as canvas:
         canvas.figure.set_layout_engine("none")
         axes: Any = canvas.figure.add_axes((-0.06, -0.03, 1.04, 1.06), projection="3d")
         surface = axes.plot_surface(
@@ -237,7 +268,9 @@ def view(part: Part) -> Picture:
         axes.set_ylabel("y [mm]", labelpad=0)
         axes.set_zlabel(f"z [{unit}]", labelpad=2)
     return Picture(
-        canvas.svg, f"Perspective view of the nominal surface, heights exaggerated about {stretch:.3g} times."
+        canvas.svg,
+        f"Perspective view of the nominal surface, heights exaggerated about {stretch:.3g} times: check which regions "
+        "are concave and which convex.",
     )
 
 
@@ -249,7 +282,7 @@ def access_map(part: Part, findings: Sequence[AccessFinding]) -> Picture:
     sweep = np.arctan((x[inside] * zx + y[inside] * zy) / np.maximum(r[inside], 1e-12))
     image = np.degrees(_over_disc(part.radius, sweep, r))
     limit = max(float(np.nanmax(np.abs(image))), 1e-6)
-    with _canvas(4.6, 3.7) as canvas:
+    with _canvas() as canvas:
         axes = canvas.figure.add_subplot()
         drawn = _plan(axes, image, part.radius, cmap=ANGLES, vmin=-limit, vmax=limit)
         places: dict[tuple[float, float], list[str]] = {}
@@ -266,8 +299,9 @@ def access_map(part: Part, findings: Sequence[AccessFinding]) -> Picture:
         _bar(canvas, axes, drawn, "contact angle on the tool nose [deg]")
     return Picture(
         canvas.svg,
-        f"Map of the contact angle on the tool nose, within {limit:.3g} deg of the tip; critical points are marked by "
-        "their numbers in the table.",
+        f"Contact angle on the tool nose over the part, within {limit:.3g} deg of the tip: the numbers of the table "
+        "mark the points with the smallest margins.",
+        span=2,
     )
 
 
@@ -303,18 +337,12 @@ def approach_view(name: str, entry: Entry, tool: Tool) -> Picture:
             (z, "-", "tool where the pass begins"),
         ):
             axes.plot(x + u, height + e, color=SERIES[0], linestyle=style, linewidth=1.2, label=label)
-        if approach.plunge is None:
-            axes.annotate(
-                "", (x, z), (x, ceiling), arrowprops={"arrowstyle": "->", "color": INK, "linewidth": 0.9}
-            )  # fmt: skip
-        else:
-            axes.annotate("", (x, top), (x, ceiling), arrowprops={"arrowstyle": "->", "color": INK, "linewidth": 0.9})
-            axes.annotate(
-                "", (x, z), (x, top), arrowprops={"arrowstyle": "->", "color": SERIES[2], "linewidth": 1.6}
-            )  # fmt: skip
+        down = z if approach.plunge is None else top
+        _arrow(axes, (x, ceiling), (x, down), INK, linewidth=0.9)
+        if approach.plunge is not None:
+            _arrow(axes, (x, top), (x, z), SERIES[2])
             axes.plot([], [], color=SERIES[2], linewidth=1.6, label="plunge, C rotating")
-        goes = 0.5 * wide if entry.outward else -0.5 * wide
-        axes.annotate("", (x + goes, z), (x, z), arrowprops={"arrowstyle": "->", "color": SERIES[0], "linewidth": 1.6})
+        _arrow(axes, (x, z), (x + (0.5 if entry.outward else -0.5) * wide, z), SERIES[0])
         axes.set(xlim=(low, high), ylim=(bottom, ceiling), xlabel="distance from the axis [mm]", ylabel="z [mm]")
         axes.set_title(f"pass {name}")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2, fontsize=7)
@@ -322,8 +350,8 @@ def approach_view(name: str, entry: Entry, tool: Tool) -> Picture:
     how = "begins clear of the material" if approach.plunge is None else "plunges with C rotating"
     return Picture(
         canvas.svg,
-        f"Side view of the approach to pass {name}, which {how}: the material before it, the finished surface, the "
-        f"tool {GAP_TEXT} above the material and where the pass begins.",
+        f"Side view of the approach to pass {name}, which {how}: the dashed tool, where C starts to rotate, must be at "
+        f"least {GAP_TEXT} clear of the material.",
     )
 
 
@@ -351,8 +379,7 @@ def spiral(motion: Motion, turn: Motion, feed: float) -> Picture:
             ylabel="y [mm]",
             title=f"{count:.0f} revolutions" + (f", every {every}th drawn" if every > 1 else ""),
         )
-        for side in ("top", "right"):
-            plan.spines[side].set_visible(False)
+        _hide_spines(plan, "top", "right")
 
         middle = turn.time.size // 2
         radius, azimuth = float(turn.axes["X"][middle]), float(turn.axes["C"][middle])
@@ -377,8 +404,9 @@ def spiral(motion: Motion, turn: Motion, feed: float) -> Picture:
         zoom.grid(visible=True)
     return Picture(
         canvas.svg,
-        f"Plan view of the spiral of {count:.0f} revolutions, and a detail at radius {abs(radius):.4g} mm "
-        f"with a point spacing of {spacing * 1e3:.3g} µm.",
+        f"Plan view of the spiral of {count:.0f} revolutions, and a detail at radius {abs(radius):.4g} mm: compare the "
+        f"point spacing of {spacing * 1e3:.3g} µm with the feed of {feed * 1e3:.4g} µm/rev.",
+        span=6,
     )
 
 
@@ -394,23 +422,19 @@ def _band(axes: Axes, at: Floats, values: Floats, bins: int) -> None:
     axes.fill_between(
         middle, low[filled], high[filled], facecolor=SERIES[0], edgecolor=SERIES[0], linewidth=1.0, alpha=0.75
     )
-    axes.set_axisbelow(True)
-    axes.grid(visible=True)
-    axes.margins(x=0)
 
 
 def contact(path: Path) -> Picture:
     """Draw the range of the contact angle over the distance from the axis."""
     sweep = np.degrees(path.sweep)
     with _canvas(4.6, 2.9) as canvas:
-        axes = canvas.figure.add_subplot()
+        axes = canvas.chart("distance of the contact from the axis [mm]", "contact angle on the tool nose [deg]")
         axes.axhline(0, color=LINE, linewidth=0.8)
         _band(axes, np.hypot(path.contact_x, path.contact_y), sweep, 200)
-        axes.set(xlabel="distance of the contact from the axis [mm]", ylabel="contact angle on the tool nose [deg]")
     return Picture(
         canvas.svg,
-        f"Range of the contact angle on the tool nose over the distance from the axis: {sweep.min():.3g} to "
-        f"{sweep.max():.3g} deg from the tip.",
+        f"Range of the contact angle on the tool nose over the distance from the axis, {sweep.min():.3g} to "
+        f"{sweep.max():.3g} deg from the tip: it is the part of the nose that cuts and wears.",
     )
 
 
@@ -428,7 +452,7 @@ def chip_map(name: str, part: Part, chips: ChipMap, material: Material | None) -
     # Exclude the extremes at the axis and at the edge from the colour range.
     low, high = np.nanpercentile(drawn, (0.2, 99.8))
     caption = f"Maximum uncut chip thickness of pass {name}, up to {chips.thickest * factor:.3g} {unit}"
-    with _canvas(4.6, 3.7) as canvas:
+    with _canvas() as canvas:
         axes = canvas.figure.add_subplot()
         image = _plan(axes, drawn, part.radius, cmap=HEIGHTS, vmin=low, vmax=high)
         if material is not None and material.critical is not None:
@@ -472,7 +496,7 @@ def z_over_turns(turns: Sequence[Motion]) -> Picture:
             rate = np.gradient(tip, turn.time) if turn.time.size > 2 else np.zeros(turn.time.size)
             speed.plot(angle[few], rate[few], line, color=colour)
         height.set(ylabel=f"{name} about mid-stroke [{unit}]")
-        height.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), handlelength=2.4, columnspacing=1.2)
+        _legend_above(height, 3, handlelength=2.4, columnspacing=1.2)
         speed.set(
             xlabel="spindle angle from the start of the revolution [deg]", ylabel=f"{name} speed [mm/s]", xlim=(0, 360)
         )
@@ -481,7 +505,9 @@ def z_over_turns(turns: Sequence[Motion]) -> Picture:
         for axes in (height, speed):
             axes.grid(visible=True)
     return Picture(
-        canvas.svg, f"Position and speed of {name} over single revolutions at the edge, halfway and near the axis."
+        canvas.svg,
+        f"Position and speed of {name} over one revolution at the edge, halfway and near the axis: look for steps in "
+        "speed, which a servo cannot follow.",
     )
 
 
@@ -494,16 +520,22 @@ def axes_over_time(motion: Motion) -> Picture:
         panels = canvas.figure.subplots(len(letters), 1, sharex=True)
         for axes, letter in zip(panels, letters, strict=True):
             _band(axes, seconds * scale, motion.axes[letter], min(seconds.size, 400))
+            axes.grid(visible=True)
+            axes.margins(x=0)
             axes.set(ylabel=f"{letter} [mm]")
         panels[-1].set(xlabel=f"time [{unit}]")
     named = f"{', '.join(letters[:-1])} and {letters[-1]}"
-    return Picture(canvas.svg, f"Range of {named} over the {seconds[-1] * scale:.4g} {unit} of the finishing pass.")
+    return Picture(
+        canvas.svg,
+        f"Range of {named} over the {seconds[-1] * scale:.4g} {unit} of the finishing pass: look for jumps and for "
+        "unexpected strokes.",
+    )
 
 
 def _resampled(heights: HeightMap) -> tuple[Floats, tuple[float, float, float, float]]:
     """Resample a polar map to a square grid by nearest height; return it with its extent. (n, n), [mm]."""
-    if heights.radius is None or heights.angle is None:
-        raise TypeError
+    assert heights.radius is not None  # noqa: S101 - the map is polar
+    assert heights.angle is not None  # noqa: S101
     reach = float(heights.radius[-1])
     x, y, r = _square(reach)
     column = np.searchsorted((heights.radius[1:] + heights.radius[:-1]) / 2, r)
@@ -515,27 +547,27 @@ def _resampled(heights: HeightMap) -> tuple[Floats, tuple[float, float, float, f
     return np.where(r <= reach, heights.z[row, column], np.nan), (-reach, reach, -reach, reach)
 
 
-def error_map(heights: HeightMap) -> Picture:
-    """Draw an error map, colours centred at zero."""
-    with _canvas(4.6, 3.7) as canvas:
+def error_map(heights: HeightMap, what: str = "Error (cut minus nominal)") -> Picture:
+    """Draw an error map, colours centred at zero; ``what`` begins the caption."""
+    with _canvas() as canvas:
         _draw_map(canvas, heights, "cut minus nominal [nm]")
-    low, high = _range_nm(heights.z)
-    return Picture(canvas.svg, f"Map of cut minus nominal, from {low:.4g} to {high:.4g} nm.")
+    finite = heights.z[np.isfinite(heights.z)] * NM
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    return Picture(canvas.svg, f"{what}, from {low:.4g} to {high:.4g} nm: {COLOUR_TEXT}")
 
 
-def _range_nm(z: Floats) -> tuple[float, float]:
-    finite = z[np.isfinite(z)]
-    return (float(finite.min()) * NM, float(finite.max()) * NM) if finite.size else (0.0, 0.0)
+def _error_colours(values: Floats) -> tuple[dict[str, Any], str]:
+    """Return colours centred at zero for values in nm, and which ends of their bar have an arrow."""
+    sizes = np.abs(values[np.isfinite(values)])
+    limit = (float(np.percentile(sizes, COLOUR_PERCENTILE)) if sizes.size else 0.0) or 1e-3
+    beyond = sizes.size and sizes.max() > limit * 1.001
+    return {"cmap": ERRORS, "vmin": -limit, "vmax": limit}, "both" if beyond else "neither"
 
 
 def _draw_map(canvas: _Canvas, heights: HeightMap, label: str) -> None:
     """Draw gridded or scattered heights, colours centred at zero."""
     axes = canvas.figure.add_subplot()
-    sizes = np.abs(heights.z[np.isfinite(heights.z)]) * NM
-    limit = float(np.percentile(sizes, COLOUR_PERCENTILE)) if sizes.size else 1.0
-    beyond = bool(sizes.size and sizes.max() > limit * 1.001)
-    limit = limit or 1e-3
-    colours: dict[str, Any] = {"cmap": ERRORS, "vmin": -limit, "vmax": limit}
+    colours, extend = _error_colours(heights.z * NM)
     if heights.polar:
         image, extent = _resampled(heights)
         drawn = _plan(axes, image * NM, float(extent[1]), **colours)
@@ -572,43 +604,52 @@ def _draw_map(canvas: _Canvas, heights: HeightMap, label: str) -> None:
             xlabel=f"x from {round(centre[0], 9) + 0.0:.6g}{shift} [{unit}]",
             ylabel=f"y from {round(centre[1], 9) + 0.0:.6g}{shift} [{unit}]",
         )
-    _bar(canvas, axes, drawn, label, extend="both" if beyond else "neither")
+    _bar(canvas, axes, drawn, label, extend)
+
+
+def write_fit_picture(experiment: Experiment, path: str | PathLike[str]) -> None:
+    """Write a picture of measured and fitted cutting forces with their residuals."""
+    fit, critical = experiment.learned.fit, experiment.learned.critical
+    count, nm = len(fit.components), fit.thickness * NM
+    with mpl.rc_context(PLAIN_STYLE):
+        canvas = _Canvas(4.2 * count, 5.6, 150)
+        panels = canvas.figure.subplots(2, count, squeeze=False, sharex=True, height_ratios=(2, 1))
+        for name, column, measured, fitted in zip(fit.components, panels.T, fit.measured.T, fit.fitted.T, strict=True):
+            above, below = column
+            above.plot(nm, measured * 1e3, ".", markersize=3, color="tab:blue", label="measured, without drift")
+            above.plot(nm, fitted * 1e3, ".", markersize=2, color="k", label="fitted")
+            below.plot(nm, (measured - fitted) * 1e3, ".", markersize=3, color="tab:blue")
+            below.axhline(0, color="k", linewidth=0.8)
+            above.set(title=name, ylabel="force [mN]")
+            below.set(xlabel="maximum uncut chip thickness [nm]", ylabel="measured - fitted [mN]")
+            for axes in column if critical is not None else ():
+                span = critical.low * NM, critical.high * NM
+                axes.axvspan(*span, color="tab:red", alpha=0.3, label="critical chip thickness")
+            above.legend(fontsize=7)
+        canvas.figure.suptitle(experiment.name)
+        canvas.write(File(path))
 
 
 def write_picture(shown: HeightMap | Profile, path: str | PathLike[str]) -> None:
-    """Write a picture of a map or a profile as ``.png``, ``.svg`` or ``.pdf``, by the suffix.
-
-    Parameters
-    ----------
-    shown
-        Map or profile.
-    path
-        File to write.
-
-    """
-    file = File(path)
-    kind = file.suffix.lower().removeprefix(".")
-    plain = {key: value for key, value in STYLE.items() if not key.endswith(("color", "labelcolor"))}
-    with mpl.rc_context({**plain, "figure.facecolor": "white", "savefig.facecolor": "white"}):
+    """Write a picture of a map or a profile as ``.png``, ``.svg`` or ``.pdf``, by the suffix of the file."""
+    with mpl.rc_context(PLAIN_STYLE):
         canvas = _Canvas(6.4, 3.2 if isinstance(shown, Profile) else 4.8, 160)
         if isinstance(shown, Profile):
-            axes = canvas.figure.add_subplot()
             factor, unit = _length(float(np.ptp(shown.distance)))
+            axes = canvas.chart(f"distance [{unit}]", "height [nm]")
             axes.plot(shown.distance * factor, shown.z * NM, linewidth=0.8)
-            axes.set(xlabel=f"distance [{unit}]", ylabel="height [nm]")
-            axes.grid(visible=True)
-            axes.margins(x=0)
         else:
             _draw_map(canvas, shown, "height [nm]")
-        picture = io.BytesIO()
-        canvas.figure.savefig(picture, format=kind, metadata={"Date": None} if kind == "svg" else None)
-    write_whole(file, picture.getvalue())
+        canvas.write(File(path))
 
 
-def places_map(heights: HeightMap, radius: float, *, like: HeightMap | None = None) -> Picture:
+def places_map(
+    heights: HeightMap, radius: float, title: str, *, what: str = "", like: HeightMap | None = None
+) -> Picture:
     """Draw scattered errors over the part as the mean in each pixel, colours centred at zero.
 
-    If the errors are the valid heights of the grid ``like``, the rms is weighted by area.
+    The caption begins with ``what``, by default with the title. If the errors are the valid heights of the grid
+    ``like``, the rms is weighted by area.
     """
     x, y = heights.points()
     z = heights.z * NM
@@ -620,15 +661,14 @@ def places_map(heights: HeightMap, radius: float, *, like: HeightMap | None = No
     count = np.bincount(row * side + column, minlength=side * side)
     sums = np.bincount(row * side + column, weights=z, minlength=side * side)
     image = np.where(count > 0, sums / np.maximum(count, 1), np.nan).reshape(side, side)
-    shown = np.abs(image[np.isfinite(image)])
-    limit = (float(np.percentile(shown, COLOUR_PERCENTILE)) if shown.size else 0.0) or 1e-3
-    with _canvas(4.6, 3.7) as canvas:
+    colours, extend = _error_colours(image)
+    with _canvas() as canvas:
         axes = canvas.figure.add_subplot()
-        drawn = _plan(axes, image, radius, cmap=ERRORS, vmin=-limit, vmax=limit)
-        _bar(canvas, axes, drawn, "[nm]", extend="both" if shown.size and shown.max() > limit * 1.001 else "neither")
+        _bar(canvas, axes, _plan(axes, image, radius, **colours), "[nm]", extend)
     rms = area_rms(replace(heights, z=np.where(used, heights.z, np.nan)), like=like) * NM if z.size else 0.0
     low, high = (float(z.min()), float(z.max())) if z.size else (0.0, 0.0)
-    return Picture(canvas.svg, f"From {low:.4g} to {high:.4g} nm, {rms:.3g} nm rms.")
+    extent = f"from {low:.4g} to {high:.4g} nm, {rms:.3g} nm rms"
+    return Picture(canvas.svg, f"{what or title.capitalize()}, {extent}: {COLOUR_TEXT}", title)
 
 
 def over_radius(heights: HeightMap, radius: float) -> Picture:
@@ -647,15 +687,32 @@ def over_radius(heights: HeightMap, radius: float) -> Picture:
         np.array([function(groups[k]) for k in filled])
         for function in (np.mean, lambda group: np.percentile(group, 5), lambda group: np.percentile(group, 95))
     )
-    with _canvas(4.6, 3.7) as canvas:
-        axes = canvas.figure.add_subplot()
-        axes.fill_between(middle, low, high, facecolor=SERIES[0], edgecolor="none", alpha=0.3)
-        axes.plot(middle, mean, color=SERIES[0])
+    return _draw_radial(middle, mean, (low, high), "5th to 95th percentile")._replace(title="around the axis")
+
+
+def rings(heights: HeightMap) -> Picture:
+    """Draw the azimuthal mean and range of a polar error map over the radius."""
+    assert heights.radius is not None  # noqa: S101 - the map is polar
+    filled = np.isfinite(heights.z).any(axis=0)
+    radius, z = heights.radius[filled], heights.z[:, filled] * NM
+    few = slice(None, None, max(1, math.ceil(radius.size / 600)))
+    low, mean, high = (end(z[:, few], axis=0) for end in (np.nanmin, np.nanmean, np.nanmax))
+    return _draw_radial(radius[few], mean, (low, high), "range")
+
+
+def _draw_radial(radius: Floats, mean: Floats, ends: tuple[Floats, Floats], band: str) -> Picture:
+    """Draw an error over the distance from the axis: its mean around the axis, and a band."""
+    with _canvas() as canvas:
+        axes = canvas.chart("distance from the axis [mm]", "cut minus nominal [nm]")
         axes.axhline(0, color=LINE, linewidth=0.8)
-        axes.set(xlabel="distance from the axis [mm]", ylabel="cut minus nominal [nm]")
-        axes.grid(visible=True)
-        axes.margins(x=0)
-    return Picture(canvas.svg, "Azimuthal mean over the radius; the band spans the 5th to 95th percentile.")
+        axes.fill_between(radius, *ends, color=SERIES[0], alpha=0.3, linewidth=0, label=f"azimuthal {band}")
+        axes.plot(radius, mean, color=SERIES[0], label="azimuthal mean")
+        _legend_above(axes, 2)
+    return Picture(
+        canvas.svg,
+        f"Azimuthal mean and {band} of the error over the distance from the axis: a wide band means that the error "
+        "varies with the spindle angle.",
+    )
 
 
 def tool_moves(moves: Sequence[Move]) -> Picture:
@@ -664,8 +721,7 @@ def tool_moves(moves: Sequence[Move]) -> Picture:
     largest = max(abs(one) for one in by.values())
 
     def arrow(axes: Axes, way: tuple[float, float], name: str) -> None:
-        start = (0.0, 0.0)
-        axes.annotate("", xy=way, xytext=start, arrowprops={"arrowstyle": "-|>", "color": SERIES[1], "linewidth": 2.0})
+        _arrow(axes, (0.0, 0.0), way, SERIES[1], arrowstyle="-|>", linewidth=2.0)
         offset = 0.18 * math.copysign(1.0, way[1] or 1.0)
         axes.text(way[0], way[1] + offset, f"{name} {by[name] * 1e3:+.3g} µm", ha="center", va="center")
 
@@ -686,40 +742,19 @@ def tool_moves(moves: Sequence[Move]) -> Picture:
         along.set(title="along the spindle")
         for axes in (above, along):
             axes.set(xlim=(-1.9, 1.9), ylim=(-1.5, 1.5), aspect="equal", xticks=[], yticks=[])
-            for side in axes.spines.values():
-                side.set_visible(False)
+            _hide_spines(axes, "top", "right", "bottom", "left")
     return Picture(
         canvas.svg,
-        "Directions of the tool moves. Left: X to the right, Z away from the part. Right: the tool is at +X; up is the "
-        "direction of increasing spindle angle under it.",
+        "Directions in which to move the tool: left from above, with X to the right and Z away from the part; right "
+        "along the spindle, with the tool at +X and up the direction of increasing spindle angle under it.",
     )
-
-
-def rings(heights: HeightMap) -> Picture:
-    """Draw the azimuthal mean and range of a polar error map over the radius."""
-    if heights.radius is None:
-        raise TypeError
-    filled = np.isfinite(heights.z).any(axis=0)
-    radius, z = heights.radius[filled], heights.z[:, filled] * NM
-    few = slice(None, None, max(1, math.ceil(radius.size / 600)))
-    low, mean, high = (end(z[:, few], axis=0) for end in (np.nanmin, np.nanmean, np.nanmax))
-    with _canvas(4.6, 3.7) as canvas:
-        axes = canvas.figure.add_subplot()
-        axes.axhline(0, color=LINE, linewidth=0.8)
-        axes.fill_between(radius[few], low, high, color=SERIES[0], alpha=0.3, linewidth=0, label="azimuthal range")
-        axes.plot(radius[few], mean, color=SERIES[0], label="azimuthal mean")
-        axes.set(xlabel="distance from the axis [mm]", ylabel="cut minus nominal [nm]")
-        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-        axes.margins(x=0)
-        axes.grid(visible=True)
-    return Picture(canvas.svg, "Mean and range of cut minus nominal around each ring, over the distance from the axis.")
 
 
 def profile(heights: HeightMap, feed: float) -> Picture:
     """Draw a profile across the cusps through the middle of a rectangular map."""
     x, y = heights.x, heights.y
-    if x is None or y is None:
-        raise TypeError
+    assert x is not None  # noqa: S101 - the map is rectangular
+    assert y is not None  # noqa: S101
     over_x = abs(x[0] + x[-1]) >= abs(y[0] + y[-1])
     along, other = (x, y) if over_x else (y, x)
     middle = other.size // 2
@@ -730,35 +765,35 @@ def profile(heights: HeightMap, feed: float) -> Picture:
         shown = np.ones(at.shape, dtype=bool)
     few = slice(None, None, max(1, math.ceil(np.count_nonzero(shown) / 3000)))
     letter, across = ("x", "y") if over_x else ("y", "x")
-    with _canvas(4.6, 3.7) as canvas:
-        axes = canvas.figure.add_subplot()
+    with _canvas() as canvas:
+        xlabel = f"{letter} from the middle, at {across} = {other[middle]:.5g} mm [µm]"
+        axes = canvas.chart(xlabel, "cut minus nominal [nm]")
         axes.axhline(0, color=LINE, linewidth=0.8)
         axes.plot(at[shown][few], z[shown][few], color=SERIES[0])
-        axes.set(
-            xlabel=f"{letter} from the middle, at {across} = {other[middle]:.5g} mm [µm]",
-            ylabel="cut minus nominal [nm]",
-        )
-        axes.margins(x=0)
-        axes.grid(visible=True)
-    return Picture(canvas.svg, f"Profile of cut minus nominal along {letter}; cusp spacing {feed * 1e3:.3g} µm.")
+    return Picture(
+        canvas.svg,
+        f"Profile of the error along {letter}: cusps repeat every {feed * 1e3:.3g} µm, the feed; look for any other "
+        "period.",
+    )
 
 
 def density(spectrum: Spectrum) -> Picture:
     """Draw a power spectral density over spatial frequency, both logarithmic."""
     positive = (spectrum.frequency > 0) & (spectrum.density > 0)
-    with _canvas(4.6, 3.7) as canvas:
-        axes = canvas.figure.add_subplot()
+    with _canvas() as canvas:
+        axes = canvas.chart("spatial frequency [1/mm]", f"power spectral density [{spectrum.unit}]")
         axes.loglog(spectrum.frequency[positive], spectrum.density[positive], color=SERIES[0])
-        axes.set(xlabel="spatial frequency [1/mm]", ylabel=f"power spectral density [{spectrum.unit}]")
-        axes.margins(x=0)
-        axes.grid(visible=True)
-    return Picture(canvas.svg, f"Power spectral density up to {spectrum.frequency[-1]:.3g} per mm.")
+    return Picture(
+        canvas.svg,
+        f"Power spectral density of the error up to {spectrum.frequency[-1]:.3g} per mm: peaks are periodic errors, "
+        "such as cusps.",
+    )
 
 
 def minutes_and_errors(tried: Sequence[Candidate]) -> Picture:
     """Draw form error PV over cutting time for each strategy."""
-    with _canvas(4.6, 3.7) as canvas:
-        axes = canvas.figure.add_subplot()
+    with _canvas() as canvas:
+        axes = canvas.chart("minutes", "form error PV [nm]")
         points = [(one.limits.cycle_time_s / 60, one.shares.pv_nm) for one in tried if one.limits and one.shares]
         # Pareto front: no other strategy is both faster and more accurate.
         best = sorted(p for p in points if not any(o != p and o[0] <= p[0] and o[1] <= p[1] for o in points))
@@ -775,28 +810,69 @@ def minutes_and_errors(tried: Sequence[Candidate]) -> Picture:
                 labels.append((label, point))
             else:
                 near.set_text(f"{near.get_text()}, {number}")
-        axes.set(xlabel="minutes", ylabel="form error PV [nm]")
         axes.margins(0.12)
-        axes.grid(visible=True)
     named = ", ".join(f"{number} {one.name}" for number, one in enumerate(tried, 1))
-    return Picture(canvas.svg, f"Form error over cutting time: {named}. The line is the Pareto front.")
+    return Picture(
+        canvas.svg,
+        f"Form error over cutting time, {named}: the line (the Pareto front) joins the strategies that no other one "
+        "beats in both.",
+    )
 
 
 def shares_of(tried: Sequence[Candidate]) -> Picture:
     """Draw the error contributions of each strategy."""
     sources = {"cusps": "cusp_nm", "chord": "chord_nm", "servos": "tracking_nm"}
-    with _canvas(4.6, 3.7) as canvas:
-        axes = canvas.figure.add_subplot()
+    with _canvas() as canvas:
+        axes = canvas.chart("largest contribution [nm]", "strategy", tight=False)
         rows = np.arange(len(tried))
         for k, ((cause, name), colour) in enumerate(zip(sources.items(), SERIES, strict=True)):
             sizes = [getattr(one.shares, name) for one in tried]
             axes.barh(rows + (k - 1) * 0.26, sizes, height=0.24, color=colour, label=cause)
         axes.set_yticks(rows, [str(number) for number in range(1, len(tried) + 1)])
         axes.invert_yaxis()
-        axes.set(xlabel="largest contribution [nm]", ylabel="strategy")
-        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
-        axes.grid(visible=True, axis="x")
-        axes.set_axisbelow(True)
+        _legend_above(axes, 3)
+        axes.grid(visible=False, axis="y")
     return Picture(
-        canvas.svg, "Error contributions of cusps, chord and servos for each strategy, numbered as in the table."
+        canvas.svg,
+        "Error contributions of cusps, chord and servos for each strategy, numbered as in the table: the longest bar "
+        "limits its accuracy.",
+    )
+
+
+def dislocation_map(lenslets: Lenslets) -> Picture:
+    """Draw the dislocations with their mean removed, and the residual after shift, rotation and scale.
+
+    Each panel scales its arrows by its own root mean square, given in the title. A cross is a lenslet that could not
+    be fitted.
+    """
+    design, is_measured = lenslets.design, lenslets.measured
+    reach = float(np.ptp(design, axis=0).max()) or 1.0
+    panels = [("mean removed", lenslets.centred)]
+    if lenslets.alignment is not None:
+        rotation, scale = lenslets.alignment.rotation * 1e6, lenslets.alignment.scale * 1e6
+        panels.append((f"without rotation {rotation:.4g} µrad and scale {scale:.4g} ppm", lenslets.irregular))
+    titles = []
+    with _canvas(5.3 * len(panels), 4.6) as canvas:
+        frames = np.atleast_1d(canvas.figure.subplots(1, len(panels)))
+        for axes, (name, dislocation) in zip(frames, panels, strict=True):
+            rms = float(np.sqrt(np.mean(np.sum(dislocation[is_measured] ** 2, axis=1)))) if is_measured.any() else 0.0
+            length = 0.08 * reach / rms if rms > 0 else 0.0
+            axes.plot(*design[is_measured].T, ".", color=LINE, markersize=3)
+            axes.plot(*design[~is_measured].T, "x", color=SERIES[1], markersize=6)
+            if length:
+                axes.quiver(
+                    *design[is_measured].T, *(dislocation[is_measured] * length).T,
+                    angles="xy", scale_units="xy", scale=1, color=SERIES[0], width=0.004,
+                )  # fmt: skip
+            titles.append(f"{name}: {rms * 1e3:.3g} µm rms")
+            axes.set_title(titles[-1], color=INK)
+            axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
+            axes.margins(0.12)
+            _hide_spines(axes, "top", "right")
+    lost = f"; {np.count_nonzero(~is_measured)} lenslets could not be fitted" if not is_measured.all() else ""
+    return Picture(
+        canvas.svg,
+        f"Dislocations of {is_measured.size} lenslets from their nominal positions, {', '.join(titles)}{lost}: "
+        "a common pattern of the arrows is an alignment error, the irregular rest is of single lenslets.",
+        span=3 * len(panels),
     )

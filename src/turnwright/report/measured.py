@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from turnwright.diagnosis import centre_defect, handbook_offset, moves
 from turnwright.errors import InputError
-from turnwright.report.page import Page, page_file, set_page
+from turnwright.metrology import best_fit
+from turnwright.report import figures as draw
+from turnwright.report.page import Number, Page, Section, Table, write_page
+from turnwright.surface import Sphere
 
 if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
     from os import PathLike
     from pathlib import Path as File
 
     from turnwright.diagnosis import Diagnosis, Finding
     from turnwright.job import Correction, Measured
-    from turnwright.report.figures import Picture
 
 __all__ = ["write_correction", "write_diagnosis", "write_measured"]
 
@@ -59,59 +61,17 @@ INTERVAL_TEXT = (
 TERMS_TEXT = "Contributions without a single source. With several maps of a part, the shared contribution is listed."
 
 
-class _Number(NamedTuple):
-    """A key figure at the top of the page."""
-
-    label: str
-    value: str
-    unit: str
-    note: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Section:
-    """A section with a heading, text, pictures and a table."""
-
-    title: str
-    text: Sequence[str] = ()
-    pictures: Sequence[tuple[str, Picture]] = ()
-    columns: Sequence[str] = ()
-    rows: Sequence[Sequence[str]] = ()
-    numeric: frozenset[int] = frozenset()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Sheet(Page):
-    """Content of the page, passed to the template."""
-
-    grade: str
-    word: str
-    why: str
-    numbers: Sequence[_Number]
-    notes: Sequence[str]
-    sections: Sequence[_Section]
-
-
-def _number(label: str, value: float, note: str) -> _Number:
-    return _Number(label, f"{value:.4g}", "nm", note)
+def _number(label: str, value: float, note: str) -> Number:
+    return Number(label, f"{value:.4g}", "nm", note)
 
 
 def write_measured(measured: Measured, path: str | PathLike[str]) -> File:
-    """Write the page of a measured part.
-
-    Parameters
-    ----------
-    measured
-        From `turnwright.measure`.
-    path
-        File, or an existing folder in which the page is named ``report.html``.
-    """
-    path = page_file(path)
+    """Write the page of a measured part, see `write_page`."""
     rough = measured.roughness
-    sheet = _Sheet(
-        title=measured.job.part.name or "Part",
+    page = Page(
         kind="Measured",
-        **_judged(measured),
+        job=measured.job,
+        **_verdict(measured),
         numbers=[
             _number(
                 "Form error PV", measured.form_pv_nm, f"rms {measured.form_rms_nm:.4g} nm, over the clear aperture"
@@ -121,143 +81,112 @@ def write_measured(measured: Measured, path: str | PathLike[str]) -> File:
             ),
             _number("Texture Sq", rough.sq_nm, "after removal of the Zernike terms")
             if rough
-            else _Number("Outliers", str(measured.outliers), "", "removed"),
+            else Number("Outliers", str(measured.outliers), "", "removed"),
         ],
-        notes=_open_questions(measured),
-        sections=[*_form(measured), *_lens_section(measured), *_through_instrument(measured), _placed(measured)],
-        job=measured.job.to_toml(),
+        notes=measured.open_questions,
+        sections=[*_form(measured), *_lens_section(measured), *_through_instrument(measured), _pose(measured)],
     )
-    return set_page("sheet.html.j2", sheet, path)
+    return write_page(page, path)
 
 
-def write_diagnosis(measured: Sequence[Measured], found: Diagnosis, path: str | PathLike[str]) -> File:
-    """Write the page of a diagnosis.
-
-    Parameters
-    ----------
-    measured
-        Parts that were diagnosed.
-    found
-        From `turnwright.diagnose`.
-    path
-        File, or an existing folder in which the page is named ``report.html``.
-    """
-    path = page_file(path)
-    correctable = [one for one in found if one.verdict == "correct"]
-    sheet = _Sheet(
+def write_diagnosis(measured: Sequence[Measured], diagnosis: Diagnosis, path: str | PathLike[str]) -> File:
+    """Write the page of a diagnosis of measured parts, see `write_page`."""
+    correctable = [one for one in diagnosis if one.verdict == "correct"]
+    noise = f"point-to-point noise {max(diagnosis.noise_nm):.3g} nm"
+    page = Page(
         title=" and ".join(dict.fromkeys(one.job.part.name or "part" for one in measured)),
         kind="Diagnosis",
+        job=measured[0].job,
         grade="warn" if correctable else "good",
         word=f"{len(correctable)} to correct" if correctable else "Nothing to correct",
-        why=", ".join(one.name for one in correctable) or "No error source needs correction.",
+        why=[", ".join(one.name for one in correctable) or "No error source needs correction."],
         numbers=[
-            _number("Form error", found.measured_rms_nm, "rms after registration"),
-            _number("Attributed", found.explained_rms_nm, "rms attributed to error sources"),
-            _number("Residual", found.unexplained_rms_nm, f"rms; point-to-point noise {max(found.noise_nm):.3g} nm"),
+            _number("Form error", diagnosis.measured_rms_nm, "rms after registration"),
+            _number("Attributed", diagnosis.explained_rms_nm, "rms attributed to error sources"),
+            _number("Residual", diagnosis.unexplained_rms_nm, f"rms; {noise}"),
         ],
-        notes=[note for one in measured for note in _open_questions(one)],
+        notes=[note for one in measured for note in one.open_questions],
         sections=[
-            _causes(found),
-            _terms(found),
-            *_setup(measured, found),
-            _signatures(measured, found),
+            _causes(diagnosis),
+            _terms(diagnosis),
+            *_setup(measured, diagnosis),
+            _signatures(measured, diagnosis),
             *(section for one in measured for section in _through_instrument(one)),
         ],
-        job=measured[0].job.to_toml(),
-    )  # fmt: skip
-    return set_page("sheet.html.j2", sheet, path)
+    )
+    return write_page(page, path)
 
 
 def write_correction(
-    measured: Sequence[Measured], found: Diagnosis, better: Correction, path: str | PathLike[str]
+    measured: Sequence[Measured], diagnosis: Diagnosis, correction: Correction, path: str | PathLike[str]
 ) -> File:
-    """Write the page of a correction.
-
-    Parameters
-    ----------
-    measured, found
-        Measured parts and their diagnosis.
-    better
-        From `turnwright.correct`.
-    path
-        File, or an existing folder in which the page is named ``report.html``.
-    """
-    from turnwright.report import figures as draw  # noqa: PLC0415 - matplotlib is costly to import
-
-    path = page_file(path)
-    sizes = better.numbers_nm
-    radius, is_compensated = better.job.part.radius, better.job.part.correction is not None
+    """Write the page of a correction, see `write_page`."""
+    sizes = correction.numbers_nm
+    radius, is_compensated = correction.job.part.radius, correction.job.part.correction is not None
     names = {"measured": "as measured", "predicted": "predicted after the correction", "simulated": "simulated alone"}
-    maps = {"measured": better.measured, "predicted": better.predicted, "simulated": better.simulated}
+    maps = {"measured": correction.measured, "predicted": correction.predicted, "simulated": correction.simulated}
     changes = [
-        "The tool path uses the diagnosed tool." if better.job.tool != measured[0].job.tool else "",
-        "The tool path uses the diagnosed machine." if better.job.machine != measured[0].job.machine else "",
-        f"Repeatable form error at wavelengths above {better.cutoff:.3g} mm is compensated."
-        if better.cutoff
+        "The tool path uses the diagnosed tool." if correction.job.tool != measured[0].job.tool else "",
+        "The tool path uses the diagnosed machine." if correction.job.machine != measured[0].job.machine else "",
+        f"Repeatable form error at wavelengths above {correction.cutoff:.3g} mm is compensated."
+        if correction.cutoff
         else "No repeatable form error remains to be compensated.",
     ]
-    sheet = _Sheet(
-        title=better.job.part.name or "Part",
+    page = Page(
         kind="Correction",
+        job=correction.job,
         grade="good",
         word="Corrected job",
-        why=" ".join(one for one in changes if one),
-        numbers=[
-            _number(names[name].capitalize(), rms, f"rms; PV {pv:.4g} nm") for name, (pv, rms) in sizes.items()
-        ],
-        notes=[note for one in measured for note in _open_questions(one)],
+        why=[one for one in changes if one],
+        numbers=[_number(names[name].capitalize(), rms, f"rms; PV {pv:.4g} nm") for name, (pv, rms) in sizes.items()],
+        notes=[note for one in measured for note in one.open_questions],
         sections=[
-            _Section(
+            Section(
                 title="Before and after",
-                text=[*better.sentences, PREDICTION_TEXT, *([SIMULATION_TEXT] if is_compensated else [])],
-                pictures=[
-                    (names[name], draw.places_map(one, radius)) for name, one in maps.items() if one is not None
+                text=[*correction.sentences, PREDICTION_TEXT, *([SIMULATION_TEXT] if is_compensated else [])],
+                items=[
+                    draw.places_map(one, radius, names[name], what=f"Error {names[name]}")
+                    for name, one in maps.items()
+                    if one is not None
                 ],
             ),
-            _causes(found),
-            _terms(found),
+            _causes(diagnosis),
+            _terms(diagnosis),
         ],
-        job=better.job.to_toml(),
-    )  # fmt: skip
-    return set_page("sheet.html.j2", sheet, path)
+    )
+    return write_page(page, path)
 
 
-def _judged(measured: Measured) -> dict[str, str]:
+def _verdict(measured: Measured) -> dict[str, Any]:
     """Return grade, word and reason of the verdict on form."""
     verdicts = measured.verdicts
     form = next((one for one in verdicts if one.tolerance == "form_pv"), None)
     if form is None:
-        return {"grade": "plain", "word": "Measured", "why": "The job states no tolerances.form_pv."}
-    why = " ".join(f"{one.sentence}." for one in verdicts)
+        return {"grade": "plain", "word": "Measured", "why": ["The job states no tolerances.form_pv."]}
     return {
         "grade": "good" if form.is_kept else "bad",
         "word": "Form within tolerance" if form.is_kept else "Form out of tolerance",
-        "why": why,
+        "why": [f"{one.sentence}." for one in verdicts],
     }
 
 
-def _through_instrument(measured: Measured) -> list[_Section]:
+def _through_instrument(measured: Measured) -> list[Section]:
     """Return the effect of the instrument on nominal surface and cusps, if the job states one."""
     text = [f"{one[0].upper()}{one[1:]}." for one in measured.as_seen]
     seen = measured.job.measurement.instrument
     if seen is not None and seen.source:
         text.append(f"Source: {seen.source}.")
-    return [_Section(title="Through the instrument", text=text)] if text else []
+    return [Section(title="Through the instrument", text=text)] if text else []
 
 
-def _open_questions(measured: Measured) -> list[str]:
-    """Return ambiguities of the registration."""
-    return list(measured.open_questions)
-
-
-def _form(measured: Measured) -> list[_Section]:
+def _form(measured: Measured) -> list[Section]:
     """Return the sections of the form error and its Zernike terms."""
-    from turnwright.report import figures as draw  # noqa: PLC0415
-
     radius = measured.job.part.radius
-    pictures = [("over the part", draw.places_map(measured.error, radius, like=measured.registration.error))]
-    pictures.append(("around the axis", draw.over_radius(measured.error, radius)))
-    sections = [_Section(title="Error (cut minus nominal)", pictures=pictures)]
+    pictures = [
+        draw.places_map(measured.error, radius, "over the part", what="Error", like=measured.registration.error),
+        draw.over_radius(measured.error, radius),
+    ]
+    sections = [Section(title="Error (cut minus nominal)", items=pictures)]
     terms = measured.zernike
     if terms is not None:
         order = np.argsort(-np.abs(terms.coefficients))[:16]
@@ -266,151 +195,110 @@ def _form(measured: Measured) -> list[_Section]:
             for k in order
         ]
         sections.append(
-            _Section(
+            Section(
                 title="Form in fringe Zernike terms",
                 text=["The largest of 37 terms over the clear aperture, in the part frame."],
-                columns=("term", "coefficient [nm]", "uncertainty [nm]"),
-                rows=rows,
-                numeric=frozenset({1, 2}),
+                items=[_table(("term", "coefficient [nm]", "uncertainty [nm]"), rows, (1, 2))],
             )
         )
     return sections
 
 
-def _lens_section(measured: Measured) -> list[_Section]:
+def _lens_section(measured: Measured) -> list[Section]:
     """Return the section of the lenslets, if the part is a lens array."""
     lenslets = measured.lenslets
     if lenslets is None:
         return []
-    from turnwright.report import lenslets as draw  # noqa: PLC0415
-
     lines = lenslets.csv().splitlines()
     head, rows = lines[0].split(","), [line.split(",") for line in lines[1:]]
     return [
-        _Section(
+        Section(
             title="Lenslets",
             text=[lenslets.summary, lenslets.frame],
-            pictures=[("dislocation", draw.dislocation_map(lenslets))],
-            columns=head,
-            rows=rows[:MAX_LISTED_LENSLETS],
-            numeric=frozenset(range(1, len(head))),
+            items=[
+                draw.dislocation_map(lenslets),
+                _table(head, rows[:MAX_LISTED_LENSLETS], range(1, len(head))),
+            ],
         )
     ]
 
 
-def _placed(measured: Measured) -> _Section:
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], numeric: Collection[int]) -> Table:
+    return Table(columns=columns, rows=rows, numeric=numeric, dense=True)
+
+
+def _pose(measured: Measured) -> Section:
     """Return the section of the part pose."""
     registration = measured.registration
-    values = dict(zip(("x", "y", "z"), registration.pose.shift, strict=True))
-    values |= {
-        "rotation": registration.pose.rotation,
-        "tilt_x": registration.pose.tilt[0],
-        "tilt_y": registration.pose.tilt[1],
-    }
-    rows = []
-    for name, value in values.items():
-        length = name in ("x", "y", "z")
-        std = registration.std.get(name)
-        unit = "mm" if length else "mrad"
-        scale = 1.0 if length else 1e3
-        rows.append(
-            (
-                name,
-                f"{value * scale:.9g}",
-                unit,
-                "fixed" if name in registration.held or std is None else f"{std * scale:.2g}",
-            )
-        )
-    return _Section(
+    pose, rows = registration.pose, []
+    values = (*pose.shift, pose.rotation, *pose.tilt)
+    for name, value in zip(("x", "y", "z", "rotation", "tilt_x", "tilt_y"), values, strict=True):
+        unit, scale = ("mm", 1.0) if name in ("x", "y", "z") else ("mrad", 1e3)
+        std = None if name in registration.held else registration.std.get(name)
+        rows.append((name, f"{value * scale:.9g}", unit, "fixed" if std is None else f"{std * scale:.2g}"))
+    return Section(
         title="Part pose (registration result)",
         text=[registration.sentences[0], f"{measured.outliers} outliers were removed."],
-        columns=("degree of freedom", "value", "unit", "standard uncertainty"),
-        rows=rows,
-        numeric=frozenset({1, 3}),
+        items=[_table(("degree of freedom", "value", "unit", "standard uncertainty"), rows, (1, 3))],
     )
 
 
-def _causes(diagnosis: Diagnosis) -> _Section:
+def _causes(diagnosis: Diagnosis) -> Section:
     """Return the table of error sources."""
-    return _Section(
-        title="Error sources",
-        text=[INTERVAL_TEXT],
-        columns=("source", "value", "interval", "plausible", "rms [nm]", "verdict", "why"),
-        rows=[
-            (
-                source.name,
-                _quantity(source, source.value),
-                _between(source, source.interval),
-                _quantity(source, source.plausible),
-                f"{source.rms_nm:.3g}",
-                source.verdict,
-                source.why,
-            )
-            for source in diagnosis
-        ],
-        numeric=frozenset({4}),
-    )
-
-
-def _terms(diagnosis: Diagnosis) -> _Section:
-    """Return the table of contributions without a single source."""
-    return _Section(
-        title="Spindle error motion, drift and form",
-        text=[TERMS_TEXT, *_repeatability(diagnosis)],
-        columns=("term", "rms [nm]", "uncertainty [nm]", "shared [nm]", "why"),
-        rows=[
-            (
-                term.name,
-                f"{term.rms_nm:.3g}",
-                f"{term.uncertainty_nm:.2g}",
-                "" if term.common_nm is None else f"{term.common_nm:.3g}",
-                term.why,
-            )
-            for term in diagnosis.contributions
-        ],
-        numeric=frozenset({1, 2, 3}),
-    )
-
-
-def _repeatability(diagnosis: Diagnosis) -> list[str]:
-    """Return the repeatability between maps of a part."""
-    if diagnosis.repeatability_nm is None:
-        return []
-    return [f"Repeatability: {diagnosis.repeatability_nm:.3g} nm rms between cuts of a part."]
-
-
-def _setup(measured: Sequence[Measured], diagnosis: Diagnosis) -> list[_Section]:
-    """Return the tool moves, with the handbook rule and the centre defect for comparison."""
-    from turnwright.diagnosis import moves  # noqa: PLC0415
-    from turnwright.report import figures as draw  # noqa: PLC0415
-
-    tool_moves = moves(diagnosis)
-    text = [
-        *([MOVES_TEXT] if tool_moves else []),
-        *(one for sample in measured for one in (*_handbook(sample, diagnosis), *_centre(sample))),
+    columns = ("source", "value", "interval", "plausible", "rms [nm]", "verdict", "why")
+    rows = [
+        (
+            source.name,
+            _quantity(source, source.value),
+            _between(source, source.interval),
+            _quantity(source, source.plausible),
+            f"{source.rms_nm:.3g}",
+            source.verdict,
+            source.why,
+        )
+        for source in diagnosis
     ]
-    if not text:
-        return []
+    return Section(title="Error sources", text=[INTERVAL_TEXT], items=[_table(columns, rows, (4,))])
+
+
+def _terms(diagnosis: Diagnosis) -> Section:
+    """Return the table of contributions without a single source, and the repeatability between maps of a part."""
+    columns = ("term", "rms [nm]", "uncertainty [nm]", "shared [nm]", "why")
+    rows = [
+        (
+            term.name,
+            f"{term.rms_nm:.3g}",
+            f"{term.uncertainty_nm:.2g}",
+            "" if term.common_nm is None else f"{term.common_nm:.3g}",
+            term.why,
+        )
+        for term in diagnosis.contributions
+    ]
+    text = [TERMS_TEXT]
+    if diagnosis.repeatability_nm is not None:
+        text.append(f"Repeatability: {diagnosis.repeatability_nm:.3g} nm rms between cuts of a part.")
+    return Section(title="Spindle error motion, drift and form", text=text, items=[_table(columns, rows, (1, 2, 3))])
+
+
+def _setup(measured: Sequence[Measured], diagnosis: Diagnosis) -> list[Section]:
+    """Return the tool moves, with the handbook rule and the centre defect for comparison."""
+    tool_moves = moves(diagnosis)
+    text = [one for sample in measured for one in (*_handbook(sample, diagnosis), *_centre(sample))]
+    if not tool_moves:
+        return [Section(title="Tool adjustment at the machine", text=text)] if text else []
+    columns = ("axis", "move [µm]", "uncertainty [µm]", "instruction")
+    rows = [(one.axis, f"{one.by * 1e3:+.4g}", f"{one.uncertainty * 1e3:.2g}", one.sentence) for one in tool_moves]
     return [
-        _Section(
+        Section(
             title="Tool adjustment at the machine",
-            text=text,
-            pictures=[("", draw.tool_moves(tool_moves))] if tool_moves else [],
-            columns=("axis", "move [µm]", "uncertainty [µm]", "instruction"),
-            rows=[
-                (one.axis, f"{one.by * 1e3:+.4g}", f"{one.uncertainty * 1e3:.2g}", one.sentence) for one in tool_moves
-            ],
-            numeric=frozenset({1, 2}),
+            text=[MOVES_TEXT, *text],
+            items=[draw.tool_moves(tool_moves), _table(columns, rows, (1, 2))],
         )
     ]
 
 
 def _handbook(sample: Measured, diagnosis: Diagnosis) -> list[str]:
     """Compare the handbook rule for the centring error of a sphere with the diagnosis."""
-    from turnwright.diagnosis import handbook_offset  # noqa: PLC0415
-    from turnwright.metrology import best_fit  # noqa: PLC0415
-    from turnwright.surface import Sphere  # noqa: PLC0415
-
     surface, exact = sample.job.part.surface, [one.value for one in diagnosis if one.name == "offset x"]
     if not isinstance(surface, Sphere) or not exact:
         return []
@@ -427,8 +315,6 @@ def _handbook(sample: Measured, diagnosis: Diagnosis) -> list[str]:
 
 def _centre(sample: Measured) -> list[str]:
     """Return the tool height error from the centre defect, where the map resolves one."""
-    from turnwright.diagnosis import centre_defect  # noqa: PLC0415
-
     part = sample.job.part
     try:
         core = centre_defect(sample.placed, part, within=CORE_FRACTION * part.radius, sense=sample.job.strategy.sense)
@@ -457,19 +343,24 @@ def _unit(finding: Finding) -> tuple[str, float]:
     return ("µrad", 1e6) if finding.unit == "rad" else (finding.unit, 1.0)
 
 
-def _signatures(measured: Sequence[Measured], diagnosis: Diagnosis) -> _Section:
+def _signatures(measured: Sequence[Measured], diagnosis: Diagnosis) -> Section:
     """Return the signatures of the largest error sources, and the residuals."""
-    from turnwright.report import figures as draw  # noqa: PLC0415
-
     sources = sorted(diagnosis, key=lambda one: -one.rms_nm)[:MAX_SIGNATURES]
-    sources = [one for one in sources if one.rms_nm > 0]
-    pictures = [
-        (f"{one.name}, {sample.job.part.name or 'part'}", draw.places_map(marks[one.name], sample.job.part.radius))
-        for sample, marks in zip(measured, diagnosis.signatures, strict=True)
-        for one in sources
-    ]
-    pictures += [
-        (f"residual, {sample.job.part.name or 'part'}", draw.places_map(residual, sample.job.part.radius))
-        for sample, residual in zip(measured, diagnosis.residuals, strict=True)
-    ]
-    return _Section(title="Error signatures", pictures=pictures)
+    pictures = []
+    for sample, signatures in zip(measured, diagnosis.signatures, strict=True):
+        part = sample.job.part
+        pictures += [
+            draw.places_map(
+                signatures[one.name], part.radius, f"{one.name}, {part.name or 'part'}", what=f"Signature of {one.name}"
+            )
+            for one in sources
+            if one.rms_nm > 0
+        ]
+    for sample, residual in zip(measured, diagnosis.residuals, strict=True):
+        part = sample.job.part
+        pictures.append(
+            draw.places_map(
+                residual, part.radius, f"residual, {part.name or 'part'}", what="Residual without a known source"
+            )
+        )
+    return Section(title="Error signatures", items=pictures)

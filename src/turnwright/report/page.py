@@ -1,37 +1,108 @@
-"""Rendering of a page: template, content, atomic write."""
+"""Content of a report page, and its one template.
+
+A page has an optional verdict with key figures, then sections. The items of a section (pictures, tables, texts) stand
+side by side in a grid of six columns, of which each takes its ``span``.
+"""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path as File
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+import jinja2
+
+from turnwright import __version__
 from turnwright._io import write_whole
 
 if TYPE_CHECKING:
     from os import PathLike
 
-__all__ = ["Page", "page_file", "set_page"]
+    from turnwright.job import Job
+
+__all__ = ["Cell", "Code", "Number", "Page", "Picture", "Section", "Table", "page_file", "write_page"]
 
 
-def _version() -> str:
+class Number(NamedTuple):
+    """A key figure at the top of a page."""
 
-    try:
-        return version("turnwright")
-    except PackageNotFoundError:
-        return "not installed"
+    label: str
+    value: str
+    unit: str
+    note: str
+    ok: bool = True
+
+
+class Picture(NamedTuple):
+    """An inline SVG with its caption."""
+
+    svg: str
+    alt: str
+    title: str = ""
+    span: int = 3
+
+
+class Cell(NamedTuple):
+    """A table cell that is more than a text: graded, linked or with a bar."""
+
+    text: str = ""
+    style: str = ""  # yes, no, soft or code
+    address: str = ""
+    share: float | None = None  # length of the bar
+    bar: str = ""  # binds or over
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Table:
+    """A table; without columns it is a list of facts."""
+
+    rows: Sequence[Sequence[str | Cell]]
+    columns: Sequence[str] = ()
+    numeric: Collection[int] = ()
+    title: str = ""
+    text: str = ""
+    notes: Sequence[str] = ()
+    numbered: bool = False
+    folded: bool = False
+    dense: bool = False
+    span: int = 6
+
+
+class Code(NamedTuple):
+    """A text that keeps its lines."""
+
+    title: str
+    text: str
+    span: int = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Section:
+    """A section with text, notes and items; a subsection has a smaller heading."""
+
+    title: str = ""
+    source: str = ""
+    text: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    items: Sequence[Picture | Table | Code] = ()
+    is_subsection: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Page:
-    """Content that every page has."""
+    """A page about a job."""
 
-    title: str
     kind: str
-    job: str
-    version: str = field(default_factory=_version)
+    job: Job
+    sections: Sequence[Section]
+    title: str = ""
+    grade: str = ""  # of the verdict: good, warn, bad or plain
+    word: str = ""
+    why: Sequence[str] = ()
+    numbers: Sequence[Number] = ()
+    notes: Sequence[str] = ()
 
 
 def page_file(path: str | PathLike[str]) -> File:
@@ -40,10 +111,11 @@ def page_file(path: str | PathLike[str]) -> File:
     return path / "report.html" if path.is_dir() else path
 
 
-def set_page(template: str, page: Page, path: File) -> File:
-    """Render a page and write it atomically."""
-    import jinja2  # noqa: PLC0415 - needed only to render
+def write_page(page: Page, path: str | PathLike[str]) -> File:
+    """Render a page, write it atomically, and return its file.
 
+    In an existing folder, the file is named ``report.html``.
+    """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("turnwright.report", "."),
         autoescape=True,
@@ -52,7 +124,8 @@ def set_page(template: str, page: Page, path: File) -> File:
         lstrip_blocks=True,
     )
     environment.filters["typeset"] = lambda text: re.sub(r"(?<![\w.])-(?=\d)", "\u2212", text)
-    text = environment.get_template(template).render(page=page)
+    text = environment.get_template("page.html.j2").render(page=page, version=__version__)
     text = re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", "", text)  # control characters are invalid in HTML
+    path = page_file(path)
     write_whole(path, text)
     return path

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from turnwright.report.page import Page, page_file, set_page
+from turnwright.report import study_figures as draw
+from turnwright.report.page import Page, Section, Table, write_page
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from os import PathLike
     from pathlib import Path as File
 
-    from turnwright.report.figures import Picture
+    from turnwright.report.page import Picture
     from turnwright.studies import Column, Study
 
 __all__ = ["write_study"]
@@ -29,56 +29,27 @@ MAX_LISTED_VALUES = 4
 """Values of a field that are listed individually; more are given as a range."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Page(Page):
-    """Content of the page, passed to the template."""
-
-    design: Sequence[str]
-    pictures: Sequence[Picture]
-    wide: bool
-    by: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    reasons: Sequence[tuple[int, str]]
-
-
-def write_study(found: Study, path: str | PathLike[str]) -> File:
-    """Write the page of a study.
-
-    Parameters
-    ----------
-    found
-        Study with the results of all cases.
-    path
-        File, or an existing folder in which the page is named ``report.html``.
-
-    Returns
-    -------
-    pathlib.Path
-        The file written.
-    """
-    path = page_file(path)
-    numbers = [one.name for one in found.measures if one.values.dtype.kind in "fi"]
-    best = found.best(numbers[0], MAX_BEST_CASES) if numbers else []
-    page = _Page(
-        title=found.job.part.name or "Part",
-        kind="Study",
-        design=_describe_design(found),
-        pictures=_pictures(found, numbers),
-        wide=len(found.fields) > 2 or (len(found.fields) == 2 and not found.is_grid),
-        by=numbers[0] if numbers else "",
-        columns=["case", *(one.heading for one in found.columns)],
-        rows=[[str(number + 1), *(_shown(one.values[number]) for one in found.columns)] for number in best],
-        reasons=_reasons(found),
-        job=found.job.to_toml(),
-    )
-    return set_page("study.html.j2", page, path)
+def write_study(study: Study, path: str | PathLike[str]) -> File:
+    """Write the page of a study, see `write_page`."""
+    numbers = [one.name for one in study.measures if one.values.dtype.kind in "fi"]
+    sections = [Section(text=_describe_design(study)), Section(title="Results", items=_pictures(study, numbers))]
+    if numbers and (best := study.best(numbers[0], MAX_BEST_CASES)):
+        columns = ["case", *(one.heading for one in study.columns)]
+        table = Table(
+            columns=columns,
+            numeric=range(1, len(columns)),
+            rows=[[str(number + 1), *(_shown(one.values[number]) for one in study.columns)] for number in best],
+            notes=["Valid cases, smallest value first. All cases are in study.csv, numbered from 0."],
+            dense=True,
+        )
+        sections.append(Section(title=f"Best cases by {numbers[0]}", items=[table]))
+    if reasons := _reasons(study):
+        sections.append(Section(title="Failed cases", notes=reasons))
+    return write_page(Page(kind="Study", job=study.job, sections=sections), path)
 
 
 def _pictures(study: Study, numbers: Sequence[str]) -> list[Picture]:
     """Return maps and profiles over two fields, lines over one, or scatter plots over more."""
-    from turnwright.report import study_figures as draw  # noqa: PLC0415 - matplotlib is costly to import
-
     if not numbers or not study.fields:
         return []
     if len(study.fields) == 1:
@@ -88,13 +59,13 @@ def _pictures(study: Study, numbers: Sequence[str]) -> list[Picture]:
     return [draw.scatter(study, numbers)]
 
 
-def _reasons(study: Study) -> list[tuple[int, str]]:
-    """Group the reasons of failed cases, ignoring numbers; return each count with one example."""
+def _reasons(study: Study) -> list[str]:
+    """Group the reasons of failed cases, ignoring numbers; return one example of each group."""
     kinds: dict[str, list[str]] = {}
     for reason in filter(None, study.reasons):
         kinds.setdefault(re.sub(r"[-+]?[0-9][0-9.e+-]*", "0", reason), []).append(reason)
     most = sorted(kinds.values(), key=len, reverse=True)[:MAX_REASONS]
-    return [(len(alike), alike[0]) for alike in most]
+    return [f"{'1 case' if len(alike) == 1 else f'{len(alike)} cases, for instance'}: {alike[0]}" for alike in most]
 
 
 def _describe_design(study: Study) -> list[str]:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from turnwright.report.page import Page, page_file, set_page
+from turnwright.report import figures as draw
+from turnwright.report.page import Page, Section, Table, write_page
+from turnwright.report.run import roughness_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from os import PathLike
     from pathlib import Path as File
 
     from turnwright.job import Job
     from turnwright.metrology import Roughness, Spectrum
-    from turnwright.report.figures import Picture
     from turnwright.studies import TiledMap
 
 __all__ = ["write_tiled"]
@@ -26,78 +25,39 @@ WINDOW_PIXELS = 300
 """Side of a window that is shown at full resolution."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Page(Page):
-    """Content of the page, passed to the template."""
-
-    facts: Sequence[str]
-    overview: Picture
-    windows: Sequence[tuple[str, Picture]]
-    spectrum: Picture
-    rows: Sequence[tuple[str, str, str]]
-    notes: Sequence[str]
-
-
-def write_tiled(job: Job, made: TiledMap, rough: Roughness, spectrum: Spectrum, path: str | PathLike[str]) -> File:
-    """Write the page of a tiled map of a whole part.
-
-    Parameters
-    ----------
-    job, made, rough, spectrum
-        Job, tiled map of its error, and roughness and spectrum of the map.
-    path
-        File, or an existing folder in which the page is named ``report.html``.
-
-    Returns
-    -------
-    pathlib.Path
-        The file written.
-    """
-    from turnwright.report import figures as draw  # noqa: PLC0415 - matplotlib is costly to import
-
-    path = page_file(path)
+def write_tiled(job: Job, tiled: TiledMap, rough: Roughness, spectrum: Spectrum, path: str | PathLike[str]) -> File:
+    """Write the page of a tiled map of a whole part, see `write_page`."""
     part = job.part
-    x_low, x_high, y_low, y_high = made.extent
-    side = WINDOW_PIXELS * max(made.pixel) / 2
+    x_low, x_high, y_low, y_high = tiled.extent
+    side = WINDOW_PIXELS * max(tiled.pixel) / 2
     middle = min(part.radius / 2, x_high - side)
     windows = []
     for name, x in (("the axis", 0.0), ("half the radius", middle)):
-        window = made.window(x=(x - side, x + side), y=(-side, side), pixels=WINDOW_PIXELS)
-        windows.append((f"At {name}, full resolution", draw.error_map(window)))
-    rows, columns = made.shape
+        window = tiled.window(x=(x - side, x + side), y=(-side, side), pixels=WINDOW_PIXELS)
+        windows.append(draw.error_map(window)._replace(title=f"At {name}, full resolution"))
+    rows, columns = tiled.shape
     size = (
-        f"{columns:,} × {rows:,} pixels of {made.pixel[0] * 1e3:.4g} µm, {rough.valid:,} heights within a clear "
+        f"{columns:,} × {rows:,} pixels of {tiled.pixel[0] * 1e3:.4g} µm, {rough.valid:,} heights within a clear "
         f"aperture of {part.radius:.4g} mm semi-diameter."
     )
     levels = (
-        f"The map is a Zarr version 3 group with {made.levels} resolution levels; each level halves the pixel count "
+        f"The map is a Zarr version 3 group with {tiled.levels} resolution levels; each level halves the pixel count "
         "along each axis."
     )
-    page = _Page(
-        title=part.name or "Part",
-        kind="Whole part",
-        facts=[size, levels],
-        overview=draw.error_map(made.window(x=(x_low, x_high), y=(y_low, y_high), pixels=MIN_PICTURE_PIXELS)),
-        windows=windows,
-        spectrum=draw.density(spectrum),
-        rows=_rows(rough),
-        notes=[f"{what}: {note}" for what, one in (("roughness", rough), ("spectrum", spectrum)) for note in one.notes],
-        job=job.to_toml(),
+    overview = draw.error_map(
+        tiled.window(x=(x_low, x_high), y=(y_low, y_high), pixels=MIN_PICTURE_PIXELS),
+        "Mean error in each pixel, so that finer structure is averaged out",
     )
-    return set_page("tiled.html.j2", page, path)
-
-
-def _rows(rough: Roughness) -> list[tuple[str, str, str]]:
-    return [
-        ("Sa", f"{rough.sa_nm:.4g}", "nm"),
-        ("Sq", f"{rough.sq_nm:.4g}", "nm"),
-        ("Sp", f"{rough.sp_nm:.4g}", "nm"),
-        ("Sv", f"{rough.sv_nm:.4g}", "nm"),
-        ("Sz, PV", f"{rough.sz_nm:.4g}", "nm"),
-        ("Ssk", f"{rough.ssk:.4g}", ""),
-        ("Sku", f"{rough.sku:.4g}", ""),
-        ("Sdq", f"{rough.sdq:.4g}", ""),
-        ("Sdr", f"{rough.sdr:.4g}", "%"),
-        ("Form removed", str(rough.form), ""),
-        ("Heights counted", f"{rough.valid:,}", ""),
+    maps = [overview._replace(title="The whole part"), *windows, draw.density(spectrum)._replace(title="Spectrum")]
+    sections = [
+        Section(text=[size, levels]),
+        Section(title="Error maps", items=maps),
+        Section(
+            title="Roughness of the whole part",
+            items=[Table(rows=roughness_rows([rough]), span=3)],
+            notes=[
+                f"{what}: {note}." for what, one in (("roughness", rough), ("spectrum", spectrum)) for note in one.notes
+            ],
+        ),
     ]
+    return write_page(Page(kind="Whole part", job=job, sections=sections), path)

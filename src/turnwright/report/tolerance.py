@@ -6,8 +6,8 @@ import math
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from turnwright.report.measured import _Number, _Section, _Sheet
-from turnwright.report.page import page_file, set_page
+from turnwright.report import study_figures as draw
+from turnwright.report.page import Number, Page, Section, Table, write_page
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -31,36 +31,21 @@ SENSITIVITY_TEXT = (
 )
 
 
-def write_tolerance(found: ToleranceStudy, path: str | PathLike[str]) -> File:
-    """Write the page of a tolerance study.
-
-    Parameters
-    ----------
-    found
-        Tolerance study.
-    path
-        File, or an existing folder in which the page is named ``report.html``.
-
-    Returns
-    -------
-    pathlib.Path
-        The file written.
-    """
-    path = page_file(path)
-    kind, best = list(found.outcomes.items())[-1]
+def write_tolerance(study: ToleranceStudy, path: str | PathLike[str]) -> File:
+    """Write the page of a tolerance study, see `write_page`."""
+    kind, best = list(study.outcomes.items())[-1]
     grade, word = _grade(best.probability.value)
-    page = _Sheet(
-        title=found.job.part.name or "Part",
+    page = Page(
         kind="Tolerances",
+        job=study.job,
         grade=grade,
         word=word,
-        why=f"{found.count} parts, {kind}",
-        numbers=_numbers(found),
-        notes=_notes(found),
-        sections=[_distributions(found), *_sensitivities(found), _budget(found)],
-        job=found.job.to_toml(),
+        why=[f"{study.count} parts, {kind}"],
+        numbers=_numbers(study),
+        notes=_notes(study),
+        sections=[_distributions(study), *(_sensitivities(*one) for one in study.outcomes.items()), _budget(study)],
     )
-    return set_page("sheet.html.j2", page, path)
+    return write_page(page, path)
 
 
 def _grade(probability: float) -> tuple[str, str]:
@@ -84,16 +69,16 @@ def _label(measure: str) -> str:
     return f"{called}, {where}" if where else called
 
 
-def _numbers(study: ToleranceStudy) -> list[_Number]:
+def _numbers(study: ToleranceStudy) -> list[Number]:
     numbers = []
     for kind, outcome in study.outcomes.items():
         p = outcome.probability
-        numbers.append(_Number(f"yield, {kind}", f"{p.value:.1%}", "", f"{p.low:.1%} to {p.high:.1%}"))
+        numbers.append(Number(f"yield, {kind}", f"{p.value:.1%}", "", f"{p.low:.1%} to {p.high:.1%}"))
     kind = list(study.outcomes)[-1]
     name = "form_pv_nm" if kind == "as planned" else "corrected form_pv_nm"
     p95 = study.percentiles(name)[0.95]
     note = f"95th percentile, {kind}; {_between(p95)}"
-    numbers.append(_Number("form error PV", f"{p95.value:.3g}", "nm", note))
+    numbers.append(Number("form error PV", f"{p95.value:.3g}", "nm", note))
     return numbers[:3]
 
 
@@ -122,9 +107,7 @@ def _notes(study: ToleranceStudy) -> list[str]:
     return notes
 
 
-def _distributions(study: ToleranceStudy) -> _Section:
-    from turnwright.report import tolerance_figures as draw  # noqa: PLC0415 - matplotlib is costly to import
-
+def _distributions(study: ToleranceStudy) -> Section:
     plain = [name for name in study.columns if not name.startswith("corrected")]
     pictured = [name for name in plain if name in study.limits or name == "form_pv_nm"]
     pictures = []
@@ -132,7 +115,7 @@ def _distributions(study: ToleranceStudy) -> _Section:
         values = {"as planned": study.columns[name]}
         if f"corrected {name}" in study.columns:
             values["corrected"] = study.columns[f"corrected {name}"]
-        pictures.append(("", draw.histogram(values, _label(name), study.limits.get(name))))
+        pictures.append(draw.histogram(values, _label(name), study.limits.get(name)))
     rows = []
     for name in plain:
         for kind, outcome in study.outcomes.items():
@@ -144,43 +127,43 @@ def _distributions(study: ToleranceStudy) -> _Section:
     measurement = study.job.measurement
     free = ", ".join(name.replace("_", " ") for name in measurement.free)
     exclusion = f", with {', '.join(measurement.fixed)} fixed" if measurement.fixed else ""
-    return _Section(
+    return Section(
         title="Distributions",
         text=[
             f"Form error is evaluated over the whole part, weighted by area, after registration in {free}{exclusion}.",
             "Finish is evaluated over each patch, as stated by the roughness table of the job.",
             "Intervals are 95 % confidence intervals.",
         ],
-        pictures=pictures,
-        columns=["", "5th percentile", "median", "90th", "95th", "99th", "tolerance", "yield"],
-        rows=rows,
-        numeric=frozenset(range(1, 8)),
+        items=[
+            *pictures,
+            Table(
+                columns=["", "5th percentile", "median", "90th", "95th", "99th", "tolerance", "yield"],
+                rows=rows,
+                numeric=range(1, 8),
+                dense=True,
+            ),
+        ],
     )
 
 
-def _sensitivities(study: ToleranceStudy) -> list[_Section]:
-    from turnwright.report import tolerance_figures as draw  # noqa: PLC0415 - matplotlib is costly to import
-
-    sections = []
-    for kind, outcome in study.outcomes.items():
-        sections.append(
-            _Section(
-                title=f"Sensitivities, {kind}",
-                text=[outcome.advice[0].upper() + outcome.advice[1:] + ".", _model(outcome)],
-                pictures=[("", draw.tornado(outcome.sensitivities, kind))],
-                columns=["", "first order", "total", "by neighbours", "yield, half the spread", "95th percentile [nm]"],
-                rows=[
-                    [
-                        one.group, _share(one.first), _share(one.total), f"{one.neighbour_index:.2f}",
-                        "" if one.probability is None else f"{one.probability:.1%}",
-                        "" if one.percentile_nm is None else f"{one.percentile_nm:.3g}",
-                    ]
-                    for one in outcome.sensitivities
-                ],
-                numeric=frozenset(range(1, 6)),
-            )
-        )  # fmt: skip
-    return sections
+def _sensitivities(kind: str, outcome: Outcome) -> Section:
+    rows = [
+        (
+            one.group, _share(one.first), _share(one.total), f"{one.neighbour_index:.2f}",
+            "" if one.probability is None else f"{one.probability:.1%}",
+            "" if one.percentile_nm is None else f"{one.percentile_nm:.3g}",
+        )
+        for one in outcome.sensitivities
+    ]  # fmt: skip
+    columns = ["", "first order", "total", "by neighbours", "yield, half the spread", "95th percentile [nm]"]
+    return Section(
+        title=f"Sensitivities, {kind}",
+        text=[outcome.advice[0].upper() + outcome.advice[1:] + ".", _model(outcome)],
+        items=[
+            draw.tornado(outcome.sensitivities, kind),
+            Table(columns=columns, rows=rows, numeric=range(1, 6), dense=True),
+        ],
+    )
 
 
 def _model(outcome: Outcome) -> str:
@@ -194,16 +177,21 @@ def _model(outcome: Outcome) -> str:
     return f"{SENSITIVITY_TEXT} In leave-one-out cross-validation the model explains {shares}."
 
 
-def _budget(study: ToleranceStudy) -> _Section:
+def _budget(study: ToleranceStudy) -> Section:
     budget = study.budget
     drift = "is linear" if budget.settling is None else f"decays with a time constant of {budget.settling:g} s"
-    return _Section(
+    return Section(
         title="Error budget",
         text=[
             f"{budget.name or 'Budget'}: drift {drift}; instrument noise {budget.noise * 1e6:.3g} nm.",
             f"Test parts: {', '.join(budget.test_parts)}; they share tool, slides and servos with the part.",
             "Drift, mounting and chuck tilt are drawn independently for every cut.",
         ],
-        columns=["error", "spread", "source"],
-        rows=[[name, spread.shown(budget.unit(name)), spread.source] for name, spread in budget.errors.items()],
+        items=[
+            Table(
+                columns=["error", "spread", "source"],
+                rows=[[name, spread.shown(budget.unit(name)), spread.source] for name, spread in budget.errors.items()],
+                dense=True,
+            )
+        ],
     )

@@ -11,10 +11,10 @@ import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from turnwright._io import read_toml
+from turnwright._io import json_data, read_toml
 from turnwright.errors import InputError
 from turnwright.job import as_tables, written
-from turnwright.web.jobs import look_into, plain, read, require
+from turnwright.web.jobs import look_into, read, require
 from turnwright.web.limits import BODY_BYTES, FILE_BYTES, FILE_ENDINGS, MIN_FREE_BYTES
 from turnwright.web.references import JOB, named, place_of, plain_name, renamed, require_flat, unpack_references
 
@@ -33,18 +33,7 @@ PIECE_BYTES = 2**20
 
 
 def bundle(data: dict[str, Any], folder: str, before: str = "") -> bytes:
-    """Return an archive of a job and the files that it names, readable by the command line.
-
-    Parameters
-    ----------
-    data, folder, before
-        See `turnwright.web.jobs.write`.
-
-    Raises
-    ------
-    InputError
-        With the problems of the job.
-    """
+    """Return an archive of a job and the files that it names, readable by the command line; see `jobs.write`."""
     require(data, folder)
     renamed_job, files = unpack_references(data, Path(folder))
     sink = io.BytesIO()
@@ -56,26 +45,9 @@ def bundle(data: dict[str, Any], folder: str, before: str = "") -> bytes:
 
 
 def opened(file: str, folder: str) -> dict[str, Any]:
-    """Store the files that the job of an archive names, and return the job with references to them.
+    """Store the files that the job of an archive names; return its text, data and problems as `jobs.parse` does.
 
     File names in the archive are never used as paths: a file is stored under the hash of its content.
-
-    Parameters
-    ----------
-    file
-        Path of the archive; extracted files are written next to it, with its name as a prefix, until they are stored.
-    folder
-        Folder of the server.
-
-    Returns
-    -------
-    dict
-        Text, data and problems of the job, see `turnwright.web.jobs.parse`.
-
-    Raises
-    ------
-    InputError
-        If it is not such an archive, is too large, contains unsafe names, or a file is invalid.
     """
     try:
         with zipfile.ZipFile(file) as archive:
@@ -97,7 +69,7 @@ def opened(file: str, folder: str) -> dict[str, Any]:
             raise
         why = error.strerror if isinstance(error, OSError) else str(error)[:80]  # without paths of this computer
         raise InputError(f"the archive cannot be read ({why}): create it again, without a password") from None
-    data = plain(renamed(as_tables(job), lambda kind, name: references.get((kind, name), name)))
+    data = json_data(renamed(as_tables(job), lambda kind, name: references.get((kind, name), name)))
     return {"toml": written(data, text.decode("utf-8-sig")), "data": data, "errors": read(data, folder)[1]}
 
 

@@ -11,9 +11,10 @@ import hashlib
 import secrets
 import shutil
 import time
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path as File
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, HTTPException, Query, Request
 from starlette.requests import ClientDisconnect
@@ -22,11 +23,11 @@ from turnwright.errors import InputError
 from turnwright.web import bundles, jobs
 from turnwright.web.guard import CLOSE_CONNECTION
 from turnwright.web.limits import FILE_BYTES, FILE_ENDINGS, MAX_FILE_READ_S, MIN_FREE_BYTES
-from turnwright.web.models import Kept, Opened
+from turnwright.web.models import BINARY, FileName, Kept, Opened
 from turnwright.web.references import UPLOAD_REFERENCE, place_of, plain_name, shown_name
 from turnwright.web.workers import TooLong
 
-__all__ = ["RAW_BODY", "router", "stored", "tidy"]
+__all__ = ["RAW_BODY", "router", "stored", "tidy", "uploaded"]
 
 router = APIRouter(prefix="/api/files", tags=["files"])
 
@@ -37,7 +38,7 @@ RAW_BODY = {
     "requestBody": {
         "description": "The bytes of the file.",
         "required": True,
-        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+        "content": {"application/octet-stream": {"schema": BINARY}},
     }
 }
 
@@ -48,7 +49,7 @@ Kind = Literal["heights", "waviness", "straightness", "correction", "machine", "
 async def bring(
     request: Request,
     kind: Annotated[Kind, Query(description="Kind of the file; the schema of a job states it for each field.")],
-    name: Annotated[str, Query(min_length=1, max_length=200, description="Name of the file.")],
+    name: FileName,
 ) -> Kept:
     """Upload and validate a file for use in a job."""
     state = request.app.state
@@ -58,18 +59,9 @@ async def bring(
             422,
             f"a file of kind {kind} must end in {', '.join(FILE_ENDINGS[kind])}, got {ending[:12]!r}",
         )
-    folder: File = state.folder / "files"
-    # The name on disk does not depend on the name of the upload.
-    new = folder / f".{secrets.token_hex(16)}{ending}"
-    try:
-        size, digest = await stored(request, new, FILE_BYTES)
-        try:
-            await state.workers.ask(jobs.look_into, str(new), kind, limit_s=MAX_FILE_READ_S)
-        except TooLong as error:
-            raise InputError(_too_long("file", error)) from None
+    async with uploaded(request, ending) as (new, size, digest):
+        await _read(request, "file", jobs.look_into, str(new), kind)
         new.replace(place_of(state.folder, digest, kind, ending))
-    finally:
-        new.unlink(missing_ok=True)
     label = f"{plain_name(name)}{ending}"
     return Kept(reference=f"files/{digest}/{label}", name=label, bytes=size)
 
@@ -77,42 +69,38 @@ async def bring(
 @router.post("/archive", status_code=201, openapi_extra=RAW_BODY)
 async def open_archive(request: Request) -> Opened:
     """Open an archive of a job and its files, and store the files."""
-    state = request.app.state
-    folder: File = state.folder / "files"
-    new = folder / f".{secrets.token_hex(16)}.zip"
+    async with uploaded(request, ".zip") as (new, *_):
+        return Opened(**await _read(request, "archive", bundles.opened, str(new), str(request.app.state.folder)))
+
+
+@asynccontextmanager
+async def uploaded(request: Request, ending: str) -> AsyncIterator[tuple[File, int, str]]:
+    """Store a request body in a temporary file; yield it with its size and the beginning of its SHA-256."""
+    # The name on disk does not depend on the name of the upload.
+    file: File = request.app.state.folder / "files" / f".{secrets.token_hex(16)}{ending}"
     try:
-        await stored(request, new, FILE_BYTES)
-        try:
-            job = await state.workers.ask(bundles.opened, str(new), str(state.folder), limit_s=MAX_FILE_READ_S)
-        except TooLong as error:
-            raise InputError(_too_long("archive", error)) from None
+        yield file, *await stored(request, file, FILE_BYTES)
     finally:
-        await asyncio.to_thread(_forget, new)
-    return Opened(**job)
+        await asyncio.to_thread(_forget, file)
 
 
-def _forget(archive: File) -> None:
-    """Remove an archive and partially extracted files."""
-    for one in archive.parent.glob(f"{archive.name}*"):
+def _forget(upload: File) -> None:
+    """Remove an upload and partially extracted files of an archive."""
+    for one in upload.parent.glob(f"{upload.name}*"):
         one.unlink(missing_ok=True)
 
 
-def _too_long(what: str, error: TooLong) -> str:
-    return f"the {what} cannot be read within the limits, {MAX_FILE_READ_S:g} s and the memory of a page ({error})"
+async def _read(request: Request, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Read an upload in a worker process within the limits."""
+    try:
+        return await request.app.state.workers.ask(function, *arguments, limit_s=MAX_FILE_READ_S)
+    except TooLong as error:
+        limits = f"{MAX_FILE_READ_S:g} s and the memory of a page"
+        raise InputError(f"the {what} cannot be read within the limits, {limits} ({error})") from None
 
 
 async def stored(request: Request, file: File, most: int) -> tuple[int, str]:
-    """Stream a request body to disk; return its size and the beginning of its SHA-256.
-
-    Parameters
-    ----------
-    request
-        Request with the body.
-    file
-        File to write.
-    most
-        Size limit. [byte]
-    """
+    """Stream a request body of at most ``most`` bytes to disk; return its size and the beginning of its SHA-256."""
     seen, digest = 0, hashlib.sha256()
     most = min(most, shutil.disk_usage(file.parent).free - MIN_FREE_BYTES)
     try:

@@ -71,17 +71,7 @@ def require_token(token: str | None) -> None:
 
 
 class Guard:
-    """ASGI middleware that refuses requests of unauthorised clients.
-
-    Parameters
-    ----------
-    app
-        Application to protect.
-    token
-        Access token; ``None`` if the server is reachable from this computer only.
-    origin
-        Public address of the page behind a proxy, such as "https://lathe.example".
-    """
+    """ASGI middleware that refuses requests of unauthorised clients; parameters as of `turnwright.web.create_app`."""
 
     def __init__(self, app: ASGIApp, *, token: str | None = None, origin: str | None = None) -> None:
         require_token(token)

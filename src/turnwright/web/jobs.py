@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import fields, is_dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import ValidationError
 
 from turnwright._faults import sentences
-from turnwright._io import read_toml
+from turnwright._io import json_data, read_toml
 from turnwright._tables import adapter, types_of
 from turnwright.errors import InputError, TurnwrightError, shortened
 from turnwright.instrument import Instrument
@@ -35,7 +32,7 @@ from turnwright.web.limits import MAX_POINTS
 from turnwright.web.references import located, require_flat
 
 __all__ = [
-    "check", "look_into", "machines", "parse", "plain", "read", "require", "warm", "warm_kernels", "write",
+    "check", "look_into", "machines", "parse", "read", "require", "warm", "warm_kernels", "write",
 ]  # fmt: skip
 
 MEMORY_BYTES = 6 * 2**30
@@ -79,15 +76,7 @@ def limit_memory(extra: int) -> None:
 
 
 def read(data: dict[str, Any], folder: str) -> tuple[Job | None, list[dict[str, str]]]:
-    """Return the job of a page, or its problems.
-
-    Parameters
-    ----------
-    data
-        Job as JSON data.
-    folder
-        Folder of the server, to resolve references.
-    """
+    """Return the job of a page, or its problems; references are resolved in the folder of the server."""
     real, problems, references = located(data, Path(folder))
     problems += _unknown_machine(real)
     if problems:
@@ -112,20 +101,7 @@ def _with_names(sentence: str, references: Mapping[str, str]) -> str:
 
 
 def look_into(file: str, kind: str) -> None:
-    """Validate a file for use in a job.
-
-    Parameters
-    ----------
-    file
-        Path of the file.
-    kind
-        See `turnwright.web.limits.FILE_ENDINGS`.
-
-    Raises
-    ------
-    InputError
-        If it is not a valid file of this kind.
-    """
+    """Raise unless a file is valid for use in a job; for its kind see `turnwright.web.limits.FILE_ENDINGS`."""
     path = Path(file)
     reasons = []
     for units in UNITS if kind == "heights" else ({},):
@@ -214,13 +190,7 @@ def _unknown_machine(data: dict[str, Any]) -> list[dict[str, str]]:
 
 
 def require(data: dict[str, Any], folder: str) -> Job:
-    """Return the job of a page.
-
-    Raises
-    ------
-    InputError
-        With the first problems of the job.
-    """
+    """Return the job of a page, or raise an InputError with its first problems."""
     job, problems = read(data, folder)
     if job is None:
         raise InputError("\n".join(one["sentence"] for one in problems[:5]))
@@ -234,22 +204,12 @@ def parse(toml: str, folder: str) -> dict[str, Any]:
         require_flat(table)
     except InputError as error:
         return {"data": {}, "errors": [{"field": "", "sentence": str(error)}]}
-    data = plain(as_tables(table))
+    data = json_data(as_tables(table))
     return {"data": data, "errors": read(data, folder)[1]}
 
 
 def write(data: dict[str, Any], folder: str, before: str = "") -> dict[str, Any]:
-    """Return a job as a file, with its problems.
-
-    Parameters
-    ----------
-    data
-        Job as JSON data.
-    folder
-        Folder of the server, to resolve references.
-    before
-        Previous text of the file, whose comments and layout are kept.
-    """
+    """Return a job as a file, with its problems; comments and layout of the text ``before`` are kept."""
     _, problems = read(data, folder)
     try:
         toml = written(data, before)
@@ -275,10 +235,10 @@ def check(data: dict[str, Any], folder: str) -> dict[str, Any]:
     except TurnwrightError as error:
         result["errors"] = [{"field": "strategy", "sentence": str(error)}]
         with suppress(TurnwrightError):
-            result["access"] = plain(check_access(job.part.aimed, job.tool, sense=job.strategy.sense))
+            result["access"] = json_data(check_access(job.part.aimed, job.tool, sense=job.strategy.sense))
         return result
-    result["access"] = plain(plan.access)
-    result["preview"] = plain(
+    result["access"] = json_data(plan.access)
+    result["preview"] = json_data(
         {
             "points": plan.points,
             "shortest_s": plan.shortest_s,
@@ -303,18 +263,3 @@ def too_many(points: int) -> str:
         f"the program must have at most {MAX_POINTS} points on the page, got {points}: increase the feed, reduce the "
         "points per revolution, or use the command line"
     )
-
-
-def plain(value: Any) -> Any:
-    """Convert a value to JSON types; non-finite numbers become ``None``."""
-    if is_dataclass(value) and not isinstance(value, type):
-        value = {one.name: getattr(value, one.name) for one in fields(value)}
-    elif isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        return {str(key): plain(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value if isinstance(value, bool | str | int) or value is None else str(value)

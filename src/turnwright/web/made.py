@@ -23,6 +23,7 @@ from turnwright.job import Job, predicted_motion
 from turnwright.progress import run_chunks
 from turnwright.web.limits import STORED_PIXEL_RATIO
 from turnwright.web.packed import pack
+from turnwright.web.seen import nominal_height
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -71,7 +72,6 @@ class _Opened:
 class _Stored:
     """A stored map of a run."""
 
-    name: str
     heights: HeightMap
     pixel: float
 
@@ -95,13 +95,7 @@ def warm() -> None:
     x = np.linspace(-0.01, 0.01, 4)
     _filled(ready, x, x, np.ones((4, 4), dtype=bool))
     rings = HeightMap(z=np.zeros((4, 5)), radius=np.arange(5.0), angle=np.linspace(0.0, 4.0, 4))
-    _resampled(_Stored("", rings, 1.0), x, x)
-
-
-def open_run(folder: str) -> bool:
-    """Load the motion of a run into the cache."""
-    _ready(folder)
-    return True
+    _resampled(_Stored(rings, 1.0), x, x)
 
 
 def _ready(folder: str) -> _Opened:
@@ -123,17 +117,7 @@ def _ready(folder: str) -> _Opened:
 
 
 class FinishingPass(NamedTuple):
-    """The last pass of a run, on disk.
-
-    Parameters
-    ----------
-    job
-        Job of the run.
-    file
-        Main program file.
-    name
-        Name of the pass.
-    """
+    """The last pass of a run on disk: its job, main program file and name."""
 
     job: Job
     file: File
@@ -193,7 +177,7 @@ def _map_of(folder: str, name: str) -> _Stored:
         raise InputError(f"map must be one of {', '.join(entries) or 'none'}, got {name[:60]!r}")
     entry = entries[name]
     axes = {axis: np.load(File(folder) / file) for axis, file in entry["axes"].items()}
-    stored = _Stored(name, HeightMap(z=np.load(File(folder) / entry["file"]), name=name, **axes), _pixel(axes))
+    stored = _Stored(HeightMap(z=np.load(File(folder) / entry["file"]), name=name, **axes), _pixel(axes))
     while len(_stored) >= 4 * MAX_CACHED_RUNS:
         _stored.popitem(last=False)
     _stored[folder, name] = stored
@@ -214,7 +198,9 @@ def window(
         (error, mean_of), design = _resampled(stored, columns, rows), None
     values = error
     if quantity == "height":
-        values = error + (_design(Job.load(File(folder) / "job.toml"), columns, rows) if design is None else design)
+        if design is None:
+            design = nominal_height(Job.load(File(folder) / "job.toml").part, *np.meshgrid(columns, rows))
+        values = error + design
     header = {
         "name": name, "quantity": quantity, "unit": "mm", "x": list(x), "y": list(y),
         "source": "generated" if is_generated else "stored", "mean_of": mean_of, "pixel": step,
@@ -315,9 +301,8 @@ def generated(folder: str, columns: Floats, rows: Floats) -> tuple[Floats, Float
     opened = _ready(folder)
     radius = opened.job.part.radius
     x, y = np.meshgrid(columns, rows)
+    design = nominal_height(opened.job.part, x, y)
     inside = np.hypot(x, y) <= radius
-    design = np.full(inside.shape, np.nan)
-    design[inside] = opened.job.part.surface.sag(x[inside], y[inside])
     if not inside.any():
         return design, design
     away = np.hypot(x[inside], y[inside])
@@ -342,15 +327,6 @@ def _filled(ready: Prepared, columns: Floats, rows: Floats, inside: Any) -> Floa
     z[tiles.order] = out
     z[(z >= 1e299) | ~inside.ravel()] = np.nan  # a tip with a centring error does not cut at the axis
     return z.reshape(inside.shape)
-
-
-def _design(job: Job, columns: Floats, rows: Floats) -> Floats:
-    """Return the nominal height over a grid, nan outside the clear aperture. [mm]."""
-    x, y = np.meshgrid(columns, rows)
-    inside = np.hypot(x, y) <= job.part.radius
-    z = np.full(inside.shape, np.nan)
-    z[inside] = job.part.surface.sag(x[inside], y[inside])
-    return z
 
 
 def profile(folder: str, ends: tuple[float, float, float, float], count: int) -> bytes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import secrets
 import shutil
 from contextlib import suppress
 from pathlib import Path as File
@@ -13,47 +12,36 @@ from fastapi import APIRouter, HTTPException, Query, Request
 from fastapi.responses import FileResponse, Response
 
 from turnwright.web import shown
-from turnwright.web.files import RAW_BODY, stored
+from turnwright.web.files import RAW_BODY, stored, uploaded
 from turnwright.web.guard import UPLOAD_BYTES
-from turnwright.web.limits import FILE_BYTES, MAP_TYPES, MAX_FILE_READ_S
-from turnwright.web.models import Causes, Id, Measurement
-from turnwright.web.packed import MEDIA_TYPE
+from turnwright.web.limits import MAP_TYPES, MAX_FILE_READ_S
+from turnwright.web.models import Causes, FileName, Id, Measurement, RunId
 from turnwright.web.queue import Run, Runs
 from turnwright.web.references import CORRECTION, shown_name
-from turnwright.web.runs import A_FILE, RunId, find_run, job_of, line_of, send_file
+from turnwright.web.runs import A_FILE, find_run, job_of, line_of, send_file
+from turnwright.web.views import ARRAYS, PackedResponse
 
 __all__ = ["router"]
 
 router = APIRouter(prefix="/api/measurements", tags=["measurements"])
 
 Pixels = Annotated[int, Query(ge=2, le=2048)]
-PACKED = "TW01, the length of a JSON header (uint32, little-endian), the header, float32 arrays."
 PICTURES = {"measured": "error.npz", "residual": "left-1.npz", "predicted": "predicted.npz"}
 
 
 def _map_suffix(name: str) -> str:
-    """Return the extension of a map file.
-
-    Raises
-    ------
-    HTTPException
-        If it is not the extension of a supported format.
-    """
+    """Return the extension of a map file; refuse any that is not of a supported format."""
     suffix = File(name.replace("\\", "/")).suffix.lower()
     if suffix not in MAP_TYPES:
         raise HTTPException(422, f"a measured map must end in {', '.join(MAP_TYPES)}, got {suffix[:12]!r}")
     return suffix
 
 
-@router.post(
-    "",
-    status_code=201,
-    openapi_extra=RAW_BODY,
-)
+@router.post("", status_code=201, openapi_extra=RAW_BODY)
 async def bring(
     request: Request,
     run: Annotated[str, Query(pattern="^[0-9a-f]{16}$", description="Identifier of the run that cut the part.")],
-    name: Annotated[str, Query(min_length=1, max_length=200, description="Name of the file.")],
+    name: FileName,
 ) -> Id:
     """Upload a measured map; it is registered to its part and diagnosed."""
     runs: Runs = request.app.state.runs
@@ -72,28 +60,17 @@ async def bring(
     return Id(id=measured.id)
 
 
-@router.post(
-    "/show",
-    response_class=Response,
-    openapi_extra=RAW_BODY,
-    responses={
-        200: {"description": PACKED, "content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}}}
-    },
-)
+@router.post("/show", response_class=Response, openapi_extra=RAW_BODY, responses=ARRAYS)
 async def show(
     request: Request,
-    name: Annotated[str, Query(min_length=1, max_length=200, description="Name of the file.")],
+    name: FileName,
 ) -> Response:
     """Return the picture and the facts of a measured map without a job; nothing is stored."""
     state = request.app.state
     suffix = _map_suffix(name)
-    file = state.folder / "files" / f".{secrets.token_hex(16)}{suffix}"
-    try:
-        await stored(request, file, FILE_BYTES)
+    async with uploaded(request, suffix) as (file, *_):
         packed = await state.workers.ask(shown.lone_map, str(file), shown_name(name), limit_s=MAX_FILE_READ_S)
-    finally:
-        file.unlink(missing_ok=True)
-    return Response(packed, media_type=MEDIA_TYPE)
+    return PackedResponse(packed)
 
 
 @router.get("/{id}")
@@ -122,16 +99,7 @@ def _correction(runs: Runs, run: Run) -> Run | None:
     return next((one for one in runs.all() if one.kind == "correct" and one.of == run.id), None)
 
 
-@router.get(
-    "/{id}/map",
-    response_class=Response,
-    responses={
-        200: {
-            "description": PACKED,
-            "content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}},
-        }
-    },
-)
+@router.get("/{id}/map", response_class=Response, responses=ARRAYS)
 async def measured_map(
     id: RunId,  # noqa: A002
     request: Request,
@@ -152,7 +120,7 @@ async def measured_map(
     if not file.is_file():
         raise HTTPException(409, f"there is no {name} map yet")
     packed = await state.workers.ask(shown.shown_map, str(file), state.runs.data(run), str(state.folder), nx, ny)
-    return Response(packed, media_type=MEDIA_TYPE)
+    return PackedResponse(packed)
 
 
 @router.post("/{id}/correct", status_code=201)

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from annotated_types import MaxLen
+from fastapi import Path, Query
 from pydantic import BaseModel, ConfigDict, Field
 
 from turnwright.web.limits import BODY_BYTES
 
 __all__ = [
+    "BINARY",
     "About",
     "Causes",
     "Check",
+    "Coordinate",
     "Data",
     "Edited",
     "ExampleJob",
     "ExampleLine",
     "Fault",
+    "FileName",
     "Id",
     "Kept",
     "Limits",
@@ -33,17 +38,26 @@ __all__ = [
     "Question",
     "RunDetail",
     "RunFile",
+    "RunId",
     "RunLine",
+    "RunState",
     "Toml",
     "Written",
-    "archived",
+    "answer_of",
 ]
 
 
-def archived(description: str) -> dict[int | str, dict[str, Any]]:
-    """Return the OpenAPI responses of a route that returns a ZIP archive."""
-    content = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
-    return {200: {"description": description, "content": content}}
+BINARY = {"type": "string", "format": "binary"}
+"""JSON schema of a file."""
+
+RunId = Annotated[str, Path(pattern="^[0-9a-f]{16}$", description="Identifier of the run.")]
+Coordinate = Annotated[float, Query(ge=-1e5, le=1e5, allow_inf_nan=False, description="[mm]")]
+FileName = Annotated[str, Query(min_length=1, max_length=200, description="Name of the file.")]
+
+
+def answer_of(description: str, media_type: str, schema: Mapping[str, str] = BINARY) -> dict[int | str, dict[str, Any]]:
+    """Return the OpenAPI responses of a route that does not return JSON of a model."""
+    return {200: {"description": description, "content": {media_type: {"schema": schema}}}}
 
 
 class Model(BaseModel):
@@ -196,8 +210,7 @@ class Check(Model):
     warnings: list[str]
 
 
-RunKind = Literal["run", "compare", "measure", "correct"]
-RunState = Literal["queued", "running", "done", "failed", "cancelled"]
+State = Literal["queued", "running", "done", "failed", "cancelled"]
 Time = Annotated[str, Field(description="ISO 8601 time in UTC.")]
 
 
@@ -224,22 +237,28 @@ class Progress(Model):
     left_s: float = Field(description="Estimated remaining time. [s]")
 
 
-class RunLine(Model):
-    """A run in a list."""
+class RunState(Model):
+    """State of a run."""
 
     id: str
     name: str
-    kind: RunKind
-    state: RunState
+    kind: Literal["run", "compare", "measure", "correct"]
+    state: State = "queued"
     created: Time
-    started: Time | None
-    ended: Time | None
-    sentence: str = Field(description="Outcome.")
-    missed: bool = Field(description="Whether the part misses a stated tolerance.")
+    started: Time | None = None
+    ended: Time | None = None
+    sentence: str = Field(default="", description="Outcome.")
+    missed: bool = Field(default=False, description="Whether the part misses a stated tolerance.")
     of: str = Field(
-        description="Identifier of the measured run, for a measurement; of the measurement, for a correction."
+        default="",
+        description="Identifier of the measured run, for a measurement; of the measurement, for a correction.",
     )
-    progress: Progress | None = Field(description="Progress of a running run.")
+
+
+class RunLine(RunState):
+    """A run in a list."""
+
+    progress: Progress | None = Field(default=None, description="Progress of a running run.")
 
 
 class RunFile(Model):
@@ -281,7 +300,7 @@ class Measurement(Model):
     id: str
     name: str
     run: str
-    state: RunState
+    state: State
     sentence: str
     progress: Progress | None
     form_pv_nm: float | None = None

@@ -48,13 +48,7 @@ def pack(header: Mapping[str, Any], arrays: Mapping[str, ArrayLike]) -> bytes:
 
 
 def unpack(message: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Return the header and the arrays of a message.
-
-    Raises
-    ------
-    InputError
-        If it is not a message, or it is truncated.
-    """
+    """Return the header and the arrays of a message; raise an InputError if it is truncated or not a message."""
     import numpy as np  # noqa: PLC0415
 
     start = 8 + int.from_bytes(message[4:8], "little")

@@ -23,7 +23,7 @@ from turnwright.web.models import (
     Question,
     Toml,
     Written,
-    archived,
+    answer_of,
 )
 from turnwright.web.schema import job_schema
 
@@ -88,7 +88,7 @@ async def write(job: Edited, request: Request) -> Any:
 @router.post(
     "/job/bundle",
     response_class=Response,
-    responses=archived("ZIP archive of job.toml and its files, for the command line."),
+    responses=answer_of("ZIP archive of job.toml and its files, for the command line.", "application/zip"),
 )
 async def bundle(job: Edited, request: Request) -> Response:
     """Return an archive of a job and the files that it names."""

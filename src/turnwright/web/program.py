@@ -44,15 +44,7 @@ PASS = re.compile(rb"PASS: ([^,)\n]*)(, ENTRY)?")
 
 
 def index(out: Path, machine: Machine) -> None:
-    """Write the index of a program next to it.
-
-    Parameters
-    ----------
-    out
-        Folder of a complete run.
-    machine
-        Machine of the program.
-    """
+    """Write the index of the program of a complete run next to it."""
     files = _files(out)
     total = sum(_count(file) for file in files)
     stride = min(max(1, total // MAX_FULLY_INDEXED_LINES), MAX_STRIDE)
@@ -87,18 +79,7 @@ def index(out: Path, machine: Machine) -> None:
 def lines(out: str, first: int, count: int) -> dict[str, Any]:
     """Return lines of a program, counted from 0, and the tip position after each.
 
-    Parameters
-    ----------
-    out
-        Folder of a run.
-    first, count
-        First line and number of lines; lines beyond the end are omitted.
-
-    Returns
-    -------
-    dict
-        ``lines``, ``total`` and ``places``: (x, y, z) in the part frame [mm], or ``None`` for a line without
-        motion.
+    ``places`` are (x, y, z) in the part frame [mm], or ``None`` for a line without motion.
     """
     index = _Index(Path(out))
     begin = max(0, first - CONTEXT_LINES)
@@ -110,15 +91,7 @@ def lines(out: str, first: int, count: int) -> dict[str, Any]:
 
 
 def near(out: str, x: float, y: float) -> dict[str, Any]:
-    """Return the line of the finishing pass after which the tip is nearest to a point.
-
-    Parameters
-    ----------
-    out
-        Folder of a run.
-    x, y
-        Point in the part frame. [mm]
-    """
+    """Return the line of the finishing pass after which the tip is nearest to a point in the part frame [mm]."""
     index = _Index(Path(out))
     axes = _Axes(index.machine)
     tips = index.tips

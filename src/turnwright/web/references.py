@@ -49,8 +49,6 @@ FILE_OR_NAME = frozenset({"material", "instrument"})
 MAX_DEPTH = 40
 """Largest nesting depth of tables and lists."""
 
-TOO_DEEP = f"the nesting depth of a job must be at most {MAX_DEPTH}"
-
 MAX_VALUES = 500_000
 
 JOB = "job.toml"
@@ -66,22 +64,8 @@ RUN_REFERENCE = re.compile(r"runs/([0-9a-f]{16})/([A-Za-z0-9_-]{1,60}\.[A-Za-z0-
 UPLOAD_REFERENCE = re.compile(r"files/([0-9a-f]{32})/([A-Za-z0-9_-]{1,60}(\.[a-z0-9]{1,8}))")
 
 
-class _Refused(Exception):  # noqa: N818
-    pass
-
-
 class Located(NamedTuple):
-    """A job with paths in place of references.
-
-    Parameters
-    ----------
-    data
-        The job.
-    problems
-        Faults of its references.
-    references
-        Path by valid reference. A file that was uploaded under several names has several references.
-    """
+    """A job with paths in place of references, the faults of its references, and the path of each valid one."""
 
     data: dict[str, Any]
     problems: list[dict[str, str]]
@@ -123,57 +107,46 @@ def place_of(folder: Path, name: str, kind: str, ending: str) -> Path:
 
 
 def located(data: dict[str, Any], folder: Path) -> Located:
-    """Replace the references of a job by paths, and report invalid ones.
-
-    Parameters
-    ----------
-    data
-        The job as a page sent it.
-    folder
-        Folder of the server.
-    """
+    """Replace the references of a job by paths in the folder of the server, and report invalid ones."""
     result = Located({}, [], {})
-    count = 0
 
-    def walked(value: object, field: str, key: str, depth: int) -> Any:
-        nonlocal count
-        count += 1
-        if depth > MAX_DEPTH or count > MAX_VALUES:
-            raise _Refused(TOO_DEEP if depth > MAX_DEPTH else f"a job must have at most {MAX_VALUES} values")
-        if isinstance(value, dict):
-            return {
-                name: walked(one, f"{field}.{name}" if field else str(name), str(name), depth + 1)
-                for name, one in value.items()
-            }
-        if isinstance(value, list):
-            return [walked(one, f"{field}[{place}]", key, depth + 1) for place, one in enumerate(value, 1)]
+    def replaced(value: object, field: str, key: str) -> object:
         if isinstance(value, str) and "\0" in value:
             result.problems.append({"field": field, "sentence": "must not contain the null character"})
             return ""
-        if _names_file(key, value):
-            return _path(value, field, key, folder, result)
-        return value
+        return _path(value, field, key, folder, result) if _names_file(key, value) else value
 
     try:
-        return result._replace(data=walked(data, "", "", 0))
-    except _Refused as error:
+        require_flat(data)
+    except InputError as error:
         return Located({}, [{"field": "", "sentence": str(error)}], {})
+    return result._replace(data=_rebuilt(data, replaced))
+
+
+def _rebuilt(value: Any, replaced: Callable[[object, str, str], object], field: str = "", key: str = "") -> Any:
+    """Replace each value of a job by ``replaced(value, field, key)``."""
+    if isinstance(value, dict):
+        return {
+            name: _rebuilt(one, replaced, f"{field}.{name}" if field else str(name), str(name))
+            for name, one in value.items()
+        }
+    if isinstance(value, list):
+        return [_rebuilt(one, replaced, f"{field}[{place}]", key) for place, one in enumerate(value, 1)]
+    return replaced(value, field, key)
 
 
 def require_flat(data: dict[str, Any]) -> None:
-    """Raise if a job is nested too deeply to be walked; a dotted key can create any depth.
-
-    Raises
-    ------
-    InputError
-        If the nesting depth exceeds `MAX_DEPTH`.
-    """
+    """Raise if a job has too many values, or is nested too deeply to be walked; a dotted key can create any depth."""
     level: list[Any] = [data]
+    count = 0
     for _ in range(MAX_DEPTH + 1):
+        count += len(level)
         tables = [one.values() if isinstance(one, dict) else one for one in level if isinstance(one, dict | list)]
         level = [inner for one in tables for inner in one]
     if level:
-        raise InputError(TOO_DEEP)
+        raise InputError(f"the nesting depth of a job must be at most {MAX_DEPTH}")
+    if count > MAX_VALUES:
+        raise InputError(f"a job must have at most {MAX_VALUES} values")
 
 
 def _names_file(key: str, value: object) -> bool:
@@ -212,15 +185,7 @@ def _file(reference: str, kind: str, folder: Path) -> Path | None:
 
 
 def unpack_references(data: dict[str, Any], folder: Path) -> tuple[dict[str, Any], dict[str, Path]]:
-    """Replace the references of a job by plain file names; return it with the files by name.
-
-    Parameters
-    ----------
-    data
-        The job as a page sent it.
-    folder
-        Folder of the server.
-    """
+    """Replace the references of a job by plain file names; return it with the files by name."""
     references = {reference: Path(path) for reference, path in located(data, folder).references.items()}
     files: dict[str, Path] = {}
     names: dict[str, str] = {}
@@ -242,15 +207,7 @@ def text_in(run: Path) -> str:
 
 
 def job_in(run: Path, folder: Path) -> dict[str, Any]:
-    """Return the job of a run, with references; for a correction, the corrected job.
-
-    Parameters
-    ----------
-    run
-        Folder of the run.
-    folder
-        Folder of the server.
-    """
+    """Return the job in the folder of a run, with references; for a correction, the corrected job."""
     data: dict[str, Any] = json.loads((run / "job.json").read_text(encoding="utf-8"))
     corrected = run / CORRECTION / JOB
     if not corrected.is_file():
@@ -267,17 +224,7 @@ def job_in(run: Path, folder: Path) -> dict[str, Any]:
 
 
 class Named(NamedTuple):
-    """A file that a job names.
-
-    Parameters
-    ----------
-    field
-        Path of the field.
-    kind
-        See `kind_of`.
-    name
-        Value of the field.
-    """
+    """A file that a job names: path of the field, kind as of `kind_of`, and value."""
 
     field: str
     kind: str
@@ -288,28 +235,18 @@ def named(data: dict[str, Any]) -> list[Named]:
     """Return the files that a job names."""
     names: list[Named] = []
 
-    def walked(value: object, field: str, key: str) -> None:
-        if isinstance(value, dict):
-            for name, one in value.items():
-                walked(one, f"{field}.{name}" if field else name, name)
-        elif isinstance(value, list):
-            for place, one in enumerate(value, 1):
-                walked(one, f"{field}[{place}]", key)
-        elif isinstance(value, str) and _names_file(key, value):
+    def listed(value: object, field: str, key: str) -> None:
+        if isinstance(value, str) and _names_file(key, value):
             names.append(Named(field, kind_of(field, key), value))
 
-    walked(data, "", "")
+    _rebuilt(data, listed)
     return names
 
 
 def renamed(data: dict[str, Any], name: Callable[[str, str], str]) -> dict[str, Any]:
     """Replace each file name in a job by ``name(kind, file_name)``."""
 
-    def walked(value: object, field: str, key: str) -> Any:
-        if isinstance(value, dict):
-            return {one: walked(inner, f"{field}.{one}" if field else one, one) for one, inner in value.items()}
-        if isinstance(value, list):
-            return [walked(one, field, key) for one in value]
+    def replaced(value: object, field: str, key: str) -> object:
         return name(kind_of(field, key), value) if isinstance(value, str) and _names_file(key, value) else value
 
-    return walked(data, "", "")  # type: ignore[no-any-return]
+    return _rebuilt(data, replaced)  # type: ignore[no-any-return]

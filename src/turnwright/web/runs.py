@@ -11,40 +11,31 @@ from contextlib import suppress
 from pathlib import Path as File
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, HTTPException, Path, Query, Request
+from fastapi import APIRouter, HTTPException, Query, Request
 from fastapi.responses import FileResponse, Response, StreamingResponse
 
 from turnwright.web import jobs
-from turnwright.web.models import Id, Line, Lines, NewRun, RunDetail, RunFile, RunLine, archived
+from turnwright.web.models import Id, Line, Lines, NewRun, RunDetail, RunFile, RunId, RunLine, RunState, answer_of
 from turnwright.web.program import lines, near as nearest_line
 from turnwright.web.queue import ENDED, Run, Runs
 from turnwright.web.references import BUNDLE, CORRECTION, JOB, job_in
 
-__all__ = ["RunId", "find_run", "job_of", "line_of", "router"]
+__all__ = ["A_FILE", "find_run", "job_of", "line_of", "router", "send_file"]
 
 router = APIRouter(prefix="/api/runs", tags=["runs"])
 
-RunId = Annotated[str, Path(pattern="^[0-9a-f]{16}$", description="Identifier of the run.")]
 Kept = Literal["program", "table", "report", "job", "written", "bundle", "result", "archive", "correction"]
-Coordinate = Annotated[float, Query(ge=-1e5, le=1e5, allow_inf_nan=False)]
 
 NUMBERS = {"run": "result.json", "compare": "comparison.json", "measure": "diagnosis.json", "correct": "result.json"}
 """Result file of a run, by kind."""
 
-A_FILE: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "The file, byte for byte.",
-        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
-    }
-}
-JSON_FILE: dict[int | str, dict[str, Any]] = {
-    200: {"description": "The file, byte for byte.", "content": {"application/json": {"schema": {"type": "object"}}}}
-}
+A_FILE = answer_of("The file, byte for byte.", "application/octet-stream")
+JSON_FILE = answer_of("The file, byte for byte.", "application/json", {"type": "object"})
 
 
-def stream_response(description: str) -> dict[int | str, dict[str, Any]]:
+def events_of(description: str) -> dict[int | str, dict[str, Any]]:
     """Return the OpenAPI responses of a route that streams events."""
-    return {200: {"description": description, "content": {"text/event-stream": {"schema": {"type": "string"}}}}}
+    return answer_of(description, "text/event-stream", {"type": "string"})
 
 
 def find_run(request: Request, name: str, *kinds: str, folder: bool = True) -> Run:
@@ -61,11 +52,8 @@ def find_run(request: Request, name: str, *kinds: str, folder: bool = True) -> R
 
 def line_of(runs: Runs, run: Run) -> RunLine:
     """Return the list entry of a run."""
-    return RunLine(
-        id=run.id, name=run.name, kind=run.kind, state=run.state, created=run.created, started=run.started,  # type: ignore[arg-type]
-        ended=run.ended, sentence=run.sentence, missed=run.missed, of=run.of,
-        progress=runs.progress(run.id) if run.state == "running" else None,  # type: ignore[arg-type]
-    )  # fmt: skip
+    progress = runs.progress(run.id) if run.state == "running" else None
+    return RunLine(**run.model_dump(include=set(RunState.model_fields)), progress=progress)  # type: ignore[arg-type]
 
 
 def job_of(runs: Runs, run: Run) -> dict[str, Any]:
@@ -132,9 +120,7 @@ async def list_runs(request: Request) -> list[RunLine]:
 @router.get(
     "/events",
     response_class=StreamingResponse,
-    responses=stream_response(
-        "Endless stream of events runs {changed}: at once, and whenever the list of runs changes."
-    ),
+    responses=events_of("Endless stream of events runs {changed}: at once, and whenever the list of runs changes."),
 )
 async def changes(request: Request) -> StreamingResponse:
     """Stream an event whenever a run is added, removed or changes its state."""
@@ -180,7 +166,7 @@ async def remove(id: RunId, request: Request) -> Response:  # noqa: A002
 @router.get(
     "/{id}/events",
     response_class=StreamingResponse,
-    responses=stream_response(
+    responses=events_of(
         "Events progress {stage, step, steps, fraction, left_s} and state {state, sentence} until the end."
     ),
 )
@@ -244,7 +230,7 @@ async def program(
 @router.get(
     "/{id}/files/programs",
     response_class=StreamingResponse,
-    responses=archived("ZIP archive of all files of the program."),
+    responses=answer_of("ZIP archive of all files of the program.", "application/zip"),
 )
 async def programs(id: RunId, request: Request) -> StreamingResponse:  # noqa: A002
     """Return all files for the lathe: program, sub-programs and fast tool servo table."""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from turnwright.strategy import Strategy
     from turnwright.tool import Tool
 
-__all__ = ["path", "section", "surface", "warm_compiler", "warm_surface"]
+__all__ = ["nominal_height", "path", "section", "surface", "warm_compiler", "warm_surface"]
 
 TURN = 2 * math.pi
 
@@ -34,9 +34,6 @@ MAX_TURNS = 72
 
 AXIS_OFFSET = 1e-9
 """Distance from the axis, relative to the radius, at which points on the axis are evaluated."""
-
-TWIST = 1e-7
-"""Angle to a second point of a spiral that has one. [rad]"""
 
 NEIGHBOURS = 4
 """Neighbouring revolutions on either side in the section."""
@@ -240,10 +237,14 @@ def section(
 def _surface_profile(part: Part, angle: float, u: Floats, y: float) -> Floats:
     """Return the nominal surface along the line under the cutting edge, nan outside the part. [mm]."""
     cosine, sine = math.cos(angle), math.sin(angle)
-    x, across = u * cosine - y * sine, u * sine + y * cosine
-    inside: Bools = np.hypot(x, across) <= part.radius
-    z = np.full(u.size, np.nan)
-    z[inside] = part.surface.sag(x[inside], across[inside])
+    return nominal_height(part, u * cosine - y * sine, u * sine + y * cosine)
+
+
+def nominal_height(part: Part, x: Floats, y: Floats) -> Floats:
+    """Return the nominal height, nan outside the clear aperture. [mm]."""
+    inside: Bools = np.hypot(x, y) <= part.radius
+    z = np.full(inside.shape, np.nan)
+    z[inside] = part.surface.sag(x[inside], y[inside])
     return z
 
 

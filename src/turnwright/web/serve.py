@@ -42,18 +42,7 @@ def serve_until_stopped(
     at_a_time: int,
     ready: Callable[[], None],
 ) -> None:
-    """Serve the workbench until SIGINT (Ctrl-C) or SIGTERM.
-
-    Parameters
-    ----------
-    listener
-        Bound socket.
-    folder
-        Folder of the runs.
-    token, origin, at_a_time
-        See `turnwright.web.create_app`.
-    ready
-        Called when the server accepts connections.
+    """Serve the workbench until SIGINT (Ctrl-C) or SIGTERM; ``ready`` is called when it accepts connections.
 
     Raises
     ------

@@ -110,17 +110,7 @@ class _Server(uvicorn.Server):
 
 
 def answer(app: FastAPI, listener: socket.socket, ready: Callable[[], None]) -> None:
-    """Serve until SIGINT or SIGTERM.
-
-    Parameters
-    ----------
-    app
-        ASGI application.
-    listener
-        Bound socket.
-    ready
-        Called when the server accepts connections.
-    """
+    """Serve until SIGINT or SIGTERM; ``ready`` is called when the server accepts connections."""
     config = uvicorn.Config(
         app, http=TimedProtocol, log_level="critical", access_log=False, server_header=False, lifespan="on", ws="none",
         timeout_graceful_shutdown=SHUTDOWN_S, h11_max_incomplete_event_size=64 * 2**10, proxy_headers=False,

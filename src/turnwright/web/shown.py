@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from turnwright._io import write_json
 from turnwright.errors import InputError
 from turnwright.files import read_map
 from turnwright.metrology import area_psd, level, overview
-from turnwright.web.jobs import plain, require
+from turnwright.web.jobs import require
 from turnwright.web.packed import pack
 
 if TYPE_CHECKING:
@@ -39,15 +39,7 @@ LENSLET = (
 
 
 def write_shown(measured: Measured, diagnosis: Diagnosis, out: Path) -> None:
-    """Write ``shown.json``, the data of a measured part for the page.
-
-    Parameters
-    ----------
-    measured, found
-        Measured part and its diagnosis.
-    out
-        Existing folder.
-    """
+    """Write ``shown.json``, the data of a measured part for the page, to an existing folder."""
     registration, terms, lenses = measured.registration, measured.zernike, measured.lenslets
     zernike = [] if terms is None else zip(terms.indices, terms.coefficients, terms.uncertainty, strict=True)
     numbers = {
@@ -89,7 +81,7 @@ def write_shown(measured: Measured, diagnosis: Diagnosis, out: Path) -> None:
         "explained_rms_nm": diagnosis.explained_rms_nm,
         "unexplained_rms_nm": diagnosis.unexplained_rms_nm,
     }
-    (out / "shown.json").write_text(json.dumps(plain(numbers), allow_nan=False), encoding="utf-8")
+    write_json(out / "shown.json", numbers)
 
 
 def _psd(measured: Measured) -> dict[str, Any] | None:
@@ -108,7 +100,7 @@ def write_predicted(better: Correction, out: Path) -> None:
     sizes = {name: {"pv_nm": pv, "rms_nm": rms} for name, (pv, rms) in better.numbers_nm.items()}
     missed = [one.sentence for one in better.verdicts if one.is_kept is False]
     summary = sizes | {"missed": missed, "sentences": better.sentences}
-    (out / "shown.json").write_text(json.dumps(plain(summary)), encoding="utf-8")
+    write_json(out / "shown.json", summary)
 
 
 def shown_map(file: str, data: dict[str, Any], folder: str, nx: int, ny: int) -> bytes:
@@ -119,17 +111,7 @@ def shown_map(file: str, data: dict[str, Any], folder: str, nx: int, ny: int) ->
 def lone_map(file: str, name: str) -> bytes:
     """Return a measured map as a packed picture, with the facts that `turnwright show` prints.
 
-    Parameters
-    ----------
-    file
-        Path of the measured file.
-    name
-        Original name of the file.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read; the message contains ``name``.
+    An error message names the file by its original ``name``.
     """
     try:
         heights = read_map(file)
@@ -149,44 +131,30 @@ def lone_map(file: str, name: str) -> bytes:
         values = flat.z[::stride, ::stride]
         ends = [[float(axis[::stride][0]), float(axis[::stride][-1])] for axis in (flat.x, flat.y)]
         ends = [[low, high] if high > low else [low - 0.5, low + 0.5] for low, high in ends]
+    return _packed(values, ends, heights.z, name=name, rows=rows)
+
+
+def _packed(values: Floats, ends: list[list[float]], z: Floats, **more: Any) -> bytes:
+    """Pack a map in mm as a picture in nm, with its ends along x and y."""
     values = values * 1e6
     finite = values[np.isfinite(values)]
     low, high = np.percentile(finite, COLOUR_PERCENTILES) if finite.size else (0.0, 0.0)
     header = {
-        "name": name, "rows": rows, "unit": "nm", "x": ends[0], "y": ends[1], "low": float(low), "high": float(high),
-        "diverging": True, "points": int(np.isfinite(heights.z).sum()),
+        "unit": "nm", "x": ends[0], "y": ends[1], "low": float(low), "high": float(high), "diverging": True,
+        "points": int(np.isfinite(z).sum()), **more,
     }  # fmt: skip
     return pack(header, {"values": values})
 
 
 def picture(file: str, radius: float, nx: int, ny: int) -> bytes:
-    """Return a map of errors over the whole part as a packed picture.
+    """Return a map of errors over the whole part as a packed picture of ``nx`` by ``ny`` pixels.
 
-    Parameters
-    ----------
-    file
-        File from `turnwright.write_map`, gridded or scattered.
-    radius
-        Semi-diameter of the clear aperture. [mm]
-    nx, ny
-        Pixels along x and y. Each is the mean of its points, or of neighbouring pixels if it has none.
+    Each is the mean of its points, or of neighbouring pixels if it has none.
     """
     heights = read_map(file)
     x, y = heights.points()
-    values = _means(x.ravel(), y.ravel(), heights.z.ravel(), radius, nx, ny) * 1e6
-    finite = values[np.isfinite(values)]
-    low, high = np.percentile(finite, COLOUR_PERCENTILES) if finite.size else (0.0, 0.0)
-    header = {
-        "unit": "nm",
-        "x": [-radius, radius],
-        "y": [-radius, radius],
-        "radius": radius,
-        "low": float(low),
-        "high": float(high),
-        "diverging": True,
-        "points": int(np.isfinite(heights.z).sum()),
-    }
-    return pack(header, {"values": values})
+    values = _means(x.ravel(), y.ravel(), heights.z.ravel(), radius, nx, ny)
+    return _packed(values, [[-radius, radius]] * 2, heights.z, radius=radius)
 
 
 def _means(x: Floats, y: Floats, z: Floats, radius: float, nx: int, ny: int) -> Floats:

@@ -9,11 +9,11 @@ from fastapi import APIRouter, Request, Response
 from pydantic import Field
 
 from turnwright.web import jobs, seen
-from turnwright.web.models import Model, Problem, Question
+from turnwright.web.models import Model, Problem, Question, answer_of
 from turnwright.web.packed import MEDIA_TYPE
 from turnwright.web.workers import Workers
 
-__all__ = ["PACKED", "path_worker", "router"]
+__all__ = ["ARRAYS", "PACKED", "PackedResponse", "path_worker", "router"]
 
 Quantity = Literal["height", "slope", "curvature", "clearance margin", "chip thickness"]
 
@@ -48,16 +48,20 @@ class SectionQuestion(Question):
 
 router = APIRouter(prefix="/api/view", tags=["views"])
 
+ARRAYS = answer_of("TW01, the length of a JSON header (uint32, little-endian), the header, float32 arrays.", MEDIA_TYPE)
 PACKED: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "TW01, the length of a JSON header (uint32, little-endian), the header, float32 arrays.",
-        "content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}},
-    },
+    **ARRAYS,
     413: {"model": Problem, "description": "The request is too large."},
     422: {"model": Problem, "description": "The job is invalid or cannot be shown."},
     503: {"model": Problem, "description": "Too many requests are waiting."},
 }
 """OpenAPI responses of a route that returns arrays."""
+
+
+class PackedResponse(Response):
+    """Answer with arrays, see `turnwright.web.packed`."""
+
+    media_type = MEDIA_TYPE
 
 
 SLOW_STRATEGIES = ("adaptive tool servo", "quasi-elliptical tool servo")
@@ -89,7 +93,7 @@ async def _answer(
     """Return the packed answer of a worker; only the last request of a kind by a client counts."""
     latest = f"{what.__name__} {question.client}" if question.client else ""
     packed = await workers.ask(what, question.data, *arguments, latest=latest, keep=keep)
-    return Response(packed, media_type=MEDIA_TYPE)
+    return PackedResponse(packed)
 
 
 @router.post("/surface", response_class=Response, responses=PACKED)

@@ -7,16 +7,15 @@ from collections.abc import Callable
 from pathlib import Path as File
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from fastapi.exceptions import HTTPException
 from pydantic import Field
 
 from turnwright.progress import cores
 from turnwright.web import budget, made
 from turnwright.web.limits import STORED_PIXEL_RATIO
-from turnwright.web.models import Model
-from turnwright.web.packed import MEDIA_TYPE
-from turnwright.web.views import PACKED, path_worker
+from turnwright.web.models import Coordinate, Model, RunId
+from turnwright.web.views import PACKED, PackedResponse, path_worker
 from turnwright.web.workers import Workers
 
 __all__ = ["close", "router"]
@@ -63,8 +62,7 @@ class Budget(Model):
 
 router = APIRouter(prefix="/api/runs", tags=["maps"])
 
-Id = Annotated[str, Path(pattern="^[0-9a-f]{16}$", description="Identifier of the run.")]
-Coordinate = Annotated[float, Query(ge=-1e5, le=1e5, allow_inf_nan=False, description="[mm]")]
+Client = Annotated[str, Query(max_length=64)]
 Pixels = Annotated[int, Query(ge=2, le=MAX_PIXELS)]
 NOT_FOUND: dict[int | str, dict[str, Any]] = {**PACKED, 404: {**PACKED[422], "description": "The run does not exist."}}
 JSON_ERRORS = {code: answer for code, answer in NOT_FOUND.items() if code != 200}
@@ -101,7 +99,7 @@ async def _compute(
 
 
 @router.get("/{id}/maps", responses=JSON_ERRORS)
-async def run_maps(request: Request, id: Id) -> list[Map]:  # noqa: A002 - the name in the API
+async def run_maps(request: Request, id: RunId) -> list[Map]:  # noqa: A002 - the name in the API
     """List the stored maps of a run."""
     _motion_worker(request)  # start it early: a finer window usually follows
     return [Map(**one) for one in await request.app.state.workers.ask(made.listed, _out(request, id), keep=True)]
@@ -110,7 +108,7 @@ async def run_maps(request: Request, id: Id) -> list[Map]:  # noqa: A002 - the n
 @router.get("/{id}/map", response_class=Response, responses=NOT_FOUND)
 async def run_map(
     request: Request,
-    id: Id,  # noqa: A002
+    id: RunId,  # noqa: A002
     name: Annotated[str, Query(max_length=200)] = "whole part",
     x0: Coordinate | None = None,
     x1: Coordinate | None = None,
@@ -119,7 +117,7 @@ async def run_map(
     nx: Pixels | None = None,
     ny: Pixels | None = None,
     quantity: Literal["error", "height"] = "error",
-    client: Annotated[str, Query(max_length=64)] = "",
+    client: Client = "",
 ) -> Response:
     """Return a window of a map, by default all of it; a window finer than the stored map is simulated."""
     out = _out(request, id)
@@ -147,22 +145,22 @@ async def run_map(
         packed = await request.app.state.workers.ask(made.window, *arguments, keep=True)
     else:
         packed = await _compute(request, made.window, *arguments, latest=f"window {client}" if client else "")
-    return Response(packed, media_type=MEDIA_TYPE)
+    return PackedResponse(packed)
 
 
 @router.get("/{id}/chips", response_class=Response, responses=NOT_FOUND)
 async def run_chips(
     request: Request,
-    id: Id,  # noqa: A002
+    id: RunId,  # noqa: A002
     pixels: Annotated[int, Query(ge=16, le=768)] = 288,
 ) -> Response:
     """Return the maximum uncut chip thickness of the finishing pass over the part [mm]."""
     packed = await request.app.state.workers.ask(made.chips, _out(request, id), pixels, keep=True)
-    return Response(packed, media_type=MEDIA_TYPE)
+    return PackedResponse(packed)
 
 
 @router.get("/{id}/budget", responses=JSON_ERRORS)
-async def run_budget(request: Request, id: Id) -> Budget:  # noqa: A002
+async def run_budget(request: Request, id: RunId) -> Budget:  # noqa: A002
     """Return the error budget of a run; it takes about as long as planning its path."""
     return Budget(**await path_worker(request).ask(budget.budget, _out(request, id), keep=True, limit_s=ANSWER_LIMIT_S))
 
@@ -170,13 +168,13 @@ async def run_budget(request: Request, id: Id) -> Budget:  # noqa: A002
 @router.get("/{id}/profile", response_class=Response, responses=NOT_FOUND)
 async def run_profile(
     request: Request,
-    id: Id,  # noqa: A002
+    id: RunId,  # noqa: A002
     x0: Coordinate,
     y0: Coordinate,
     x1: Coordinate,
     y1: Coordinate,
     n: Annotated[int, Query(ge=2, le=20_000)] = 1000,
-    client: Annotated[str, Query(max_length=64)] = "",
+    client: Client = "",
 ) -> Response:
     """Return the error along a line."""
     if math.hypot(x1 - x0, y1 - y0) < 1e-9:
@@ -184,24 +182,24 @@ async def run_profile(
     packed = await _compute(
         request, made.profile, _out(request, id), [x0, y0, x1, y1], n, latest=f"profile {client}" if client else ""
     )
-    return Response(packed, media_type=MEDIA_TYPE)
+    return PackedResponse(packed)
 
 
 @router.get("/{id}/motion", response_class=Response, responses=NOT_FOUND)
 async def run_motion(
     request: Request,
-    id: Id,  # noqa: A002
+    id: RunId,  # noqa: A002
     points: Annotated[int, Query(ge=10, le=20_000)] = 1500,
 ) -> Response:
     """Return the axis motion of the finishing pass and the machine limits."""
-    return Response(await _compute(request, made.motion, _out(request, id), points), media_type=MEDIA_TYPE)
+    return PackedResponse(await _compute(request, made.motion, _out(request, id), points))
 
 
 @router.get("/{id}/spectrum", response_class=Response, responses=NOT_FOUND)
 async def run_spectrum(
     request: Request,
-    id: Id,  # noqa: A002
+    id: RunId,  # noqa: A002
     axis: Annotated[str, Query(pattern="^[A-Z]$")] = "Z",
 ) -> Response:
     """Return the amplitude spectrum of an axis, and the largest sine amplitude within its limits."""
-    return Response(await _compute(request, made.spectrum, _out(request, id), axis), media_type=MEDIA_TYPE)
+    return PackedResponse(await _compute(request, made.spectrum, _out(request, id), axis))

@@ -97,7 +97,7 @@ function Panel() {
     const going = runs.find((one) => one.id === run && one.kind === "compare" && ["queued", "running"].includes(one.state));
     return html`<div class="teach"><h3>${going ? "Comparing …" : "Which strategy?"}</h3>
       <p>A comparison plans the finishing pass with every strategy of the machine, all for the same cusp and chord errors. It lists form error, cutting time and the limiting quantity of each.</p>
-      ${going ? html`<p role="status">${going.progress ? `${going.progress.stage}, ${percent(going.progress.done / (going.progress.total || 1))}` : "starting"}</p>`
+      ${going ? html`<p role="status">${going.progress ? `${going.progress.stage}, ${percent(going.progress.fraction)}` : "starting"}</p>`
         : html`<p><button type="button" class="button accent" disabled=${!job || errors.length > 0} onClick=${() => start("compare")}>Compare the strategies</button></p>${!job && html`<p>Open a job or an example first.</p>`}`}</div>`;
   }
   const planned = comparison.candidates.filter(({ refused, limits, shares }) => !refused && limits && shares);

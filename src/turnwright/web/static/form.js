@@ -86,10 +86,6 @@ function step(from, to) {
 export const undo = () => step(past, future);
 export const redo = () => step(future, past);
 
-function getAt(data, path) {
-  return path.reduce((value, key) => (value === null || value === undefined ? undefined : value[key]), data);
-}
-
 /** A copy with one value changed; undefined takes the key away, and the tables that this leaves empty. */
 function setAt(data, [key, ...rest], value) {
   if (key === undefined) return value;

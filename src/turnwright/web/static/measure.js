@@ -253,14 +253,14 @@ function Findings({ measurement }) {
         <p id=${`why-${one.name}`}>${one.sentence}</p></div>`)}
       ${contributions.filter((one) => all || one.rms_nm > 0.1 * measurement.measured_rms_nm).map((one) => html`<p class="quiet" key=${one.name}>${one.why}</p>`)}
       ${lenslets.length > 0 && html`<${Lenslets} lenslets=${lenslets} />`}
-    </div>
-    <div class="decide">
-      <div class="bar"><button type="button" class="button accent" id="correct" disabled=${going || asking} onClick=${correct}>${chosen.size ? `Correct ${chosen.size > 1 ? `these ${chosen.size}` : "this"} and the form` : "Correct the form"}</button>
-      ${going && html`<span class="quiet" role="status">${run.progress ? `${run.progress.stage}, ${percent(run.progress.done / (run.progress.total || 1))}` : "waiting"}</span>`}
-      ${predicted && run?.state === "done" && html`<${Predicted} predicted=${predicted} measured=${measurement.form_rms_nm} />`}</div>
-      ${run?.state === "done" && html`<${Fragment}><${Downloads} path=${`/runs/${run.id}`} files=${files} only=${["job", "program", "table", "report", "correction"]} />
-        <button type="button" class="add" onClick=${() => editAgain(run.id)}><${Icon} name="left" />Edit the corrected job</button></${Fragment}>`}
-      ${run?.state === "failed" && html`<p class="wrong">${run.sentence}</p>`}
+      <div class="decide">
+        <div class="bar"><button type="button" class="button accent" id="correct" disabled=${going || asking} onClick=${correct}>${chosen.size ? `Correct ${chosen.size > 1 ? `these ${chosen.size}` : "this"} and the form` : "Correct the form"}</button>
+        ${going && html`<span class="quiet" role="status">${run.progress ? `${run.progress.stage}, ${percent(run.progress.fraction)}` : "waiting"}</span>`}
+        ${predicted && run?.state === "done" && html`<${Predicted} predicted=${predicted} measured=${measurement.form_rms_nm} />`}</div>
+        ${run?.state === "done" && html`<${Fragment}><${Downloads} path=${`/runs/${run.id}`} files=${files} only=${["job", "program", "table", "report", "correction"]} />
+          <button type="button" class="add" onClick=${() => editAgain(run.id)}><${Icon} name="left" />Edit the corrected job</button></${Fragment}>`}
+        ${run?.state === "failed" && html`<p class="wrong">${run.sentence}</p>`}
+      </div>
     </div>
   </div>`;
 }
@@ -312,7 +312,7 @@ function Panel() {
   if (!measurement || sent || measurement.state === "failed") return html`<${Drop} sent=${sent} types=${types} />`;
   if (GOING.has(measurement.state)) {
     const { progress } = measurement;
-    return html`<div class="drop"><h3>${measurement.name ?? "Measurement"}</h3><${Bar} share=${progress?.total ? progress.done / progress.total : 0} kind="going" /><p role="status">${progress?.stage ?? "waiting"}</p></div>`;
+    return html`<div class="drop"><h3>${measurement.name ?? "Measurement"}</h3><${Bar} share=${progress?.fraction ?? 0} kind="going" /><p role="status">${progress?.stage ?? "waiting"}</p></div>`;
   }
   return html`<div class="measure" id="measured"><${Seen} measurement=${measurement} /><${Map_} measurement=${measurement} /><${Findings} key=${measurement.id} measurement=${measurement} /></div>`;
 }

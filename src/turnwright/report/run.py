@@ -1,0 +1,624 @@
+"""Pages of a run and of a back-plotted NC program."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path as File
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright.job import judge, part_shape
+from turnwright.path import Motion
+from turnwright.post import after_stop, dialect_of
+from turnwright.report import figures as draw
+from turnwright.report.page import Cell, Code, Number, Page, Section, Table, page_file, write_page
+from turnwright.units import say_length
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from os import PathLike
+
+    from turnwright.access import Access
+    from turnwright.job import Entry, Job, Pass, Prediction, Result, Verdict
+    from turnwright.machine import Machine
+    from turnwright.metrology import Roughness
+    from turnwright.motion import Limits
+    from turnwright.tool import Tool
+
+__all__ = ["roughness_rows", "write_backplot", "write_report"]
+
+NM = 1e6
+TURN = 2 * math.pi
+
+MAX_PICTURED_MAPS = 6
+"""Maps shown as pictures; the page states how many more there are."""
+
+LISTED_LINES = 40
+"""Program lines shown on the page."""
+
+MAX_PICTURE_POINTS = 20_000
+"""Points of a motion drawn in a picture."""
+
+LIMIT_COLUMNS = ("Quantity", "Peak", "Limit", "Used", "")
+
+ACCESS_TEXT = (
+    "For the nose radius, the value is the tool's and the limit is the part's; for angles, the value is what the part "
+    "needs and the limit is what the tool has. The point of the smallest margin is marked on the map by its number."
+)
+
+APPROACH_TEXT = (
+    "With C stationary, the tool comes no closer than 0.1 mm to the material. Where a pass cannot begin clear of the "
+    "material, the tool plunges with C rotating."
+)
+
+CHIP_TEXT = (
+    "Cutting is brittle above the critical chip thickness; cracks are harmless where later passes remove more than "
+    "their depth. On the first revolution and outside the clear aperture, no previous revolution limits the chip "
+    "thickness."
+)
+
+
+def write_report(result: Result, path: str | PathLike[str]) -> File:
+    """Write the page of a run, see `write_page`."""
+    path = page_file(path)
+    verdicts, program, feed = result.verdicts, result.program, result.passes[-1].feed
+    failed = _failed(verdicts)
+    is_rounded = result.rounding_nm > result.rounding_limit_nm
+    if is_rounded:
+        failed.append("rounding in the program exceeds its limit")
+    if failed:
+        grade, word, why = "bad", "Not ready", "; ".join(failed)
+    elif brittle := [cut.name for cut in result.passes if cut.chips is not None and not cut.chips.ok]:
+        grade, word, why = "warn", "Brittle damage possible", f"not in the ductile regime: {', '.join(brittle)}"
+    elif not result.ok:
+        grade, word, why = "warn", "Ready with exceptions", "exceeds a limit that the job accepts"
+    else:
+        unevaluated = [one.sentence for one in verdicts if one.is_kept is None]
+        met = "tool access, machine limits and tolerances met"
+        if len(unevaluated) == len(verdicts):
+            met = "tool access and machine limits met"
+        grade, word, why = "warn" if unevaluated else "good", "Ready to cut", "; ".join([met, *unevaluated])
+    count = len(result.warnings)
+    page = Page(
+        kind="Run",
+        job=result.job,
+        grade=grade,
+        word=word,
+        why=[why, f"{count or 'no'} {'warning' if count == 1 else 'warnings'}"],
+        numbers=_numbers(result.predictions, [cut.limits for cut in result.passes], verdicts),
+        notes=result.warnings,
+        sections=[
+            _things(result.job),
+            Section(
+                title="Access",
+                items=[_access_table(result.access), draw.access_map(result.part, result.access.findings)],
+            ),
+            Section(
+                title="Path",
+                items=[
+                    draw.spiral(result.motion, result.revolutions[len(result.revolutions) // 2], feed),
+                    draw.contact(result.path),
+                    _spiral_table(
+                        result.revolutions,
+                        result.limits,
+                        feed,
+                        ["Nose compensation along", "surface normal" if result.job.strategy.along == "normal" else "z"],
+                        [
+                            "Minimum clearance of the cutting edge",
+                            f"{result.least_clearance * NM + 0.0:.3g} nm (0 is contact, negative is a gouge)",
+                        ],
+                    ),
+                ],
+            ),
+            _approach(result),
+            Section(
+                title="Axes and limits",
+                items=[
+                    draw.z_over_turns(result.revolutions),
+                    draw.axes_over_time(result.motion),
+                    *(
+                        _limit_table(cut.name, _pass_facts(cut), cut.limits, result.machine, folded=number > 0)
+                        for number, cut in enumerate(reversed(result.passes))
+                    ),
+                ],
+            ),
+            *_chips(result),
+            *_surfaces(result.predictions, feed),
+            _program(
+                program.files,
+                path,
+                ["Dialect", result.machine.dialect],
+                ["Lines", f"{program.lines:,}"],
+                ["Size", f"{program.bytes / 1e6:.3g} MB"],
+                ["Cutting time", _duration(program.minutes * 60)],
+                ["Approaches, plunges and retracts", _duration(program.links_minutes * 60)],
+                ["After a stop", ". ".join(after_stop(dialect_of(result.machine))) + "."],
+                ["SHA-256", Cell(program.hash, "code")],
+                [
+                    "Surface change by rounding in the program",
+                    Cell(
+                        f"{result.rounding_nm:.3g} nm, limit {result.rounding_limit_nm:.3g} nm",
+                        "no" if is_rounded else "yes",
+                    ),
+                ],
+            ),
+            Section(title="Run", items=[_timings(result)]),
+        ],
+    )
+    return write_page(page, path)
+
+
+def write_backplot(
+    program: str | PathLike[str],
+    job: Job,
+    motion: Motion,
+    limits: Limits,
+    predictions: Sequence[Prediction],
+    path: str | PathLike[str],
+) -> File:
+    """Write the page of a back-plotted NC program, see `write_page`.
+
+    The job has the nominal surface, tool and machine of the simulation.
+    """
+    path, program = page_file(path), File(program)
+    verdicts = judge(job, predictions)
+    failed = _failed(verdicts)
+    if not limits.ok:
+        failed.append("a machine limit is exceeded")
+    turns, feed, shown = _single_turns(motion), motion.feed, _thinned(motion)
+    facts = f"{limits.spindle_rpm:.4g} rev/min · {limits.points:,} points · {_duration(limits.cycle_time_s)}"
+    page = Page(
+        title=job.part.name or program.name,
+        kind=f"Back-plot of {program.name}",
+        job=job,
+        grade="bad" if failed else "good",
+        word="Not within limits" if failed else "Within limits",
+        why=["; ".join(failed)],
+        numbers=_numbers(predictions, [limits], verdicts),
+        notes=[*limits.findings, *(sentence for one in predictions for sentence in one.remarks)],
+        sections=[
+            _things(job),
+            Section(
+                title="Path",
+                items=[draw.spiral(shown, turns[len(turns) // 2], feed), _spiral_table(turns, limits, feed)],
+            ),
+            Section(
+                title="Axes and limits",
+                items=[
+                    draw.z_over_turns(turns),
+                    draw.axes_over_time(shown),
+                    _limit_table(program.name, facts, limits, job.machine),
+                ],
+            ),
+            *_surfaces(predictions, feed),
+            _program(
+                [program],
+                path,
+                *([["Size", f"{program.stat().st_size / 1e6:.3g} MB"]] if program.is_file() else []),
+            ),
+        ],
+    )
+    return write_page(page, path)
+
+
+def _pass_facts(cut: Pass) -> str:
+    depth = [f"depth {_length(cut.depth)}, allowance {_length(cut.allowance)}"] if cut.depth else []
+    speed = [f"{cut.feed * 1e3:.4g} µm/rev", f"{cut.spindle_rpm:.4g} rev/min"]
+    return " · ".join([*depth, *speed, f"{cut.points:,} points", _duration(cut.limits.cycle_time_s)])
+
+
+def _approach(result: Result) -> Section:
+    """Return the section of the approaches: side views of the first and last pass, and a table of all."""
+    names = dict.fromkeys((result.passes[0].name, result.passes[-1].name))
+    columns = ("Pass", "Depth at the first point", "Entry", "Plunge feed", "Revolutions", "Time",
+               "Minimum gap, C stationary")  # fmt: skip
+    return Section(
+        title="Approach",
+        items=[
+            *(draw.approach_view(name, result.entries[name], result.tool) for name in names),
+            Table(
+                columns=columns,
+                numeric=(1, 3, 4, 5, 6),
+                rows=[(name, *_approach_facts(entry)) for name, entry in result.entries.items()],
+                notes=[APPROACH_TEXT],
+                dense=True,
+            ),
+        ],
+    )
+
+
+def _approach_facts(entry: Entry) -> tuple[str, ...]:
+    """Return the row of an approach: depth, entry, plunge feed, revolutions, time and minimum gap."""
+    approach = entry.approach
+    if approach.plunge is None:
+        return ("none", "clear of the material", "–", "–", "–", _length(entry.least_gap))
+    return (
+        _length(max(entry.depth or 0.0, 0.0)),
+        "plunge with C rotating",
+        f"{approach.plunge_feed * 60:.3g} mm/min, {approach.per_rev * 1e3:.3g} µm/rev",
+        f"{approach.turns:.0f}",
+        _duration(approach.plunge_s),
+        _length(entry.least_gap),
+    )
+
+
+def _length(length: float, digits: int = 4) -> str:
+    """Format a length in a suitable unit, as in the pictures."""
+    return _as_printed(say_length(length, digits))
+
+
+def _as_printed(text: str) -> str:
+    return text.replace(" um", " µm")
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds / 60:.1f} min" if seconds >= 60 else f"{seconds:.3g} s"
+
+
+def _chips(result: Result) -> list[Section]:
+    """Return the section of the uncut chip thickness with the ductile-mode check of each pass, if it is known."""
+    rows: list[tuple[str | Cell, ...]] = []
+    rakes: list[float] = []
+    for cut in result.passes:
+        chips = cut.chips
+        if chips is None:
+            continue
+        rakes += chips.rake_range
+        force = "–"
+        if chips.axial is not None and chips.cutting is not None:
+            force = f"{chips.axial * 1e3:.3g} / {chips.cutting * 1e3:.3g} mN"
+        margin, limit, feed = "–", "–", "any"
+        if chips.margin is not None and chips.critical is not None:
+            band = "" if chips.margin_uncertainty is None else f" ± {100 * chips.margin_uncertainty:.3g}"
+            margin, limit = f"{100 * chips.margin:.0f}{band} %", _length(chips.critical, 3)
+        if chips.largest_feed is not None:
+            feed = f"{chips.largest_feed * 1e3:.3g} µm/rev"
+        ductile = chips.verdict == "ductile"
+        exception = "except on the first revolution" if ductile else "removed by later passes"
+        verdict = chips.verdict if chips.ok == ductile else f"{chips.verdict}, {exception}"
+        values = (
+            _length(chips.thickest, 3), limit, margin, _length(chips.typical, 3), feed,
+            "–" if chips.fracture is None else "none" if not chips.fracture else _length(chips.fracture, 3),
+            _length(cut.allowance, 3) if cut.allowance else "none",
+            force,
+            _length(chips.entering, 3) if chips.entering else "–",
+        )  # fmt: skip
+        grade = "no" if not chips.ok else "yes" if ductile else "soft"
+        rows.append((cut.name, Cell(verdict, grade), *(value.replace(" ", "\u00a0") for value in values)))
+    if not rows:
+        return []
+    low, high = (round(math.degrees(rake), 6) + 0.0 for rake in (min(rakes), max(rakes)))
+    material = result.job.part.substance
+    cautions = (material.caution(cut.chips.typical) for cut in result.passes if material and cut.chips)
+    note = [CHIP_TEXT, f"Effective rake angle: {low:.3g}° to {high:.3g}°."]
+    note += [f"{one.capitalize()}." for one in dict.fromkeys(cautions) if one]
+    columns = (
+        "Pass", "Verdict", "Maximum", "Critical there", "Margin", "Typical", "Ductile up to", "Crack depth",
+        "Removed by later passes", "Force, axial / cutting", "On entry",
+    )  # fmt: skip
+    table = Table(columns=columns, numeric=range(2, 11), rows=rows, notes=[" ".join(note)], dense=True)
+    pictured = dict.fromkeys(name for name in (result.passes[0].name, result.passes[-1].name) if name in result.chips)
+    maps = [draw.chip_map(name, result.part, result.chips[name], material) for name in pictured]
+    return [Section(title="Uncut chip thickness", items=[*maps, table])]
+
+
+def _number(value: float) -> str:
+    if math.isnan(value):
+        return "–"
+    if 1e4 <= abs(value) < 1e8:
+        return f"{value:,.0f}"
+    return f"{value:.4g}" if abs(value) >= 1e-3 or value == 0 else f"{value:.3g}"
+
+
+def _numbers(predictions: Sequence[Prediction], passes: Sequence[Limits], verdicts: Sequence[Verdict]) -> list[Number]:
+    """Return the key figures: form error, roughness and cutting time."""
+    numbers = []
+    by_place = {(one.tolerance, one.place): one for one in verdicts}
+
+    def number(label: str, value: float, key: tuple[str, str], note: str) -> Number:
+        one = by_place.get(key)
+        if one is None:
+            return Number(label, _number(value), "nm", note)
+        words = "; ".join([f"tolerance {_number(one.limit_nm)} nm, {note}", *filter(None, [one.reason])])
+        return Number(label, _number(value), "nm", words, ok=one.is_kept is not False)
+
+    whole_parts = [one for one in predictions if one.error.polar]
+    patches = [one for one in predictions if not one.error.polar]
+    for one in whole_parts:
+        numbers.append(number("Form error PV", one.pv_nm, ("form_pv", one.name), "highest minus lowest point"))
+        if one.finish_nm is not None:
+            numbers.append(number("Sq", one.finish_nm, ("sq", one.name), "of the roughest annulus"))
+    if patches:
+        worst = max(patches, key=lambda one: (bool(one.uncut), one.roughness.sq_nm))
+        note = f"at “{worst.name}”" + (f", the roughest of {len(patches)} patches" if len(patches) > 1 else "")
+        numbers.append(number("Sq", worst.roughness.sq_nm, ("sq", worst.name), note))
+    last = passes[-1]
+    note = f"{last.nearest} is nearest to its limit, {last.utilisation[last.nearest]:.0%}"
+    if len(passes) > 1:
+        note = f"of {len(passes)} passes, the last {_duration(last.cycle_time_s)}; {note}"
+    value, unit = _duration(sum(limits.cycle_time_s for limits in passes)).split()
+    numbers.append(Number("Cutting time", value, unit, note))
+    return numbers
+
+
+def _failed(verdicts: Sequence[Verdict]) -> list[str]:
+    """Return one sentence per missed tolerance."""
+    return [one.sentence for one in verdicts if one.is_kept is False]
+
+
+def _things(job: Job) -> Section:
+    """Return the section of part, tool and machine."""
+    part, tool, machine = job.part, job.tool, job.machine
+
+    def angle(value: float | None) -> str:
+        return "not stated" if value is None else f"{math.degrees(value):.4g}°"
+
+    about_part = {
+        "Name": part.name or "–",
+        "Surface": type(part.surface).__name__,
+        "Clear aperture, semi-diameter": f"{part.radius:.6g} mm",
+        "Stock": _length(part.stock),
+        "Blank": f"disc, radius {part.blank.radius:.6g} mm" if part.blank else "not stated",
+        "Material": part.material_name or "not stated",
+        **{name: _as_printed(value) for name, value in part_shape(part).facts.items()},
+    }
+    about_tool = {
+        "Nose radius": f"{tool.nose_radius:.6g} mm",
+        "Included angle": angle(tool.included),
+        "Rake": angle(tool.rake),
+        "Clearance": angle(tool.clearance),
+    }
+    planned = _deviations(tool)
+    about_tool |= {name: value for name, value in planned.items() if value}
+    for name, value in _deviations(job.actual_tool).items():
+        if value != planned[name]:
+            about_tool[f"{name}, simulated"] = value or "none"
+    about_machine = {
+        "Name": machine.name,
+        "Dialect": machine.dialect,
+        "Highest spindle speed": f"{machine.spindle_rpm:.4g} rev/min",
+        "Block rate": f"{machine.block_rate_hz:.4g} blocks/s",
+    }
+    if machine.squareness:
+        about_machine["Squareness"] = f"{machine.squareness * 1e6:.4g} µrad"
+    if job.actual_machine.squareness != machine.squareness:
+        about_machine["Squareness, simulated"] = f"{job.actual_machine.squareness * 1e6:.4g} µrad"
+    remarks = [("Derived", remark) for remark in part.surface.remarks]
+    if part.material_note:
+        remarks.append(("Material note", part.material_note))
+    return Section(
+        title="Part, tool, machine",
+        items=[
+            draw.sag_map(part),
+            draw.view(part),
+            Table(title="Part", rows=[*about_part.items(), *remarks], span=2),
+            Table(title=f"Tool {tool.name}".strip(), rows=list(about_tool.items()), span=2),
+            Table(title="Machine", rows=list(about_machine.items()), span=2),
+        ],
+    )
+
+
+def _deviations(tool: Tool) -> dict[str, str]:
+    """Return the deviations of a cutting edge from the ideal one; empty strings where there is none."""
+    waviness = float(np.abs(tool.deviation(np.linspace(*tool.arc, 721))).max())
+    return {
+        "Waviness": f"up to {_length(waviness)}" if waviness else "",
+        "Radius error": _length(tool.radius_error) if tool.radius_error else "",
+        "Tip offset x, y, z": ", ".join(_length(value) for value in tool.offset) if any(tool.offset) else "",
+    }
+
+
+def _access_table(access: Access) -> Table:
+    rows = []
+    for finding in access.findings:
+        is_length = finding.name in ("nose radius", "step")
+
+        def shown(value: float | None, *, is_length: bool = is_length) -> str:
+            if value is None:
+                return "–"
+            if math.isinf(value):
+                return "any"
+            return _length(value) if is_length else f"{math.degrees(value) + 0.0:.4g}°"
+
+        where = "–" if finding.where is None else "{:.4g}, {:.4g}".format(*(round(at, 6) + 0.0 for at in finding.where))
+        value = shown(finding.value)
+        if finding.name == "rake":
+            value = " to ".join(f"{math.degrees(end):.4g}°" for end in access.rake_range)
+        verdict = Cell("ok", "yes") if finding.ok else Cell("not ok", "no")
+        rows.append((finding.name, value, shown(finding.limit), shown(finding.margin), where, verdict))
+    return Table(
+        columns=("Quantity", "Value", "Limit", "Margin", "Where x, y [mm]", "Verdict"),
+        numeric=range(1, 5),
+        rows=rows,
+        notes=[ACCESS_TEXT],
+        numbered=True,
+        span=4,
+    )
+
+
+def _spiral_table(turns: Sequence[Motion], limits: Limits, feed: float, *more: Sequence[str]) -> Table:
+    """Return the table of the spiral of the finishing pass."""
+    first, last = turns[0], turns[-1]
+    inward = abs(first.axes["X"][0]) > abs(last.axes["X"][-1])
+    counts = [(one.time.size - 1) * TURN / abs(float(one.axes["C"][-1] - one.axes["C"][0])) for one in turns]
+    fewest, most = round(min(counts)), round(max(counts))
+    rows = [
+        ("Feed", f"{feed * 1e3:.4g} µm/rev"),
+        ("Direction", "from the edge to the centre" if inward else "from the centre to the edge"),
+        ("Azimuth under the tool", "increases" if first.sense > 0 else "decreases"),
+        ("Starts and ends at X", f"{first.axes['X'][0]:.6g} and {last.axes['X'][-1] + 0.0:.6g} mm"),
+        ("Points", f"{limits.points:,}"),
+        ("Points per revolution", f"{fewest:,}" if most - fewest < 4 else f"{fewest:,} to {most:,}"),
+    ]
+    return Table(rows=[*rows, *more], span=3)
+
+
+def _limit_table(title: str, facts: str, limits: Limits, machine: Machine, *, folded: bool = False) -> Table:
+    """Return the peak values with their limits and utilisation."""
+    quantities: list[tuple[str, float, str, float | None, float]] = [
+        ("block rate", limits.block_rate_hz, "blocks/s", machine.block_rate_hz, 1.0),
+    ]
+    letters = list(limits.peak_speed)
+    for letter in letters:
+        axis = machine.axes.get(letter)
+        turning = letter in "ABC"
+        kinds = (
+            ("speed", limits.peak_speed, "rev/min" if turning else "mm/s", 60 / TURN if turning else 1.0),
+            ("acceleration", limits.peak_acceleration, "rad/s²" if turning else "mm/s²", 1.0),
+            ("jerk", limits.peak_jerk, "rad/s³" if turning else "mm/s³", 1.0),
+        )
+        for kind, peaks, unit, factor in kinds:
+            stated = getattr(axis, kind, None)
+            if letter == "C" and kind == "speed":
+                quantities.append(("spindle speed", peaks[letter], unit, machine.spindle_rpm / factor, factor))
+            else:
+                quantities.append((f"{letter} {kind}", peaks[letter], unit, stated, factor))
+        if letter in limits.frequency_hz and axis is not None:
+            quantities.append((f"{letter} bandwidth", limits.frequency_hz[letter], "Hz", axis.bandwidth_hz, 1.0))
+    rows: list[Sequence[str | Cell]] = []
+    for name, value, unit, limit, factor in quantities:
+        share = limits.utilisation.get(name)
+        used: tuple[str | Cell, ...] = ("", "")
+        if share is not None:
+            nearest, is_over = name == limits.nearest, share > 1.001
+            percent = f"{100 * share:.3g} %" if share >= 1e-4 else "< 0.01 %"
+            used = (
+                Cell(share=share, bar="over" if is_over else "binds" if nearest else ""),
+                Cell(percent + (" · nearest" if nearest else ""), "no" if is_over else ""),
+            )
+        stated = "not stated" if limit is None else f"{_number(limit * factor)} {unit}"
+        rows.append((name, f"{_number(value * factor)} {unit}", stated, *used))
+    for letter, (low, high) in limits.travel.items():
+        if letter != "C":
+            ends = " to ".join(f"{round(end, 9) + 0.0:.5g}" for end in (low, high))
+            rows.append((f"{letter} travel", f"{ends} mm", _travel(machine, letter), "", ""))
+    return Table(title=title, text=facts, columns=LIMIT_COLUMNS, numeric=(1, 2, 4), rows=rows, folded=folded)
+
+
+def _travel(machine: Machine, letter: str) -> str:
+    axis = machine.axes.get(letter)
+    if axis is None or (axis.low is None and axis.high is None):
+        return "not stated"
+    low, high = (("–" if end is None else f"{end:.5g}") for end in (axis.low, axis.high))
+    return f"{low} to {high} mm"
+
+
+def _surfaces(predictions: Sequence[Prediction], feed: float) -> list[Section]:
+    """Return the sections of the simulated surfaces: pictures of the first maps, and the parameters of all."""
+    count = max(len(predictions) - MAX_PICTURED_MAPS, 0)
+    more = f"{count} more {'map is' if count == 1 else 'maps are'} in the run folder and in the table."
+    return [
+        Section(title="Simulated surface of the program", text=[more] if count else []),
+        *(_surface(one, feed) for one in predictions[:MAX_PICTURED_MAPS]),
+        Section(
+            title="Surface parameters",
+            source="ISO 25178-2",
+            items=[
+                Table(
+                    columns=("Parameter", *(one.name for one in predictions)),
+                    numeric=range(1, len(predictions) + 1),
+                    rows=_parameters(predictions),
+                    notes=[f"{one.name}: {note}." for one in predictions for note in one.roughness.notes],
+                )
+            ],
+        ),
+    ]
+
+
+def _surface(one: Prediction, feed: float) -> Section:
+    """Return the subsection of a simulated map."""
+    rough, size, x, radius = one.roughness, one.error.z.shape, one.error.x, one.error.radius
+    note = f"{size[1]} radii × {size[0]} azimuths" if one.error.polar else f"{size[1]} × {size[0]} pixels"
+    if x is not None:
+        note += f" of {(x[1] - x[0]) * 1e3:.4g} µm"
+    note += f" · PV {_number(one.pv_nm)} nm · Sq {_number(rough.sq_nm)} nm"
+    note += " from the nominal surface" if rough.form == "none" else f" after form removal ({_form(rough.form)})"
+    if radius is not None and (step := radius[1] - radius[0]) > feed / 4:
+        note += f" · radial step {_length(float(step))} at a feed of {_length(feed)}/rev: cusps are aliased"
+    items = [draw.error_map(one.error), draw.rings(one.error) if one.error.polar else draw.profile(one.error, feed)]
+    text = [note]
+    if one.tracking is not None and one.tracking_nm is not None:
+        pv, rms = one.tracking_nm
+        text.append(f"Servo contribution: {_number(pv)} nm PV, {_number(rms)} nm rms, form included.")
+        items.append(draw.error_map(one.tracking, "Change of the surface by the servo response"))
+    return Section(title=one.name, text=text, items=items, is_subsection=True)
+
+
+def _form(form: str | int) -> str:
+    return form if isinstance(form, str) else f"polynomial of degree {form}"
+
+
+def _parameters(predictions: Sequence[Prediction]) -> list[list[str]]:
+    """Return the table of surface parameters, one column per map."""
+    rows = roughness_rows([one.roughness for one in predictions])
+    if any(one.tracking_nm for one in predictions):
+        for index, kind in enumerate(("PV", "rms")):
+            sizes = [one.tracking_nm[index] if one.tracking_nm else math.nan for one in predictions]
+            rows.append([f"Servo contribution, {kind} [nm]", *map(_number, sizes)])
+    return [*rows, ["Not cut", *(f"{one.uncut:,}" for one in predictions)]]
+
+
+def roughness_rows(maps: Sequence[Roughness]) -> list[list[str]]:
+    """Return the rows of a table of surface parameters, one column per map."""
+    fields = {
+        "Sa [nm]": "sa_nm", "Sq [nm]": "sq_nm", "Sp [nm]": "sp_nm", "Sv [nm]": "sv_nm", "Sz (PV) [nm]": "sz_nm",
+        "Ssk": "ssk", "Sku": "sku", "Sdq": "sdq", "Sdr [%]": "sdr",
+    }  # fmt: skip
+    rows = [[name, *(_number(getattr(one, key)) for one in maps)] for name, key in fields.items()]
+    rows.append(["Sal [µm]", *(_number(one.sal * 1e3) for one in maps)])
+    bounds = ["≤ " if any("upper bound" in note for note in one.notes) else "" for one in maps]
+    rows.append(["Str", *(f"{bound}{_number(one.str)}" for bound, one in zip(bounds, maps, strict=True))])
+    rows.append(["Form removed", *(_form(one.form) for one in maps)])
+    rows.append(["Heights counted", *(f"{one.valid:,}" for one in maps)])
+    return rows
+
+
+def _timings(result: Result) -> Table:
+    total = sum(result.timings.values())
+    rows: list[Sequence[str | Cell]] = [
+        (name, f"{value:.2f} s", Cell(share=value / total if total else 0.0)) for name, value in result.timings.items()
+    ]
+    memory = f"{result.peak_memory_gb:.2f} GB" if math.isfinite(result.peak_memory_gb) else "unknown"
+    rows += [("total", f"{total:.1f} s", ""), ("peak memory", memory, "")]
+    return Table(columns=("Stage", "Wall time", "Share"), numeric=(1,), rows=rows)
+
+
+def _program(files: Sequence[File], page: File, *rows: Sequence[str | Cell]) -> Section:
+    """Return the section of a program; files in the folder of the page are linked."""
+    links = [("File", _link(file, page)) for file in files]
+    head = _head(files[0]) if files else ""
+    code = [Code(f"First lines of {files[0].name}", head)] if head else []
+    return Section(title="Program", items=[Table(rows=[*rows, *links], span=3), *code])
+
+
+def _link(file: File, page: File) -> Cell:
+    is_adjacent = file.is_file() and file.resolve().parent == page.resolve().parent
+    return Cell(file.name, address=file.name if is_adjacent else "")
+
+
+def _head(file: File) -> str:
+    """Return the first lines of a program; empty if the file does not exist."""
+    if not file.is_file():
+        return ""
+    with file.open(encoding="utf-8", errors="replace") as lines:
+        return "".join(line[:200] for line, _ in zip(lines, range(LISTED_LINES), strict=False))
+
+
+def _thinned(motion: Motion) -> Motion:
+    few = slice(None, None, max(1, math.ceil(motion.time.size / MAX_PICTURE_POINTS)))
+    axes = {letter: values[few] for letter, values in motion.axes.items()}
+    return Motion(time=motion.time[few], axes=axes, machine=motion.machine)
+
+
+def _single_turns(motion: Motion) -> tuple[Motion, ...]:
+    """Return the first revolution, one halfway and the last."""
+    angle = np.abs(motion.axes["C"] - motion.axes["C"][0])
+    last = max(float(angle[-1]) - TURN, 0.0)
+    turns = []
+    for start in (0.0, last / 2, last):
+        first, stop = np.searchsorted(angle, (start, start + TURN * (1 + 1e-9)))
+        span = slice(max(int(first) - 1, 0), int(stop) + 1)
+        axes = {letter: values[span] for letter, values in motion.axes.items()}
+        turns.append(Motion(time=motion.time[span], axes=axes, machine=motion.machine))
+    return tuple(turns)
