@@ -174,7 +174,7 @@ def test_a_plunge_below_the_part_is_refused(tmp_path, monkeypatch):
     assert result.program.files
 
 
-def test_a_spiral_from_beside_the_blank_needs_no_plunge(tmp_path):
+def test_a_spiral_from_outside_the_blank_needs_no_plunge(tmp_path):
     result, (text,) = carried_out(tmp_path, *BESIDE)
     assert result.entries["finish"].depth is None
     assert "ENTRY )" not in text
@@ -221,7 +221,7 @@ def test_c_counts_on_from_pass_to_pass(tmp_path, dialect):
 
 
 @pytest.mark.parametrize("inside_out", [False, True])
-def test_cubics_of_a_plunge_never_turn_back_nor_exceed_the_limits(tmp_path, inside_out):
+def test_cubics_of_a_plunge_are_monotone_within_the_limits(tmp_path, inside_out):
     # Oracle: SciPy's Hermite cubics through the words of the program, block by block.
     base = tw.Machine.load("nanotech-350fg")
     machine = dataclasses.replace(base, dialect="pmac", controller=tw.Controller(interpolation="hermite"))
@@ -287,7 +287,7 @@ def test_a_wall_higher_than_the_edge_is_warned_of(tmp_path):
     deep = (("part.stock", "0.4 mm"), ("tool.included", "120 deg"), ("passes", [{"name": "cut", "depth": "0.1 mm"}]))
     result, _ = carried_out(tmp_path, *deep)
     walls = [one for one in result.warnings if "plunges next to an uncut wall" in one]
-    # The outer side of the edge, leaning away from the dome, cuts up to 0.254 mm beside its rim: the last two of four
+    # The outer side of the edge, leaning away from the dome, cuts up to 0.254 mm outside its rim: the last two of four
     # passes of 0.1 mm leave more standing outside.
     assert [one.split(" plunges")[0] for one in walls] == ["pass cut 3", "pass cut 4"]
     beside = (("part.blank", {"radius": "5.2 mm"}), ("strategy.lead_in", "1.2 mm"))
@@ -339,7 +339,7 @@ def test_a_fast_tool_keeps_its_travel_in_a_plunge():
     assert sentence.startswith("pass finish: in the plunge W moves from -0.035 to 0.0351 mm, its travel is -0.035")
 
 
-def test_a_fast_tool_by_time_must_begin_beside_the_blank(tmp_path):
+def test_a_fast_tool_by_time_must_begin_outside_the_blank(tmp_path):
     waves = {"family": "sine grid", "amplitude": ["2 um", "2 um"], "period": ["0.5 mm", "0.5 mm"]}
     fast = (
         FEW, ("part.surface", waves), ("machine.name", "nanoform-fts-70"),

@@ -232,7 +232,7 @@ def test_a_wrong_job_is_refused_in_one_sentence(name, place, capsys):
     assert re.search(r"[:?]", said.removeprefix("turnwright: "))  # what is wrong, then the remedy
 
 
-def test_all_wrong_fields_are_told_at_once():
+def test_all_wrong_fields_are_reported_at_once():
     with pytest.raises(JobError) as caught:
         Job.read(changed(("part.radius", 1), ("tool.nose_radius", GONE), ("strategy.sense", 0)))
     assert [line.split()[0].rstrip(":") for line in str(caught.value).splitlines()] == [
@@ -356,7 +356,7 @@ def test_an_interrupted_run_leaves_nothing(kill, tmp_path):
 
 @pytest.mark.usefixtures("signals_heard")
 @pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_at_the_very_start_is_heard(kill, tmp_path):
+def test_an_interrupt_at_the_very_start_is_obeyed(kill, tmp_path):
     code = f"""if True:
         import os, sys
         from turnwright import cli

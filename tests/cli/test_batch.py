@@ -57,7 +57,7 @@ def test_each_job_is_a_line_and_a_folder_and_none_is_done_twice(tmp_path, capsys
     assert "already done" not in capsys.readouterr().out.splitlines()[1]
     assert sorted(file.name for file in out.iterdir()) == ["good", "other", "other.old-1"]
 
-    (out / "good" / "case.json").write_text("[1]")  # somebody else's
+    (out / "good" / "case.json").write_text("[1]")  # another program's
     assert main([*command[:2], files[2], "--out", str(out)]) == 2
     assert "already exists and is not empty" in capsys.readouterr().out.splitlines()[0]
 

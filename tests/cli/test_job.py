@@ -237,7 +237,7 @@ def test_gouges_along_the_normal_and_limits_are_findings_too(tmp_path):
     assert not run(Job.load(written(tmp_path, *fast, ("accept", ["limits"])))).ok
 
 
-def test_tolerances_that_are_not_kept_are_told(tmp_path):
+def test_tolerances_that_are_not_kept_are_reported(tmp_path):
     tight = run(Job.load(written(tmp_path, ("tolerances.sq", "20 nm"), ("tolerances.form_pv", "1 um"))))
     assert [warning for warning in tight.warnings if "tolerance" in warning] == [
         f"patch: Sq is {tight.predictions[1].roughness.sq_nm:.4g} nm, the tolerance is 20 nm"

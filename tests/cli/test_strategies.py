@@ -13,7 +13,7 @@ SPIRAL = {"feed": "20 um/rev", "points_per_rev": 180, "spindle_speed": "60 rpm",
 PART = [("part.surface", WAVES), ("part.radius", "0.5 mm"), ("simulation.patches", [])]
 FAST = [("machine.name", "nanoform-fts-70")]
 BLANK = ("part.blank", {"radius": "0.51 mm"})
-"""A fast tool by time cannot plunge, so that the spiral begins beside the blank."""
+"""A fast tool by time cannot plunge, so that the spiral begins outside the blank."""
 ADAPTIVE = {"kind": "adaptive tool servo", "scallop": "80 nm", "chord": "10 nm", "spindle_speed": "60 rpm"}
 SWINGING = {
     "kind": "quasi-elliptical tool servo",
@@ -143,7 +143,7 @@ def test_a_stream_too_slow_for_the_motion_is_refused(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_spline_controller_is_judged_by_the_path_that_was_meant(tmp_path):
+def test_spline_controller_is_judged_by_the_nominal_path(tmp_path):
     """A spline passes inside its points; corrected for, that is none of the servos' error, which fade when slow."""
     (tmp_path / "spline.toml").write_text(
         'base = "nanoform"\n[controller]\ninterpolation = "cubic spline"\n'

@@ -100,7 +100,7 @@ def test_command(job, tmp_path, capsys):
     assert "holds the map of another motion, tool, surface or grid" in capsys.readouterr().err
 
 
-def test_what_cannot_be_is_told_before_the_part_is_planned(job, tmp_path, capsys, monkeypatch):
+def test_impossible_tiles_are_reported_before_planning(job, tmp_path, capsys, monkeypatch):
     from turnwright import job as recipe
 
     out = tmp_path / "out"

@@ -189,7 +189,7 @@ def driver(store, log):
     )  # fmt: skip
 
 
-def test_a_killed_driver_loses_nothing_and_leaves_no_worker_behind(store, log):
+def test_killed_driver_keeps_results_and_ends_its_workers(store, log):
     process = driver(store, log)
     until(lambda: len(store.keys()) >= 10)
     process.kill()
@@ -208,7 +208,7 @@ def test_a_killed_driver_loses_nothing_and_leaves_no_worker_behind(store, log):
 
 
 @pytest.mark.usefixtures("signals_heard")
-def test_ctrl_c_ends_driver_and_workers_and_keeps_what_is_finished(store, log):
+def test_ctrl_c_ends_driver_and_workers_and_keeps_results(store, log):
     process = driver(store, log)
     until(lambda: len(store.keys()) >= 10)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: workers too
@@ -480,7 +480,7 @@ def test_work_that_cannot_travel_is_one_sentence(pool):
     assert run_cases(ours.plain, cases(2), executor=pool) == [answer(0), answer(1)]  # the pool is as good as before
 
 
-def test_a_broken_pool_of_somebody_else_is_one_sentence(store, log):
+def test_a_broken_foreign_pool_is_one_sentence(store, log):
     said = r"carries out no more cases \(BrokenProcessPool.* that are finished are kept"
     with pytest.raises(StudyError, match=said) as error, standard() as made:
         run_cases(ours.deadly, cases(40), shared={"log": log, "killer": 9}, executor=made, store=store)
@@ -563,7 +563,7 @@ def test_an_unreachable_scheduler_is_one_sentence_soon(listens, reason):
 
 
 @pytest.mark.parametrize("address", ["", "nonsense", "tcp://127.0.0.1", "http://127.0.0.1:8786"])
-def test_what_is_no_address_is_said(address):
+def test_a_wrong_address_is_named(address):
     pytest.importorskip("distributed")
     with pytest.raises(InputError, match="is no address of a Dask scheduler: write tcp://host:port"), cluster(address):
         pass
@@ -571,7 +571,7 @@ def test_what_is_no_address_is_said(address):
 
 def test_a_dask_cluster_computes_each_case_once(store, log, caplog):
     distributed = pytest.importorskip("distributed")
-    program_version.cache_clear()  # whoever edits the program while the tests run has another one by now
+    program_version.cache_clear()  # a program edited while the tests run has another version
     with distributed.LocalCluster(
         host="127.0.0.1", n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
     ) as made:

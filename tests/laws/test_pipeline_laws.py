@@ -144,7 +144,7 @@ def test_nothing_is_left_above_the_cusps(terms, nose):
     down=0.0078125,
 )
 @given(surface=surfaces(), tool=tools(upright=False), stop=unit(0.3, 0.9), down=unit(1e-4, 1e-2))
-def test_more_passes_never_raise_and_a_lower_tool_cuts_as_much_lower(surface, tool, stop, down):
+def test_passes_never_raise_and_a_lower_tool_cuts_lower(surface, tool, stop, down):
     motion = cut(surface, tool)
     x, y = scatter(3)
     whole = generate_points(motion, tool, x=x, y=y)

@@ -129,7 +129,7 @@ def test_what_was_read_is_tracked_as_its_cubics(tmp_path):
     assert again == pytest.approx(np.gradient(motion.axes["Z"], motion.time)[1:-1], abs=1e-6)
 
 
-def test_a_changed_velocity_is_told(tmp_path):
+def test_a_changed_velocity_is_reported(tmp_path):
     machine = lathe()
     write_nc(smooth(machine), machine, tmp_path / "part.nc")
     text = (tmp_path / "part.nc").read_text()

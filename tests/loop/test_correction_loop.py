@@ -1,6 +1,6 @@
 """Inject, generate, measure, diagnose, correct, generate: what is left of the form. See `tests.proof.proof_correction`.
 
-Oracle: the job of somebody who knows the true tool and machine, simulated by the generator. The proof has each cause
+Oracle: a job written with the true tool and machine, simulated by the generator. The proof has each cause
 alone, a second correction, and a map of 85,000 points.
 """
 

@@ -150,7 +150,7 @@ def test_a_toroid_is_corrected_in_one_step(rake):
     assert left.measured_rms_nm < 1.2
 
 
-def test_what_does_not_repeat_is_said_to():
+def test_an_error_that_does_not_repeat_is_reported():
     """The offset shifts between two maps, the squareness stays."""
     made = model_maps([FLAT])
     rng = np.random.default_rng(4)
@@ -172,7 +172,7 @@ def test_what_does_not_repeat_is_said_to():
 
 
 def test_a_lag_needs_a_fiducial():
-    """On a part that is not round the lag of Z looks like a clocking, and is told from it if that is known."""
+    """On a part that is not round the lag of Z looks like a clocking, and is separated from it if the pose is known."""
     part = tw.Part(surface=tw.XYPolynomial(terms={(2, 0): 0.03, (0, 2): 0.04, (3, 0): 0.001}), radius=5.0)
     (heights,) = model_maps([part])(Deviations(late=2e-4), np.random.default_rng(5), 2e-5)
     asked = {"causes": ("servo lag", "offset x"), "waviness": (3,)}
@@ -207,7 +207,7 @@ def test_a_bent_mount_and_a_cause_of_ones_own():
     assert np.nanstd(found.residual.z) * 1e6 == pytest.approx(20, rel=0.05)
 
 
-def test_a_pose_beside_the_right_one_is_found_with_the_causes():
+def test_a_residual_pose_is_found_with_the_error_sources():
     """Registered to within 20 um and 0.2 mrad: the rest does not pass for an error of the tool."""
     part = tw.Part(surface=tw.Toroid(radius_x=12.0, radius_y=16.0), radius=5.0)
     (heights,) = model_maps([part])(Deviations(offset=(0.002, 0.003, 0.0)), np.random.default_rng(8), 5e-6)

@@ -65,7 +65,7 @@ def test_lobes_that_are_no_source_pass_for_none():
     assert one.after < 0.5 * one.before
 
 
-def test_maps_that_are_decentred_differently_show_what_they_share():
+def test_maps_with_different_decentres_show_the_common_error():
     """Oracle: the part that is cut again. The second map is 0.14 mm off; every cut has the same offset and lobes."""
     wrong = replace(LOBED, offset=(7e-3, 0.0, 0.0))
     part = Sample(
@@ -112,7 +112,7 @@ def seen(part, where):
     return tw.measure(part.job, replace(heights, z=np.where(where(radius), heights.z, np.nan)))
 
 
-def test_a_rim_that_a_drawn_offset_leaves_uncut_stops_no_correction():
+def test_rim_left_uncut_by_an_offset_stops_no_correction():
     """Oracle: the part that is cut again. A plane hides its place and the offset, of which draws differ."""
     wrong = blind.Errors(offset=(-9e-4, -2.4e-3, 0.0), waviness={3: 9e-4, 4: -2.2e-3}, squareness=-1.4e-5)
     part = Sample(
@@ -127,7 +127,7 @@ def test_a_rim_that_a_drawn_offset_leaves_uncut_stops_no_correction():
 
 
 def test_a_map_of_the_middle_does_not_make_the_whole_worse(tmp_path):
-    """A tool that is 20 um off moves such a map by tenths of a millimetre; a correction would lie beside its place."""
+    """A tool that is 20 um off moves such a map by tenths of a millimetre; a correction would be displaced."""
     part = freeform(blind.Errors(offset=(20e-3, 10e-3, 0.0)))
     one = seen(part, lambda radius: radius < 0.9)
     assert np.hypot(*one.registration.pose.shift[:2]) > 0.2
@@ -139,7 +139,7 @@ def test_a_map_of_the_middle_does_not_make_the_whole_worse(tmp_path):
     assert part.judged(commander(better)) < part.judged() + 1
 
 
-def test_a_drift_that_comes_anew_is_not_corrected(drifted, tmp_path):
+def test_a_drift_that_does_not_repeat_is_not_corrected(drifted, tmp_path):
     """Of two maps of which each shows another drift nothing is written; of one, not more harm than was announced."""
     _, (first,), _, better = drifted
     part = sample(drift(200e-6), drift(-120e-6), drift(-120e-6))
@@ -182,7 +182,7 @@ def test_a_source_beyond_belief_stops_a_correction(tmp_path):
         tw.correct(part.job, tw.diagnose(maps), maps, out=tmp_path / "better")
 
 
-def test_lobes_that_test_parts_show_are_said_to_stay_on_the_part(tmp_path):
+def test_lobes_that_test_parts_show_are_reported_to_stay(tmp_path):
     """A job that is corrected by test parts has their tool and machine, not the form that the spindle makes."""
     part = sample(replace(LOBED, offset=(7e-3, 0.0, 0.0)))
     found = tw.diagnose(maps_of(part, np.random.default_rng(1)))
@@ -235,7 +235,7 @@ def test_a_second_correction_simulates_the_first_once(tmp_path):
 
 
 def test_a_part_whose_place_is_ambiguous_is_not_corrected(tmp_path):
-    """A map of the middle of a sine grid lies a period aside as well, where the correction would do harm."""
+    """A map of the middle of a sine grid fits one period off as well, where the correction would do harm."""
     table = {"family": "sine grid", "amplitude": ["0.3 um", "0.3 um"], "period": ["0.5 mm", "0.5 mm"]}
     grid = tw.SineGrid(amplitude=(3e-4, 3e-4), period=(0.5, 0.5))
     part = replace(sample(LOBED), table=table)

@@ -43,7 +43,7 @@ def test_points_at_a_constant_angle(hermite, printed):
 
 
 def test_turns_at_a_constant_feed():
-    """Oracle: the step sqrt(8 R h (1 - kappa R)) where the grid is most hollow; kappa = A k² in all directions."""
+    """Oracle: the step sqrt(8 R h (1 - kappa R)) where the grid is most concave; kappa = A k² in all directions."""
     kappa = 0.005 * (2 * np.pi / 0.2) ** 2
     feed = math.sqrt(8 * 0.1 * 50e-6 * (1 - kappa * 0.1))
     assert 3.0 / feed == pytest.approx(667, rel=0.02)

@@ -60,7 +60,7 @@ def serving(folder):
 
 @contextlib.contextmanager
 def chromium(playwright):
-    """Start the browser; whoever is root has no sandbox."""
+    """Start the browser; root has no sandbox."""
     alone = ["--no-sandbox"] if hasattr(os, "getuid") and os.getuid() == 0 else []
     started = playwright.chromium.launch(executable_path=browser(), args=[*alone, *ARGUMENTS])
     try:
@@ -186,7 +186,7 @@ class Bench:
         part.wait_for()
 
         def picture():
-            # What is drawn anew just now has none yet.
+            # An element drawn again just now has none yet.
             with contextlib.suppress(Error):
                 png = self.png(part)
                 return png if colours_of(png) >= colours else None

@@ -134,7 +134,7 @@ def test_the_radius_is_smooth_over_the_seam():
     rate = CubicHermiteSpline(spiral.angle, spiral.radius, spiral.radius_rate).derivative()
     at = np.concatenate([TURN * np.arange(1, 45), TURN * (np.arange(1, 45) + 0.5)])
     jumps = [np.abs(rate(at + h) - 2 * rate(at) + rate(at - h)).max() / h for h in (0.04, 0.02)]
-    assert jumps[1] < 0.6 * jumps[0]  # it goes with h, a kink of the rate would stay
+    assert jumps[1] < 0.6 * jumps[0]  # it goes with h, a discontinuity of the rate would stay
 
 
 def test_a_steady_feed_is_the_largest_that_keeps_the_scallop():
@@ -210,7 +210,7 @@ def test_where_the_density_changes_nothing_is_gouged(way):
     assert left(angle, radius, exact, part, low=0.0, high=0.3, azimuths=180).max() < 1.01 * SCALLOP
 
 
-def test_points_off_the_path_save_a_factor_of_nearly_the_root_of_two():
+def test_points_off_the_path_save_nearly_a_factor_of_root_two():
     counts = [
         AdaptiveToolServo(scallop=SCALLOP, chord=1e-6, interpolation="linear", off_path=off, x_motion="steady")
         .spiral(GRID, TOOL)
@@ -304,7 +304,7 @@ def test_every_cusp_of_the_program_itself(tmp_path, way, sag, part):
     assert np.abs(z - exact).max() < 10e-6 + 0.65e-6
 
 
-def test_the_last_turns_ask_x_for_little_more_jerk_than_those_inside():
+def test_outer_revolutions_need_little_more_jerk_of_x():
     """Oracle: third differences of the radius; with a rest within three steps it was sixty times as much."""
     servo = AdaptiveToolServo(scallop=SCALLOP, chord=1e-7, interpolation="hermite", inside_out=True)
     for radius in (0.6, 1.0):

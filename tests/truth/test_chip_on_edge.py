@@ -121,7 +121,7 @@ def test_lenslets_bend_the_layer():
 
 
 def test_the_search_for_the_thinnest_place_announces_its_work():
-    """Features of 0.1 um under an edge of 0.5 mm take minutes: how many places there are is said before the first."""
+    """Features of 0.1 um under an edge of 0.5 mm take minutes: their number is reported before the first."""
     heard = []
     part = tw.Part(surface=tw.Sphere(radius=20.0), radius=1.0)
     check_depths(part, tw.Tool(nose_radius=0.5, included=1.0), {"a": 0.01}, progress=lambda *one: heard.append(one))

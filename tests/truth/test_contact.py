@@ -44,7 +44,7 @@ def brute_contact(surface, tool, angle, radius, sense, rim):
 
     def lift(edge):
         x, y, e = where(edge)
-        # Within rounding of the axis the azimuth is noise; a contact there is approached from beside it.
+        # Within rounding of the axis the azimuth is noise; a contact there is approached from next to it.
         counts = (np.hypot(x, y) >= 1e-9) & (np.hypot(x, y) <= rim * (1 + 1e-14))
         return np.where(counts, surface.evaluate(x, y, 0)[0], -np.inf) - e
 
@@ -269,7 +269,7 @@ def test_a_formula_beyond_the_rim_does_not_matter(formula):
             assert inside - 1e-10 < path.z[i] < inside + 0.01
 
 
-def test_under_the_overhang_of_the_nose_a_tame_surface_is_continued():
+def test_gentle_surface_is_continued_under_the_nose_overhang():
     """x^6 overtakes any flank in the end, but not under the arc."""
     surface = tw.Expression("1e-3*x**6")
     where = spiral(2.0, 0.1, 60)
@@ -281,7 +281,7 @@ def test_under_the_overhang_of_the_nose_a_tame_surface_is_continued():
 
 
 @pytest.mark.parametrize("name", ["domes", "several tangents", "freeform"])
-def test_a_tip_stands_as_high_whichever_others_are_asked_for(name):
+def test_tip_height_does_not_depend_on_other_tips(name):
     where = spiral(1.5, 0.05, 90)
     together = touch(SURFACES[name], ROUND, angle=where.angle, radius=where.radius, sense=1, rim=1.5)
     some = np.random.default_rng(5).permutation(where.angle.size)[:300]
@@ -313,7 +313,7 @@ def test_a_part_steeper_than_the_flanks_is_refused():
         tw.place(spiral(2.0, 0.1, 60), part, NARROW)
 
 
-def test_unknown_direction_and_a_slope_beyond_the_arc_are_refused():
+def test_unknown_direction_and_slope_beyond_the_arc_are_refused():
     where = spiral(1.0, 0.1, 24)
     part = tw.Part(surface=tw.Plane(slope=(1.0, 0.0)), radius=1.0)
     with pytest.raises(tw.InputError, match='must be "z" or "normal"'):
@@ -344,7 +344,7 @@ def test_a_formula_without_height_on_the_axis_is_cut_around_it():
         assert path.z[i] == pytest.approx(
             max(
                 brute_force(surface, ROUND, where.angle[i], where.radius[i], 1),
-                # The two heights beside the axis, which brute force only approaches.
+                # The two heights next to the axis, which brute force only approaches.
                 max(0.05 * np.cos(3 * where.angle[i]) * np.array([1, -1])) - rise_at(ROUND, where.radius[i]),
             ),
             abs=1e-10,
@@ -385,7 +385,7 @@ def test_the_features_of_a_formula_are_found_wherever_they_are(formula):
     np.testing.assert_allclose(got.z, expected, atol=1e-10)
 
 
-def test_a_bump_beside_the_tips_and_off_every_ray_is_found():
+def test_a_bump_between_the_tips_and_off_every_ray_is_found():
     """A bump of 3 um, 20 um wide, reaches under the edge from 50 um away, where the surface itself is still flat."""
     surface = tw.Expression("0.003*exp(-((x-10)**2 + (y-5)**2)/0.02**2)")
     aside = np.array([-0.052, -0.049, -0.046, 0.046, 0.049, 0.052])

@@ -48,7 +48,7 @@ def test_a_scallop_has_its_closed_form():
     assert found.height_nm.size == found.crest.size - 2
 
 
-def test_several_feeds_are_told_apart():
+def test_several_feeds_are_separated():
     tips = 0.1 + np.cumsum(np.concatenate([np.full(25, 0.010), np.full(20, 0.0085), np.full(25, 0.010)]))
     found = find_cusps(flat(tips, noise=1e-6))
     assert [round(1e3 * one.feed, 2) for one in found.stretches] == [10.0, 8.5, 10.0]

@@ -52,7 +52,7 @@ class BruteForce:
         sign = 1 - 2 * side
 
         def aside(at):
-            """How far aside of the edge the point stands when the tool is at ``at``, and the height of the edge."""
+            """Lateral distance of the point from the edge when the tool is at ``at``, and the height of the edge."""
             tip = np.interp(at, self.c, self.x)
             u = sign * r * np.cos(at - t) - tip
             v = np.interp(u, self.u, self.v)
@@ -253,7 +253,7 @@ def test_squareness_and_straightness_of_the_actual_machine():
     assert np.abs(got - tw.generate_points(motion, ROUND, **points)).min() > 1e-5
 
 
-def test_a_second_axis_across_moves_the_tip_aside():
+def test_a_second_axis_across_moves_the_tip_laterally():
     """A constant Y is a tool off centre by as much."""
     motion = spiral_motion(1.0, 0.02, 47, bowl)
     moved = replace(motion, axes={**motion.axes, "Y": np.full(motion.time.size, 0.004)})
@@ -330,7 +330,7 @@ def test_a_tool_that_swings_in_y_equals_brute_force(tool, sense):
 def passes_of_a_swinging_tool(motion, x, y, above):
     """Every moment at which an upright tool, ``above`` centre, passes over a point: at most one between two extremes.
 
-    On one line of the motion the point is r sin(c - azimuth) aside, which is as far as the tip is where Y is straight:
+    On one line of the motion the point is r sin(c - azimuth) off, which is as far as the tip is where Y is straight:
     an extreme of the difference is where r cos(c - azimuth) equals the rate of Y, in closed form.
     """
     r, azimuth = np.hypot(x, y), np.arctan2(y, x)
@@ -384,7 +384,7 @@ def test_a_tool_at_rest_equals_the_closed_form(sense, above, share):
     assert most >= 3 or share < 1 / 9  # passes over one point within half a radian
 
 
-def test_the_axis_under_a_wavy_edge_is_left_by_the_least_of_all_passes():
+def test_axis_under_a_wavy_edge_is_the_least_of_all_passes():
     """Oracle: every block in 100 steps under a dense edge, whose waves make it sink back on the way out."""
     rng, worst = np.random.default_rng(3), 0.0
     sweep = np.linspace(-0.7, 0.7, 57)

@@ -61,7 +61,7 @@ def numbers(pose):
     return np.array([*pose.shift, pose.rotation, *pose.tilt])
 
 
-def test_troutman_731_random_poses_of_the_infrared_lens_come_back():
+def test_troutman_731_random_poses_of_the_lens_are_found():
     """Troutman 2016, 7.3.1: 360 points, poses within 5 mm and 5 deg. All 500 were run; here 20 of them."""
     part = Job.load(EXAMPLES / "infrared_lens.toml").part
     for seed in range(20):
@@ -76,7 +76,7 @@ def test_troutman_731_random_poses_of_the_infrared_lens_come_back():
 
 
 def test_it_is_scipys_least_squares():
-    """The vertical residual and its covariance, written anew from SciPy's rotations."""
+    """The vertical residual and its covariance, derived again from SciPy's rotations."""
     rng = np.random.default_rng(3)
     points = disc(FREEFORM, 600, rng, radius=5.5)
     points[2] += rng.normal(0, 1e-4, 600)
@@ -131,8 +131,8 @@ def test_the_stated_uncertainty_is_the_spread_of_many_trials():
     assert np.mean(squares) == pytest.approx(6, abs=3 * np.sqrt(12 / 40))
 
 
-def test_astigmatism_on_a_torus_and_a_rotation_pass_for_each_other():
-    """1 um at 45 deg is 2 c / (a² |1/Ry - 1/Rx|) of rotation: fitted, uncertain by as much; or held; or told apart."""
+def test_astigmatism_on_a_torus_is_confused_with_a_rotation():
+    """1 um at 45 deg is 2 c / (a² |1/Ry - 1/Rx|) of rotation: fitted, uncertain by as much; or fixed; or separated."""
     rng = np.random.default_rng(6)
     part = Part(surface=TORUS, radius=7.5)
     astigmatism = Zernike(terms={6: 1.0}, radius=7.5, indexing="fringe")
@@ -151,7 +151,7 @@ def test_astigmatism_on_a_torus_and_a_rotation_pass_for_each_other():
     assert kept.pose.rotation == 0
     with pytest.raises(InputError, match="hardly determines the direction rotation"):
         register(heights, part, weak="raise")
-    # Lengths are said in the unit that suits them: a um of form, and what it passes for at the rim.
+    # Lengths are written in the unit that suits them: a um of form, and what it passes for at the rim.
     said = next(one.words for one in plain.undetermined if "rotation" in one.words)
     assert re.search(r"a form error of 1 um .* [\d.]+ (nm|um|mm|m) at the rim\.$", said), said
     assert "e+" not in said
@@ -205,7 +205,7 @@ def test_a_map_in_the_wrong_unit_does_not_slide_off_the_part():
     assert found.rms_nm <= np.std(error) * 1e6
 
 
-def test_a_departure_taken_for_heights_is_a_poor_fit_of_all_points():
+def test_departure_read_as_heights_is_a_poor_fit():
     """Oracle: the sag of the part, which such a map lacks."""
     part, heights, error = poor_map(1)
     sag = part.surface.sag(*np.meshgrid(heights.x, heights.y))
@@ -264,7 +264,7 @@ def test_a_symmetric_part_lists_its_equivalent_poses(square):
     assert any("The part is symmetric" in one for one in found.sentences)
 
 
-def test_displaced_lenslets_widen_the_uncertainty_to_what_they_do():
+def test_displaced_lenslets_widen_the_uncertainty_as_they_should():
     """Lenslets 50 um off at random: 45 of them decide the pose, not 20 000 points."""
     part, drop, errors = Part(surface=lenses(7), radius=10.0), 10 - np.sqrt(99), []
     for seed in range(5):
@@ -381,7 +381,7 @@ def test_a_weak_freeform_far_off_is_found_in_its_own_valley(view, way):
     assert not found.ambiguous
 
 
-def test_points_beyond_the_part_are_said():
+def test_points_beyond_the_part_are_reported():
     """Oracle: the points within the radius. A sphere 4 mm off lost half of its map without a word."""
     part = Part(surface=Sphere(radius=40.0), radius=5.0)
     heights = gridded(part, Pose(shift=(4.0, 0.0, 0.0)), side=101)
@@ -521,7 +521,7 @@ def test_a_form_error_is_that_of_the_best_fit_within_the_edge(surface, form, see
     assert found.rms_nm == pytest.approx(rms, rel=0.02)
 
 
-def test_a_turn_about_an_axis_beside_the_part_is_held():
+def test_a_rotation_about_an_axis_off_the_part_is_fixed():
     """Oracle: an off-axis conic stays what it is when it is turned about the axis of its parent."""
     surface = OffAxis(parent=Conic(radius=60.0, conic=-1.0), distance=8.0)
     part = Part(surface=surface, radius=5.0)

@@ -247,7 +247,7 @@ def test_form_sees_the_highest_cusp_of_the_last_turn(overrun):
     assert cusp * (0.98 if overrun else 1 - 4 / (48 * 4)) <= still < cusp * (1 + 1e-9)
     for y in (1e-9, -1e-9, 1e-6, -1e-6):  # a micrometre of a nanometre, and a nanometre
         aside = np.ptp(left_by(job, plan, y=y)[1])
-        # A pass over a place y aside of its line comes so much earlier or later: it is off by feed y / (2 pi r).
+        # A pass over a place y off its line comes so much earlier or later: it is off by feed y / (2 pi r).
         moved = half / nose * 2 * feed * abs(y) / (2 * math.pi * feed / 4)
         assert abs(aside - still) <= moved + 1e-6 / NM
 
@@ -408,7 +408,7 @@ def test_the_short_way_to_a_corrected_part_is_the_long_one(tmp_path, number):
     found = bench.diagnose_test_parts(draw, [5, number])
     planned_only, _ = bench.measure(real)
     short, _ = bench.measure(draws_of.residual_setup(real, job.tool, job.machine, found))
-    # The long way: a job file with what was found, planned, placed and driven anew, cut with the real tool.
+    # The long way: a job file with what was found, planned, placed and driven again, cut with the real tool.
     (tmp_path / "better").mkdir()
     draws = found.on(job.part)
     if not prove(draws, np.zeros(draws.x.size)).ok:

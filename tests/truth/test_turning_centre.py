@@ -36,13 +36,13 @@ def test_the_rings_of_a_spiral_tell_its_centre(feed, turns, pixel):
 @pytest.mark.parametrize(
     ("feed", "half", "centre"), [(0.03, 0.304, (0.0, 0.097)), (0.03, 0.4, (0.123, -0.038)), (0.02, 0.25, (0.05, 0.03))]
 )
-def test_high_cusps_in_few_turns_are_not_taken_for_their_harmonic(feed, half, centre):
+def test_high_cusps_are_not_taken_for_their_harmonic(feed, half, centre):
     found = turning_centre(spiral(feed, 1, 2 * half / 501, half=half, centre=centre))
     assert found.feed == pytest.approx(feed, rel=1e-3)
     assert np.hypot(found.x - centre[0], found.y - centre[1]) < max(4 * np.hypot(*found.std), 1e-5)
 
 
-def test_the_stated_uncertainty_of_the_centre_is_the_spread_of_many():
+def test_uncertainty_of_the_turning_centre_is_the_spread():
     """In noise that is twice the cusps."""
     off = []
     for seed in range(40):
@@ -52,7 +52,7 @@ def test_the_stated_uncertainty_of_the_centre_is_the_spread_of_many():
 
 
 @pytest.mark.parametrize("turns", [1, -1])
-def test_the_sense_of_the_spiral_is_right_in_noise_above_the_cusps(turns):
+def test_sense_of_the_spiral_is_right_in_noise_above_cusps(turns):
     """Noise of 30 nm on cusps of 25 nm: the wrong sense would put the centre half a feed off."""
     found = turning_centre(spiral(0.01, turns, 0.0012, noise=30e-6, half=0.2))
     assert found.turns == turns
@@ -76,7 +76,7 @@ def test_rings_whose_axis_is_outside_the_map_have_no_centre():
         assert turning_centre(error, near=near) is None
 
 
-def test_where_the_map_does_not_resolve_the_cusps_there_is_no_centre():
+def test_map_that_does_not_resolve_cusps_has_no_turning_centre():
     """Pixels wider than half a feed show other rings; noise shows none."""
     assert turning_centre(spiral(0.02, 1, 0.0137), feed=0.02) is None
     assert turning_centre(spiral(0.02, 1, 0.0137)) is None

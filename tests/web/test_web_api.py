@@ -214,7 +214,7 @@ def test_a_run_tells_its_progress(dish):
 
 
 def test_a_run_that_misses_a_tolerance_says_so_in_the_list(client, dish):
-    """The list put a green tick beside it."""
+    """The list put a green tick next to it."""
     strict = changed(*DISH, ("tolerances.form_pv", "1 nm"))
     name = client.post("/api/runs", json={"data": strict, "kind": "run"}).json()["id"]
     ended(client, name)
@@ -278,7 +278,7 @@ def test_a_comparison_is_that_of_the_command_line(client, folder):
 
 @pytest.fixture(scope="module")
 def measured(client, dish, folder):
-    """A map of the dish as a tool 3 um beside its place would have cut it, sent as a page sends it."""
+    """A map of the dish as a tool offset of 3 um would have cut it, sent as a page sends it."""
     file = seen(folder / "job.toml", folder / "dish.x3p")
     answer = client.post("/api/measurements", params={"run": dish[0], "name": "dish.x3p"}, content=file.read_bytes())
     assert answer.status_code == 201, answer.text
@@ -650,7 +650,7 @@ def test_a_file_is_thrown_away_when_no_run_names_it_for_long(tmp_path):
     assert left == ["a", "c"]
 
 
-def test_what_is_wrong_with_a_file_is_said_with_its_name(client):
+def test_an_error_in_a_file_names_the_file(client):
     """A table that is none of this surface is met at the check, and called what its owner calls it."""
     told = client.post("/api/files", params={"kind": "waviness", "name": "edge 3.csv"}, content=WAVY).json()
     job = changed(("tool.waviness_file", told["reference"]), ("tool.waviness", ["1 um/rad"]))

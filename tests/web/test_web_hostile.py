@@ -336,7 +336,7 @@ class Touch:
 
 
 @pytest.mark.parametrize("name", BAD_FILES)
-def test_a_file_that_is_none_of_its_kind_is_refused_and_thrown_away(client, folder, tmp_path, name):
+def test_file_of_another_kind_is_refused_and_deleted(client, folder, tmp_path, name):
     kind, called, content, status = BAD_FILES[name]
     if content is None:
         sink, trap = io.BytesIO(), Touch(tmp_path / "owned")
@@ -645,7 +645,7 @@ def test_the_page_of_the_server_is_not_refused(client):
     assert client.get("/api/about", headers={"host": "localhost:8765"}).status_code == 200
 
 
-def test_a_token_is_asked_for_everything(tmp_path):
+def test_a_token_is_required_for_everything(tmp_path):
     with TestClient(create_app(tmp_path, token=TOKEN), base_url=HERE, follow_redirects=False) as client:
         for given in ({}, {"authorization": "Bearer wrong"}, {"cookie": "turnwright=wrong"}, {"cookie": "%%;=;"}):
             assert client.get("/", headers=given).status_code == 401
@@ -763,7 +763,7 @@ def test_ten_gigabytes_in_chunks_end_at_the_limit(port):
     assert _alive(port)
 
 
-def test_clients_that_never_finish_a_question_keep_nobody_waiting(port):
+def test_unfinished_requests_keep_no_one_waiting(port):
     with contextlib.ExitStack() as stack:
         for number in range(200):
             line = stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=10))

@@ -147,7 +147,7 @@ def compared(chrome, address, by_hand):
 
 @pytest.fixture(scope="module")
 def measured(chrome, address, done, by_hand):
-    """A map of the dish as a tool beside its place has cut it, brought as a person brings it."""
+    """A map of the dish cut with a tool offset, brought as a person brings it."""
     file = seen(by_hand.parent / "job.toml", by_hand.parent / "dish.x3p")
     one = Bench(chrome, address).open().look_at("run")
     one.page.keyboard.press("6")
@@ -356,7 +356,7 @@ def test_a_file_goes_to_its_field_into_the_archive_and_back(bench, tmp_path):
         ]
 
 
-def test_a_file_that_is_none_of_its_kind_is_told_of_by_its_name(bench, tmp_path):
+def test_a_file_of_another_kind_is_reported_by_its_name(bench, tmp_path):
     (tmp_path / "no table.csv").write_text("<html>", encoding="utf-8")
     surface = {"family": "gridded", "units": "mm", "sag_units": "mm"}
     one = bench().take(written(tmp_path, *DISH, ("part.surface", surface)))
@@ -509,7 +509,7 @@ def test_what_one_page_throws_away_leaves_every_page(bench, by_hand):
         expect(one.page.locator(".run", has_text="short-lived")).to_have_count(0)
 
 
-def test_many_runs_at_a_time_leave_lines_to_the_server_for_all_else(bench):
+def test_many_runs_leave_connections_for_other_requests(bench):
     """A browser keeps six of them."""
     one = bench()
     page, heard = one.page, set()
@@ -537,7 +537,7 @@ TOOL = tw.Tool(nose_radius=NOSE, included=np.deg2rad(60), clearance=np.deg2rad(1
 
 
 def zoomed(one, act):
-    """Return the view after an act, and what the server has told of it: header, x, y and values."""
+    """Return the view after an act, and what the server sent of it: header, x, y and values."""
     told = []
     one.page.on("response", lambda each: told.append(each) if "/map?" in each.url and "x0=" in each.url else None)
     act()
@@ -761,7 +761,7 @@ def test_an_injected_offset_is_found_and_corrected(bench, folder, tmp_path):
     program = one.download(links.get_by_role("link", name="Program", exact=True))
     assert program == (out / "part.nc").read_bytes()
     (tmp_path / "job.toml").write_bytes(one.download(links.get_by_role("link", name="Job", exact=True)))
-    # What is not certain of the offset is compensated as form, by a table beside the job.
+    # What is not certain of the offset is compensated as form, by a table next to the job.
     table = one.download(links.get_by_role("link", name="Correction", exact=True))
     (tmp_path / "correction.npz").write_bytes(table)
     assert main(["run", str(tmp_path / "job.toml"), "--out", str(tmp_path / "out")]) == 0
@@ -772,7 +772,7 @@ def test_an_injected_offset_is_found_and_corrected(bench, folder, tmp_path):
 
 
 def cone(header, arrays):
-    """Return the slope of the cone in a map, beside its mean and its paraboloid."""
+    """Return the slope of the cone in a map, without its mean and its paraboloid."""
     z = arrays["values"].astype(float) * 1e-6  # [mm] of nm
     radius = np.hypot(
         *np.meshgrid(*(np.linspace(*header[axis], n) for axis, n in zip("xy", z.shape[::-1], strict=True)))
@@ -846,7 +846,7 @@ def test_a_map_is_worked_by_keys_alone(bench):
     one.answer("/profile", lambda: page.keyboard.press("l"))
 
 
-def test_the_part_is_asked_for_before_all_else_and_once(bench):
+def test_the_part_is_requested_first_and_once(bench):
     one = bench()
     page = one.page
     page.locator("#scene canvas").first.wait_for(state="attached")  # what this first page asks for is not to be held
@@ -1157,7 +1157,7 @@ def both_schemes(one):
 
 
 def instrument(job, file):
-    """Write what an instrument sees of a job whose tool stood beside its place."""
+    """Write what an instrument sees of a job that was cut with a tool offset."""
     recipe = tw.Job.load(job)
     part, tool, servo = recipe.part.aimed, recipe.tool, recipe.servo(recipe.passes[-1])
     motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, recipe.machine)

@@ -89,7 +89,7 @@ def test_who_hears_that_it_took_too_long_finds_the_process_gone():
     assert before != after
 
 
-def test_who_waits_when_the_server_ends_is_told():
+def test_waiting_clients_get_an_answer_when_the_server_ends():
     async def late(workers):
         waiting = asyncio.create_task(workers.ask(os.getpid))
         await asyncio.sleep(0)
