@@ -13,8 +13,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import HealthCheck, given, strategies as st
 
+from laws import examples
 from measured_files import (
     COUNTS,
     PICTURE,
@@ -479,7 +480,7 @@ MAPS = st.builds(
     st.text(max_size=10),
     st.dictionaries(st.text(max_size=5), st.text(max_size=10), max_size=3),
 )
-LAW = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+LAW = examples(25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @LAW

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import tomli_w
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
 import turnwright as tw
 from job_files import changed, written
+from laws import examples
 from tests.laws.test_surface_laws import FAMILIES
 from turnwright._tables import forget_adapters
 from turnwright.errors import InputError, JobError
@@ -18,7 +19,7 @@ from turnwright.strategy import STRATEGIES
 from turnwright.units import Feed, Length, Size, Speed
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(st.data())
 def test_a_surface_is_stated_to_the_last_bit(data):
     surface = data.draw(data.draw(st.sampled_from(list(FAMILIES.values()))))

@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-from hypothesis import example, given, settings, strategies as st
+from hypothesis import example, given, strategies as st
 
+from laws import examples
 from turnwright.generation import generate_points, generate_polar
 from turnwright.machine import Machine
 from turnwright.motion import drive
@@ -17,7 +18,7 @@ from turnwright.tool import Tool
 
 MACHINE = Machine.load("generic")
 RADIUS, FEED, POINTS = 0.5, 0.02, 48
-quick = settings(max_examples=25)
+quick = examples(25)
 
 
 def unit(low, high):

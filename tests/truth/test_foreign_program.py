@@ -5,8 +5,9 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
+from laws import examples
 from turnwright.errors import ProgramError
 from turnwright.machine import Axis, Controller, Machine
 from turnwright.post import ProgramWarning, inspect_nc, read_nc
@@ -53,7 +54,7 @@ def test_g92_is_cancelled(tmp_path, code):
     assert cut.axes["X"] == pytest.approx([1, 1, 0.9])
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(seed=st.integers(0, 2**32), dialect=st.sampled_from(["nanotech", "generic"]))
 def test_set_coordinates_do_not_change_the_motion(tmp_path_factory, seed, dialect):
     """The same places, written with and without random G92 before, within and after the cut."""
