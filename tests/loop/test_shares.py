@@ -128,7 +128,13 @@ def test_decimals_err_by_what_was_moved():
     )
 
 
-@pytest.mark.parametrize("response", [None, {"frequency": "100 Hz", "damping": 0.7, "velocity_feedforward": 1.0}])
+@pytest.mark.parametrize(
+    "response",
+    [
+        pytest.param(None, marks=pytest.mark.proof),
+        {"frequency": "100 Hz", "damping": 0.7, "velocity_feedforward": 1.0},
+    ],
+)
 def test_a_plan_keeps_its_tolerances(response, tmp_path):
     """Oracle: the whole pipeline, run on the planned job with its own grids, and the machine's limits."""
     lathe = tmp_path / "lathe.toml"
