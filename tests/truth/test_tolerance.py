@@ -276,7 +276,7 @@ def test_nothing_leaps_while_a_core_grows():
         assert few @ inside == pytest.approx(many @ outside, rel=1e-7)
 
 
-@pytest.mark.parametrize("kind", ["fine mirror", "raked over the axis"])
+@pytest.mark.parametrize("kind", ["fine mirror", pytest.param("raked over the axis", marks=pytest.mark.proof)])
 def test_lines_end_at_the_core_of_a_tool_off_centre(kind):
     job = job_of(kind)
     plan = plan_motion(job, ContactShift(along=0.02, across=0.01, servos={}))
@@ -396,7 +396,7 @@ def test_servos_between_the_nodes_are_tracked_ones(tmp_path):
     assert np.abs(left.z - exact).max() * NM < 0.01 * np.abs(slow.z - exact).max() * NM + 0.01
 
 
-@pytest.mark.parametrize("number", [0, 1, 2])
+@pytest.mark.parametrize("number", [0, *(pytest.param(one, marks=pytest.mark.proof) for one in (1, 2))])
 def test_the_short_way_to_a_corrected_part_is_the_long_one(tmp_path, number):
     job = job_of("fine mirror")  # cusps that move with the tool are no error of either way
     budget = ErrorBudget.typical()
