@@ -17,6 +17,7 @@ import pytest
 import tomli_w
 from pyarrow import parquet
 
+from patience import PATIENCE_S
 from turnwright import Job, cli
 from turnwright.errors import InputError, StudyError
 from turnwright.job import Pipeline
@@ -428,7 +429,7 @@ def test_the_next_command_removes_what_a_kill_left(job_file, tmp_path):
 
     def started(out):
         before, process = hidden(), subprocess.Popen(command(out), stderr=subprocess.DEVNULL)
-        until = time.monotonic() + 60
+        until = time.monotonic() + PATIENCE_S
         while not (new := hidden() - before) and time.monotonic() < until:
             time.sleep(0.02)
         return process, new.pop()
@@ -440,14 +441,14 @@ def test_the_next_command_removes_what_a_kill_left(job_file, tmp_path):
     (tmp_path / ".out-notes").mkdir()  # of another program
     (tmp_path / ".output-12345678").mkdir()
     assert hidden() == {left, alive, ".out-notes"}
-    second = subprocess.run(command("other"), capture_output=True, text=True, check=False, timeout=60)
+    second = subprocess.run(command("other"), capture_output=True, text=True, check=False, timeout=PATIENCE_S)
     assert second.returncode == 2
     assert "another run is writing" in second.stderr
     third, new = started("third")
     assert hidden() == {alive, new, ".out-notes"}
     for process in (third, running):
         process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=30) == 130
+        assert process.wait(timeout=PATIENCE_S) == 130
     assert hidden() == {".out-notes"}
     assert (tmp_path / ".output-12345678").is_dir()
 

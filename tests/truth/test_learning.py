@@ -60,7 +60,7 @@ def test_air_counted_as_cut_is_reported():
 
 def test_cuts_too_weak_for_their_noise_are_reported():
     """At four times the noise the first cuts are missed; a sentence reports it."""
-    for seed in range(90_000, 90_008):
+    for seed in range(90_000, 90_003):
         for times, weak in ((1, False), (4, True)):
             random = np.random.default_rng(seed)
             record, _ = ramp_record(random, noise=5e-3 * times)
@@ -122,15 +122,15 @@ def test_with_a_force_of_the_edge_it_is_a_straight_line():
 
 def test_forces_without_a_transition_seldom_show_one():
     shown = 0
-    for seed in range(200):
+    for seed in range(100):
         random = np.random.default_rng(seed)
         chip, width, force = averages(random)
         thrust = 816 * chip * width + 1e-3 * random.normal(size=chip.size)
         shown += learn_material(Cuts(thickness=chip, width=width, cutting=force, thrust=thrust)).critical is not None
-    assert shown <= 6  # at most 1 % by the bound, which is 2 here; 6 has a chance below 2 % even so
+    assert shown <= 3  # at most 1 % by the bound, which is 1 here; more than 3 has a chance below 2 % even so
 
 
-@pytest.mark.parametrize("count", [9, 15, 40, 120])
+@pytest.mark.parametrize("count", [9, *(pytest.param(one, marks=pytest.mark.proof) for one in (15, 120)), 40])
 def test_false_alarm_rate_of_a_transition_is_as_stated(count):
     """A tenth of the proof in tests/proof/proof_chance.py; more than the limit has a chance of 0.1 % even at p."""
     chances = np.array([misled(count, [7, case]) for case in range(100)])
@@ -308,7 +308,7 @@ def test_the_law_of_the_shipped_glass_is_learned_again():
 
     How often the interval of Kc holds it is counted in tests/proof/proof_learning.py.
     """
-    for seed in range(12):
+    for seed in range(4):
         found = learn_material(shipped(seed))
         assert found.cutting.value == pytest.approx(1489, rel=0.03)
         assert found.critical.value == pytest.approx(600e-6, rel=0.03)

@@ -13,10 +13,10 @@ from urllib.request import Request, urlopen
 import pytest
 
 from job_files import changed
+from patience import PATIENCE_S
 from turnwright.cli import main
 from turnwright.web import address as _address
 
-PATIENCE_S = 60
 LONG = changed(("strategy.feed", "1 um/rev"), ("strategy.points_per_rev", 3600), ("simulation.patches", []))
 
 

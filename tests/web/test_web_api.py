@@ -20,6 +20,7 @@ from fastapi.testclient import TestClient
 import turnwright as tw
 from dish import DISH, OFFSET, seen
 from job_files import changed, written
+from patience import PATIENCE_S
 from turnwright._tables import adapter
 from turnwright.cli import main
 from turnwright.job import Job, compare, correct, diagnose, measure, preview
@@ -33,8 +34,6 @@ from turnwright.web.references import FILE_KEYS, located
 from turnwright.web.shown import write_predicted
 
 HERE = "http://127.0.0.1:8765"
-PATIENCE_S = 600
-
 # A run of some seconds that a test interrupts.
 LONG = changed(("strategy.feed", "1 um/rev"), ("strategy.points_per_rev", 3600), ("simulation.patches", []))
 

@@ -9,10 +9,9 @@ import pytest
 
 pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 'turnwright[web]'")
 
+from patience import PATIENCE_S
 from turnwright.web import workers as _workers
 from turnwright.web.workers import Busy, TooLong, Workers
-
-PATIENCE_S = 60
 
 
 def carried_out(questions, count=2, **more):
