@@ -10,6 +10,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 import turnwright as tw
+from cases import every_second
 from job_files import changed
 from proof_approach import Figures, failures, run
 from turnwright.errors import GougeError, InputError, JobError, LimitError, ProgramError
@@ -28,7 +29,7 @@ def carried_out(folder, *changes):
     return result, [path.read_text() for path in result.program.files]
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.proof)])
 def test_random_programs_touch_nothing_at_rest(seed):
     figures = Figures()
     run(10, seed, figures)
@@ -36,8 +37,9 @@ def test_random_programs_touch_nothing_at_rest(seed):
     assert figures.plunges
 
 
-@pytest.mark.parametrize("inside_out", [False, True])
-@pytest.mark.parametrize(("stock", "included"), [("50 um", "100 deg"), ("160 um", "120 deg")])
+@pytest.mark.parametrize(
+    ("stock", "included", "inside_out"), [("50 um", "100 deg", False), ("160 um", "120 deg", True)]
+)
 def test_the_part_turns_before_the_tool_touches_it(tmp_path, stock, included, inside_out):
     """What stood still before: a dome of R 40 mm, its stock taken off in one pass."""
     changes = (("part.stock", stock), ("tool.included", included), ("strategy.inside_out", inside_out))
@@ -295,8 +297,7 @@ def test_a_wall_higher_than_the_edge_is_warned_of(tmp_path):
     assert not [one for one in result.warnings if "plunges next to an uncut wall" in one]
 
 
-@pytest.mark.parametrize("kind", ["hybrid tool servo", "fast tool servo"])
-@pytest.mark.parametrize("inside_out", [False, True])
+@pytest.mark.parametrize(("kind", "inside_out"), every_second(["hybrid tool servo", "fast tool servo"], [False, True]))
 def test_a_fast_tool_by_position_keeps_the_feed_of_a_plunge(tmp_path, kind, inside_out):
     # Between the radii of its table it was left to its controller: up to 1.3 times the feed against the part.
     bends = ("50 mm", "25 mm") if kind.startswith("hybrid") else ("5 m", "4 m")

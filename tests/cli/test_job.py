@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+from cases import every_second
 from job_files import changed, written
 from turnwright.errors import GougeError, JobError, LimitError, Stopped
 from turnwright.job import Job, preview, run
@@ -282,8 +283,7 @@ def test_a_run_makes_the_folder_that_it_is_given(tmp_path, monkeypatch):
     assert not (tmp_path / "other").exists()
 
 
-@pytest.mark.parametrize("inside_out", [False, True])
-@pytest.mark.parametrize("sense", [1, -1])
+@pytest.mark.parametrize(("inside_out", "sense"), every_second([False, True], [1, -1]))
 def test_what_decimals_may_change_holds_in_every_direction(tmp_path, sense, inside_out):
     """Where a pass ends on an azimuth that was looked at, a decimal of C took it away: 184 nm were allowed."""
     waves = [

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from cases import every_second
 from job_files import changed, written
 from turnwright.cli import main
 from turnwright.errors import JobError
@@ -30,11 +31,17 @@ def left(changes, tmp_path, name):
     return run(Job.read(changed(*PART, *changes)), out=folder)
 
 
-@pytest.mark.parametrize("kind", ["fast tool servo", "hybrid tool servo"])
-@pytest.mark.parametrize("program", [{"fast_tool": "position"}, {"fast_tool": "time", "fast_tool_rate": "20 kHz"}])
-def test_a_fast_tool_leaves_what_the_slide_would(kind, program, tmp_path):
+TABLES = {
+    "by position": {"fast_tool": "position"},
+    "by time": {"fast_tool": "time", "fast_tool_rate": "20 kHz"},
+}
+
+
+@pytest.mark.parametrize(("table", "kind"), every_second(TABLES, ["fast tool servo", "hybrid tool servo"]))
+def test_a_fast_tool_leaves_what_the_slide_would(table, kind, tmp_path):
     slow = left([*FAST, ("strategy", {"kind": "slow tool servo", **SPIRAL})], tmp_path, "slow")
-    fast = left([*FAST, BLANK, ("strategy", {"kind": kind, **SPIRAL}), ("program", program)], tmp_path, "fast")
+    program = ("program", TABLES[table])
+    fast = left([*FAST, BLANK, ("strategy", {"kind": kind, **SPIRAL}), program], tmp_path, "fast")
     apart = fast.predictions[0].error.z - slow.predictions[0].error.z
     assert np.abs(apart).max() * 1e6 < slow.rounding_limit_nm + fast.rounding_limit_nm
     assert fast.rounding_nm <= fast.rounding_limit_nm < 2

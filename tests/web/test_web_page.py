@@ -905,6 +905,11 @@ def test_a_phone_shows_one_pane_at_a_time_with_run_in_reach(bench, by_hand):
 
 
 HARD = {"critical", "serious"}
+LOOKS = [
+    pytest.param({}, id="light"),
+    pytest.param({"dark": True}, id="dark", marks=pytest.mark.proof),
+    pytest.param({"size": PHONE, "touch": True}, id="phone", marks=pytest.mark.proof),
+]
 
 
 def barriers(page, state):
@@ -915,7 +920,7 @@ def barriers(page, state):
     return [(state, one["id"], one["nodes"][0]["html"][-200:]) for one in broken if one["impact"] in HARD]
 
 
-@pytest.mark.parametrize("how", [{}, {"dark": True}, {"size": PHONE, "touch": True}], ids=["light", "dark", "phone"])
+@pytest.mark.parametrize("how", LOOKS)
 @pytest.mark.usefixtures("done", "compared", "measured")
 def test_no_state_has_a_barrier(bench, by_hand, how):
     # Oracle: axe-core.
@@ -951,7 +956,7 @@ def test_help_of_a_field_shows_its_drawing(bench, by_hand):
     expect(page.get_by_role("button", name=re.compile("^Enlarge: "))).to_have_count(0)
 
 
-@pytest.mark.parametrize("how", [{}, {"dark": True}, {"size": PHONE, "touch": True}], ids=["light", "dark", "phone"])
+@pytest.mark.parametrize("how", LOOKS)
 def test_a_job_with_an_error_or_under_check_has_no_barrier(bench, by_hand, how):
     # Oracle: axe-core.
     one = bench(**how).take(by_hand.parent / "job.toml")
@@ -1015,7 +1020,10 @@ def test_two_fingers_zoom_a_map(bench):
     assert zoomed(one, lambda: pinch(20, 60))[0] == pytest.approx(first / 3, rel=0.02)
 
 
-@pytest.mark.parametrize("size", [(1280, 800), (1024, 768)], ids=["desk", "tablet"])
+@pytest.mark.parametrize(
+    "size",
+    [pytest.param((1280, 800), id="desk", marks=pytest.mark.proof), pytest.param((1024, 768), id="tablet")],
+)
 @pytest.mark.usefixtures("done", "compared", "measured")
 def test_nothing_needs_to_be_scrolled_sideways(bench, size):
     one = bench(size=size)
@@ -1073,6 +1081,7 @@ def test_every_state_of_an_example_has_its_picture(chrome, tmp_path):
         one.close()
 
 
+@pytest.mark.proof
 @pytest.mark.usefixtures("done", "compared", "measured")
 def test_every_state_has_its_picture(bench, by_hand, tmp_path):
     """Each by day and by night, of what is carried out already."""
