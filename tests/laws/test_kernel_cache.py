@@ -98,9 +98,9 @@ def test_a_damaged_kernel_is_compiled_again(kind, kept):
 def test_no_flipped_byte_is_run(kept):
     files = list(kept.iterdir())
     whole = {file: file.read_bytes() for file in files}
-    for part in range(12):
+    for part in range(4):
         for file, data in whole.items():
-            at = part * len(data) // 12 + part
+            at = part * len(data) // 4 + part
             file.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
         assert linear_again() == 0
 
