@@ -43,9 +43,11 @@ serve: $(VENV)/.installed ## open the workbench, a page to plan, see, run and co
 test: $(VENV)/.testing ## install what tests need and run them, doctests included
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests src README.md -q -n auto --dist worksteal
 
-# The suite keeps a tenth of these cases or less.
+# The suite keeps a tenth of these cases or less; tests marked proof repeat others with another case, or take long.
 proof: $(VENV)/.testing ## carry out the acceptance proofs, thousands of cases: figures, and failure where one is missed
-	@for one in tests/proof/proof_*.py; do echo "== $$one"; $(BIN)/python -m tests.proof.$$(basename $$one .py) || failed=1; done; test -z "$$failed"
+	@for one in tests/proof/proof_*.py; do echo "== $$one"; $(BIN)/python -m tests.proof.$$(basename $$one .py) || failed=1; done; \
+	TURNWRIGHT_LAWS=all OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests -q -n auto -m 'proof or hypothesis' || failed=1; \
+	test -z "$$failed"
 
 fuzz: $(VENV)/.testing ## give 20,000 mutated inputs to every door; the suite gives 24
 	$(BIN)/python tests/proof/fuzz.py --inputs 20000

@@ -12,6 +12,7 @@ import pytest
 
 import turnwright
 from job_files import GONE, changed, written
+from patience import PATIENCE_S
 from turnwright.cli import main
 from turnwright.errors import JobError
 from turnwright.job import Job
@@ -232,7 +233,7 @@ def test_a_wrong_job_is_refused_in_one_sentence(name, place, capsys):
     assert re.search(r"[:?]", said.removeprefix("turnwright: "))  # what is wrong, then the remedy
 
 
-def test_all_wrong_fields_are_told_at_once():
+def test_all_wrong_fields_are_reported_at_once():
     with pytest.raises(JobError) as caught:
         Job.read(changed(("part.radius", 1), ("tool.nose_radius", GONE), ("strategy.sense", 0)))
     assert [line.split()[0].rstrip(":") for line in str(caught.value).splitlines()] == [
@@ -333,7 +334,7 @@ def test_a_full_disk_leaves_nothing(changes, tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (4_000_000, 4_000_000))
 
     process = start(job, tmp_path / "out", preexec_fn=limit)
-    said = process.communicate(timeout=120)[1].splitlines()[-1]
+    said = process.communicate(timeout=PATIENCE_S)[1].splitlines()[-1]
     assert process.returncode == 2, said
     assert re.search(r"the largest that the system allows|File too large|the disk is full", said)
     assert f"{tmp_path}/." not in said  # the folder that was asked for, not the one of the meantime
@@ -348,7 +349,7 @@ def test_an_interrupted_run_leaves_nothing(kill, tmp_path):
         if line.strip() == "plan":
             break
     process.send_signal(kill)
-    said = process.communicate(timeout=120)[1]
+    said = process.communicate(timeout=PATIENCE_S)[1]
     assert process.returncode == 128 + kill, said
     assert "turnwright: interrupted" in said
     assert not list(tmp_path.iterdir())
@@ -356,7 +357,7 @@ def test_an_interrupted_run_leaves_nothing(kill, tmp_path):
 
 @pytest.mark.usefixtures("signals_heard")
 @pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_at_the_very_start_is_heard(kill, tmp_path):
+def test_an_interrupt_at_the_very_start_is_obeyed(kill, tmp_path):
     code = f"""if True:
         import os, sys
         from turnwright import cli
@@ -371,15 +372,16 @@ def test_an_interrupt_at_the_very_start_is_heard(kill, tmp_path):
     """
     process = subprocess.run(
         [sys.executable, "-c", code, "run", str(LENS), "--out", str(tmp_path / "out")],
-        capture_output=True, text=True, timeout=120, check=False,
+        capture_output=True, text=True, timeout=PATIENCE_S, check=False,
     )  # fmt: skip
     assert process.returncode == 128 + kill, process.stderr
     assert process.stderr.splitlines()[-1].startswith("turnwright: interrupted")
 
 
 @pytest.mark.usefixtures("signals_heard")
-@pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGHUP])
-@pytest.mark.parametrize("delay", [0.0, 0.1, 0.3, 0.6])
+@pytest.mark.parametrize(
+    ("kill", "delay"), [(signal.SIGINT, 0.0), (signal.SIGHUP, 0.1), (signal.SIGINT, 0.3), (signal.SIGHUP, 0.6)]
+)
 def test_an_early_interrupt_is_not_lost(kill, delay, tmp_path):
     """Imports may swallow the exception; what was wanted is done all the same."""
     code = """if True:
@@ -401,7 +403,7 @@ def test_an_early_interrupt_is_not_lost(kill, delay, tmp_path):
     assert process.stdout.readline() == "in\n"
     time.sleep(delay)
     process.send_signal(kill)
-    said = process.communicate(timeout=120)[1]
+    said = process.communicate(timeout=PATIENCE_S)[1]
     assert process.returncode == 128 + kill, said
     assert said.splitlines()[-1].startswith("turnwright: interrupted")
     assert "Traceback (most recent call last)" not in said

@@ -11,6 +11,7 @@ import pytest
 import tomli_w
 
 from job_files import changed
+from patience import PATIENCE_S
 from turnwright.cli import main
 
 
@@ -57,7 +58,7 @@ def test_each_job_is_a_line_and_a_folder_and_none_is_done_twice(tmp_path, capsys
     assert "already done" not in capsys.readouterr().out.splitlines()[1]
     assert sorted(file.name for file in out.iterdir()) == ["good", "other", "other.old-1"]
 
-    (out / "good" / "case.json").write_text("[1]")  # somebody else's
+    (out / "good" / "case.json").write_text("[1]")  # another program's
     assert main([*command[:2], files[2], "--out", str(out)]) == 2
     assert "already exists and is not empty" in capsys.readouterr().out.splitlines()[0]
 
@@ -82,13 +83,13 @@ def test_an_interrupted_study_keeps_finished_rows(how, tmp_path):
     )
     start = time.monotonic()
     while len(list(out.glob("*"))) < 2 or not (out / "job0").exists():  # the second is on its way
-        assert time.monotonic() - start < 60
+        assert time.monotonic() - start < PATIENCE_S
         time.sleep(0.01)
     if how == signal.SIGINT:
         os.killpg(process.pid, how)
     else:
         process.kill()
-    said = process.communicate(timeout=20)[1]
+    said = process.communicate(timeout=PATIENCE_S)[1]
     assert process.returncode == (130 if how == signal.SIGINT else -signal.SIGKILL)
     if how == signal.SIGINT:
         assert said.splitlines()[-1] == (
@@ -96,7 +97,7 @@ def test_an_interrupted_study_keeps_finished_rows(how, tmp_path):
         )
         assert "Traceback" not in said
     while at_work(process.pid):  # its worker notices
-        assert time.monotonic() - start < 120
+        assert time.monotonic() - start < PATIENCE_S
         time.sleep(0.05)
     assert {one.name for one in out.iterdir()} <= {"job0", "job1"}  # no half of a folder, and no hidden one
     before = (out / "job0" / "report.html").stat().st_mtime_ns

@@ -129,7 +129,7 @@ def test_a_backplot_counts_the_points_that_are_not_cut(done, tmp_path, capsys):
 
 
 def test_a_backplot_refuses_a_place_that_is_not_cut_at_all(done, tmp_path, capsys):
-    table, _ = table_of(done, tmp_path, slice(20, 31))  # beside the patch, whose azimuth is 0
+    table, _ = table_of(done, tmp_path, slice(20, 31))  # next to the patch, whose azimuth is 0
     assert main(["backplot", str(table), "--job", str(done / "job.toml")]) == 2
     told = capsys.readouterr()
     assert "points of patch is cut" in told.err
@@ -197,7 +197,7 @@ def test_force_keeps_the_old_folder(done, tmp_path):
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["out", "out.old-1", "out.old-2"]
 
 
-def test_a_defect_is_told_from_bad_input(monkeypatch, tmp_path, capsys):
+def test_a_defect_is_distinguished_from_bad_input(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr("turnwright.job.preview", lambda *_args, **_more: math.sqrt(-1))
     assert main(["check", str(written(tmp_path))]) == 1
@@ -268,7 +268,7 @@ def test_the_package_is_the_command_line():
     ("where", "code", "said"),
     [(">/dev/full", 2, "cannot write to standard output (No space left on device)"), ("| true", 0, "")],
 )
-def test_results_are_kept_when_nobody_hears_of_them(where, code, said, done, tmp_path):
+def test_results_are_kept_when_output_is_closed(where, code, said, done, tmp_path):
     told = shell(
         f"set -o pipefail; {{}} backplot {done}/out/part.nc --job {done}/job.toml --out {tmp_path}/out {where}"
     )

@@ -118,7 +118,7 @@ def test_a_job_file_can_state_each_strategy(tmp_path, machine, strategy):
         assert getattr(again, "blocks_per_rev", None) == getattr(one.servo, "blocks_per_rev", None)
 
 
-def test_what_cannot_be_is_said_and_the_others_go_on(tmp_path):
+def test_impossible_strategies_are_reported_and_others_go_on(tmp_path):
     """A tool that stands in a wave too deep for the stroke of its fast tool."""
     deep = {**WAVES, "amplitude": ["40 um", "40 um"], "period": ["2 mm", "2 mm"]}
     found = compare(Job.load(written(tmp_path, *CHANGES, ("part.surface", deep), ("machine.name", "nanoform-fts-70"))))
@@ -165,7 +165,7 @@ def test_a_machine_without_a_fast_tool_is_one_sentence(tmp_path, capsys):
     assert "choose a machine with a fast tool" in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_whoever_wants_an_end_is_heard_within_a_strategy(tmp_path):
+def test_a_stop_request_is_obeyed_within_a_strategy(tmp_path):
     """Oracle: what the progress raises comes out, as Ctrl-C does, and is not taken for the strategy's refusal."""
     told = []
 

@@ -63,7 +63,7 @@ def test_a_departure_needs_what_it_counts_from():
             Job.read(changed(*asked(**keys)))
 
 
-def test_the_unit_of_a_file_without_one_is_stated_by_key_or_option(tmp_path, capsys):
+def test_unit_of_a_departure_map_is_set_by_key_or_option(tmp_path, capsys):
     """Oracle: the rms of the form, which is a thousand times as large in another unit."""
     file = tmp_path / "seen.csv"
     rows = np.stack([X[ON], Y[ON], 1e3 * TREFOIL.sag(X[ON], Y[ON])], axis=1)
@@ -89,7 +89,7 @@ def test_the_unit_of_a_file_without_one_is_stated_by_key_or_option(tmp_path, cap
         ("x,y,z", {"units": "mm"}, "sag_units"),
     ],
 )
-def test_a_missing_unit_is_asked_for_by_its_key(tmp_path, head, keys, key):
+def test_a_missing_unit_is_requested_by_its_key(tmp_path, head, keys, key):
     file = tmp_path / "bare.csv"
     rows = [f"{x:.3f},{y:.3f},0.001" for x, y in zip(X[ON], Y[ON], strict=True)]
     file.write_text("\n".join([head, *rows]))

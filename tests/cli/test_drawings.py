@@ -13,7 +13,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 PAGES = {page: page.read_text(encoding="utf-8") for page in DOCS.rglob("*.md") if "_build" not in page.parts}
 
 
-def test_every_drawing_is_committed_and_none_besides():
+def test_exactly_the_drawings_are_committed():
     assert sorted(picture.name for picture in IMAGES.iterdir()) == [f"{name}.svg" for name in NAMES]
 
 

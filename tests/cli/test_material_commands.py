@@ -108,7 +108,7 @@ def test_fit_writes_a_material_that_loads(tmp_path, capsys, name):
     assert "cutting coefficient: 14" in capsys.readouterr().out
 
 
-def test_fit_takes_records_of_steady_cuts_and_of_steps_and_filters_them(tmp_path):
+def test_fit_takes_steady_and_stepped_records_and_filters_them(tmp_path):
     """Two records with a drift of their own: one cut of 300 nm; three of 100, 200 and 400 nm, one after the other."""
     random = np.random.default_rng(3)
     time = np.arange(int(RATE)) / RATE
@@ -361,7 +361,7 @@ def test_a_damaged_record_is_one_sentence_or_reads(tmp_path, name):
     assert not any("\n" in one for one in said)
 
 
-def test_what_is_no_record_at_all_is_said(tmp_path):
+def test_a_file_that_is_no_record_is_named(tmp_path):
     (tmp_path / "r.bin").write_bytes(bytes(range(128, 256)))
     with pytest.raises(InputError, match="is neither CSV text, HDF5 nor TDMS"):
         read_forces(tmp_path / "r.bin")

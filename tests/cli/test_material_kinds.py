@@ -26,7 +26,7 @@ def write(path, names, force):
     np.savetxt(path, force, delimiter=",", header=",".join(f"{one} [N]" for one in names), comments="", fmt="%.7f")
 
 
-def test_a_table_of_cuts_with_a_round_nose_tells_its_kind_and_rake(tmp_path, capsys):
+def test_table_of_cuts_with_a_round_nose_states_kind_and_rake(tmp_path, capsys):
     (tmp_path / "cuts.csv").write_text(averages())
     out, picture = tmp_path / "glass.toml", tmp_path / "fit.png"
     assert main(["material", "fit", str(tmp_path / "cuts.csv"), "--out", str(out), "--picture", str(picture)]) == 0

@@ -164,7 +164,7 @@ def test_correct_writes_a_job_that_runs(shop, corrected, second, tmp_path):
 
 
 def test_a_corrected_part_is_not_corrected_again(shop, corrected, second, tmp_path, capsys):
-    """What is left of the second part are cusps and noise: no job is written, whatever map stands beside it."""
+    """The residual of the second part is cusps and noise: no job is written, whatever other map is given."""
     jobs = ["--job", str(corrected / "job.toml"), "--job", str(shop / "job.toml")]
     there = sorted(tmp_path.iterdir())
     for maps, its in (([str(second)], jobs[:2]), ([str(second), str(shop / "dish.x3p")], jobs)):
@@ -189,7 +189,7 @@ def test_a_map_is_not_corrected_twice(shop, corrected, tmp_path, capsys):
     assert main(["correct", str(tmp_path / "lifted.npz"), "--job", job, "--out", str(tmp_path / "out")]) == 2
     assert "earlier correction of this job" in told_once(capsys)
     noise = 5e-6 * np.random.default_rng(6).normal(size=again.z.shape)
-    tw.write_map(replace(again, z=again.z + noise), tmp_path / "new.npz")  # the old part, measured anew
+    tw.write_map(replace(again, z=again.z + noise), tmp_path / "new.npz")  # the old part, measured again
     assert main(["correct", str(tmp_path / "new.npz"), "--job", job, "--out", str(tmp_path / "out")]) == 2
     assert "cut before the correction" in told_once(capsys)
     old = [first, str(tmp_path / "lifted.npz"), "--job", str(shop / "job.toml"), "--out", str(tmp_path / "out")]
@@ -207,7 +207,7 @@ def test_a_tool_that_moved_again_is_corrected_again(shop, corrected, tmp_path):
     assert Job.load(out / "job.toml").tool.offset[0] == pytest.approx(OFFSET + 0.0022, abs=5e-4)
 
 
-def test_a_part_may_be_said_to_be_cut_by_the_corrected_job(shop, corrected, tmp_path, capsys):
+def test_a_part_may_be_stated_as_cut_by_the_corrected_job(shop, corrected, tmp_path, capsys):
     """The same error came back: nothing in the map tells that from a part that was cut before."""
     seen(corrected / "job.toml", tmp_path / "again.npz", offset=2 * OFFSET)
     out, job = tmp_path / "out", tmp_path / "said" / "job.toml"
@@ -283,7 +283,7 @@ def test_a_correction_keeps_what_a_person_wrote(shop, tmp_path):
     lost, new = lines_lost((out / "job.toml").read_text(encoding="utf-8"))
     assert lost == []
     assert any(line.startswith("offset = ") for line in new)
-    moved = out.rename(tmp_path / "moved")  # files beside the job are named so that the folder can move
+    moved = out.rename(tmp_path / "moved")  # files next to the job are named so that the folder can move
     assert Job.load(moved / "job.toml").tool.offset[0] == pytest.approx(OFFSET, abs=5e-4)
     again = tmp_path / "again"
     command = ["correct", str(shop / "dish.x3p"), "--job", str(job), "--of", str(job), "--out", str(again)]

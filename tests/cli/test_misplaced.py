@@ -1,4 +1,4 @@
-"""A map that is plainly not of its part as the job has it placed is said to be so. Oracle: how it was spoilt."""
+"""A map that is plainly not of its part as the job places it is reported. Oracle: how it was spoilt."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ SPOILT = {
 
 
 @pytest.mark.parametrize("how", SPOILT)
-def test_a_map_that_is_not_of_its_part_is_said_to_be_so(freeform, how):
+def test_a_map_of_another_part_is_reported(freeform, how):
     spoil, words = SPOILT[how]
     good = shown(freeform)
     axis, z = spoil(good.x, good.z)
@@ -61,13 +61,13 @@ def test_a_map_that_is_not_of_its_part_is_said_to_be_so(freeform, how):
 @pytest.mark.parametrize("surface", [FREEFORM, SPHERE, FLAT])
 @pytest.mark.parametrize("size", [0.0, 0.5e-3])
 def test_a_part_that_is_off_is_still_the_part(tmp_path, surface, size):
-    """By 0.5 um of a cone, which a tool beside its place or a slide out of square leave."""
+    """By 0.5 um of a cone, which a tool offset or a slide out of square leaves."""
     job = Job.load(written(tmp_path, *surface))
     measured = tw.measure(job, shown(job, size))
     assert measured.mismatch is None
 
 
-def test_a_bowl_that_was_a_dome_is_said_to_be_so(tmp_path):
+def test_a_concave_map_of_a_convex_part_is_reported(tmp_path):
     job = Job.load(written(tmp_path, *SPHERE))
     good = shown(job)
     measured = tw.measure(job, tw.HeightMap(x=good.x, y=good.y, z=-good.z))

@@ -36,7 +36,7 @@ def grid(function, reach, count=61, *, noise=2e-6):
     return tw.HeightMap(x=axis, y=axis, z=z, name="seen")
 
 
-def test_held_directions_are_fixed_by_the_keys_that_the_warning_names():
+def test_warning_names_the_keys_that_fix_a_degree_of_freedom():
     sphere = {"family": "sphere", "radius": "20 mm"}
     heights = grid(tw.Sphere(radius=20.0).sag, 1.4)
     held = [one for one in questions(sphere, 2, heights) if "determined by the fit" in one]
@@ -74,7 +74,7 @@ def test_a_symmetric_part_is_clocked_by_the_named_keys():
 
 @pytest.mark.parametrize("stated_spikes", ["robust", "none"])
 def test_what_pulls_at_the_pose_is_left_out_by_keys(stated_spikes):
-    """Something stands beside the part: a ledge at one edge of the map, a tenth of a millimetre high."""
+    """An object next to the part: a ledge at one edge of the map, a tenth of a millimetre high."""
     toroid = {"family": "toroid", "radius_x": "20 mm", "radius_y": "30 mm"}
     surface = tw.Toroid(radius_x=20.0, radius_y=30.0)
     heights = grid(lambda x, y: surface.sag(x, y) + 0.1 * (x > 1.36), 1.4)

@@ -242,7 +242,7 @@ def test_the_error_of_points_falls_with_their_spacing(tmp_path):
     assert found.shares.pv_nm <= 100
 
 
-def test_an_error_that_does_not_come_from_the_points_ends_the_search(tmp_path, monkeypatch):
+def test_error_not_caused_by_the_points_ends_the_search(tmp_path, monkeypatch):
     asked = []
 
     def stays(_, points):
@@ -286,7 +286,7 @@ def test_what_controller_or_dialect_cannot_do_is_one_sentence(controller, change
     assert "\n" not in str(refused.value)
 
 
-def test_a_corrected_plan_is_quicker_and_keeps_the_limits(steady, tmp_path):
+def test_a_corrected_plan_is_faster_and_keeps_the_limits(steady, tmp_path):
     """Oracle: `run` on the planned job, by its own maps and by the limits of what it writes."""
     job = Job.load(lathe(tmp_path, *CORRECTED))
     chosen = plan(job)

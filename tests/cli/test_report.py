@@ -101,7 +101,7 @@ def test_the_page_needs_nothing_from_outside(page):
     assert not re.findall(r"url\((?!#)[^)]*\)", text)
     seen = read(page)
     outside = [one for one in seen.addresses if not one.startswith(("#", "data:image/png;base64,"))]
-    # What remains are the program files beside the page.
+    # The other files are the programs next to the page.
     assert outside
     assert all((page.parent / one).is_file() for one in outside)
     assert not {"script", "iframe", "link", "object"} & seen.tags
@@ -190,7 +190,7 @@ def test_the_chips_of_every_pass_stand_in_a_table(tmp_path):
 
 
 def test_a_margin_inside_its_uncertainty_is_not_ready_to_cut(tmp_path):
-    """Where a crack would be twenty times as long as the chip, what cannot be told may stay."""
+    """Where a crack would be twenty times as long as the chip, what cannot be decided may stay."""
     text, chips = in_glass(tmp_path, critical='value = "450 nm"\nuncertainty = "90 nm"', ratio=20)
     margin, band = 100 * (1 - chips.thickest / 450e-6), 100 * 2 * 90 / 450
     assert abs(margin) < band
@@ -233,7 +233,7 @@ def test_programs_that_are_gone_are_named_without_a_link(small, tmp_path):
     assert "First lines" not in seen.text
 
 
-def test_missing_points_and_many_large_maps_stay_legible_and_small(small, tmp_path):
+def test_missing_points_and_large_maps_stay_legible_and_small(small, tmp_path):
     result, _ = small
     x = np.linspace(-0.3, 0.3, 1500)
     z = (
@@ -256,7 +256,7 @@ def test_missing_points_and_many_large_maps_stay_legible_and_small(small, tmp_pa
 
 
 def test_the_same_result_makes_the_same_page(page, small, tmp_path):
-    # Links aside, which depend on the folder.
+    # Except for links, which depend on the folder.
     result, _ = small
     again = write_report(result, tmp_path).read_text(encoding="utf-8")
     plain = [re.sub(r"<a href=[^>]*>|</a>", "", text) for text in (again, page.read_text(encoding="utf-8"))]

@@ -1,7 +1,7 @@
 """Sizes that no lathe knows: each is carried out, or refused in a sentence; none is a defect.
 
 Oracle: floating-point numbers end at 1.8e308 and 5e-324, so a square of the largest, and one over the smallest, do not
-exist; whoever computes with them unasked fails.
+exist; code that computes with them unasked fails.
 """
 
 import numpy as np

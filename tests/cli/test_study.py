@@ -17,6 +17,7 @@ import pytest
 import tomli_w
 from pyarrow import parquet
 
+from patience import PATIENCE_S
 from turnwright import Job, cli
 from turnwright.errors import InputError, StudyError
 from turnwright.job import Pipeline
@@ -110,7 +111,7 @@ def test_the_command_leaves_table_page_and_study(job_file, tmp_path, capsys):
     assert not re.search(r"\bnan\b", page)
 
 
-def test_the_table_is_asked_by_name_and_by_number(job, threads):
+def test_the_table_is_indexed_by_name_and_by_number(job, threads):
     found = study(
         job, vary={"tool.nose_radius": "0.2, 0.4 mm", "strategy.feed": [0.005, 0.010, 0.020]},
         measure=["pv_nm@askew", deepest, "form_pv_nm"], executor=threads,
@@ -270,7 +271,7 @@ def test_an_interrupted_command_goes_on_where_it_was(job_file, tmp_path, capsys,
     whole = _study.run_cases
 
     def half(work, cases, **how):
-        whole(work, cases[:2], **{**how, "executor": threads})  # quicker than a process, which others test
+        whole(work, cases[:2], **{**how, "executor": threads})  # faster than a process, which other tests cover
         raise KeyboardInterrupt
 
     monkeypatch.setattr(_study, "run_cases", half)
@@ -350,7 +351,7 @@ def test_a_missing_array_is_no_outcome_of_a_case(threads, tmp_path, monkeypatch)
 
 
 def response_files(folder):
-    """A machine file that names its base beside it, and this by its whole path a measured response."""
+    """A machine file that names its base in the same folder, and this by its absolute path a measured response."""
     (folder / "shop").mkdir(parents=True)
     rows = "\n".join(f"{10 * k},{1 / (1 + k / 40)},{-2 * k}" for k in range(1, 40))
     (folder / "z.csv").write_text(f"frequency [Hz],gain,phase [deg]\n{rows}\n", encoding="utf-8")
@@ -362,7 +363,7 @@ def response_files(folder):
     return str(folder / "shop" / "lathe.toml")
 
 
-def test_a_worker_elsewhere_gets_what_the_files_of_a_job_name_too(threads, tmp_path, monkeypatch):
+def test_remote_worker_gets_the_files_that_job_files_name(threads, tmp_path, monkeypatch):
     job = Job.read({**DATA, "machine": {"file": response_files(tmp_path / "here")}, "simulation": {
         **DATA["simulation"], "tracking": True}})  # fmt: skip
     asked = {"vary": {"strategy.feed": "9, 10 um/rev"}, "measure": ["sq_nm", "form_pv_nm"]}
@@ -428,7 +429,7 @@ def test_the_next_command_removes_what_a_kill_left(job_file, tmp_path):
 
     def started(out):
         before, process = hidden(), subprocess.Popen(command(out), stderr=subprocess.DEVNULL)
-        until = time.monotonic() + 60
+        until = time.monotonic() + PATIENCE_S
         while not (new := hidden() - before) and time.monotonic() < until:
             time.sleep(0.02)
         return process, new.pop()
@@ -437,17 +438,17 @@ def test_the_next_command_removes_what_a_kill_left(job_file, tmp_path):
     running, alive = started("other")
     killed.kill()
     killed.wait()
-    (tmp_path / ".out-notes").mkdir()  # of somebody else
+    (tmp_path / ".out-notes").mkdir()  # of another program
     (tmp_path / ".output-12345678").mkdir()
     assert hidden() == {left, alive, ".out-notes"}
-    second = subprocess.run(command("other"), capture_output=True, text=True, check=False, timeout=60)
+    second = subprocess.run(command("other"), capture_output=True, text=True, check=False, timeout=PATIENCE_S)
     assert second.returncode == 2
     assert "another run is writing" in second.stderr
     third, new = started("third")
     assert hidden() == {alive, new, ".out-notes"}
     for process in (third, running):
         process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=30) == 130
+        assert process.wait(timeout=PATIENCE_S) == 130
     assert hidden() == {".out-notes"}
     assert (tmp_path / ".output-12345678").is_dir()
 

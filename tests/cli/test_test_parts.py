@@ -40,7 +40,7 @@ def test_the_test_parts_use_the_nose_as_the_part_does():
     assert np.rad2deg(check_access(sphere, job.tool).sweep[1]) == pytest.approx(4.7, abs=2e-3)
 
 
-def test_what_nobody_states_is_found():
+def test_values_that_are_not_stated_are_found():
     """Oracle: the part's own highest speed, which a test part must not leave; 3 deg for a part without slopes."""
     flat = {**LENS, "part": {"surface": {"family": "plane", "slope": [0.0, 0.0]}, "radius": "2 mm"}}
     flat["strategy"] = {name: value for name, value in LENS["strategy"].items() if name != "spindle_speed"}

@@ -17,6 +17,7 @@ import pytest
 import zarr
 
 import turnwright as tw
+from patience import PATIENCE_S
 from turnwright.cli import main, tiling as _tiling
 from turnwright.studies import Cluster, LocalPool
 
@@ -100,7 +101,7 @@ def test_command(job, tmp_path, capsys):
     assert "holds the map of another motion, tool, surface or grid" in capsys.readouterr().err
 
 
-def test_what_cannot_be_is_told_before_the_part_is_planned(job, tmp_path, capsys, monkeypatch):
+def test_impossible_tiles_are_reported_before_planning(job, tmp_path, capsys, monkeypatch):
     from turnwright import job as recipe
 
     out = tmp_path / "out"
@@ -151,7 +152,7 @@ def test_an_interrupt_keeps_the_finished_tiles_and_says_so(job, tmp_path):
     out = tmp_path / "out"
     command = [sys.executable, "-m", "turnwright", "tile", str(job), "--pixel", "0.25 um", "--tile", "64"]
     with subprocess.Popen([*command, "--out", str(out)], stderr=subprocess.PIPE, text=True) as process:
-        until = time.monotonic() + 60
+        until = time.monotonic() + PATIENCE_S
         while len(chunks(out / "map.zarr")) < 5 and time.monotonic() < until:
             time.sleep(0.05)
         process.send_signal(signal.SIGINT)
@@ -231,7 +232,6 @@ def test_a_disk_that_becomes_full_keeps_what_is_finished(tmp_path, monkeypatch):
 
 
 def test_processes_make_the_same_map_despite_a_kill(tmp_path):
-    started = time.monotonic()
     seen = []
 
     def told(done, _total):
@@ -243,7 +243,6 @@ def test_processes_make_the_same_map_despite_a_kill(tmp_path):
         found = made(tmp_path / "map", executor=pool, progress=told)
     assert np.array_equal(found.height_map().z, made(tmp_path / "other").height_map().z, equal_nan=True)
     assert seen == sorted(set(seen))
-    assert time.monotonic() - started < 60
 
 
 def test_a_map_killed_at_its_first_file_begins_again(tmp_path):

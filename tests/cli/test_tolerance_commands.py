@@ -105,7 +105,7 @@ def test_a_case_that_fails_is_a_reason(job, tmp_path, monkeypatch):
     assert 0 < len(found.reasons) < 12
     assert found.count == 24 - len(found.reasons)
     assert set(found.reasons) == {"the tool is off by too much: set it anew"}
-    # They are parts out of tolerance: the best that can be said is the share of those that could be cut.
+    # They are parts out of tolerance: the best statement is the share of those that could be cut.
     kept = sum(
         all(found.columns[measure][k] <= limit for measure, limit in found.limits.items()) for k in range(found.count)
     )

@@ -94,7 +94,7 @@ def test_known_servos_are_not_left_out_silently(tmp_path):
     assert all(one.tracking is None and one.tracking_nm is None for one in result.predictions)
 
 
-def test_servos_that_nobody_states_cannot_be_asked_for(done, tmp_path, capsys):
+def test_servos_that_are_not_stated_cannot_be_requested(done, tmp_path, capsys):
     job = written(tmp_path, ("simulation.tracking", True))
     assert main(["check", str(job)]) == 2
     assert "simulation.tracking: tracking needs a servo response" in capsys.readouterr().err
@@ -103,7 +103,7 @@ def test_servos_that_nobody_states_cannot_be_asked_for(done, tmp_path, capsys):
     assert "states it for 0 of 3 axes" in capsys.readouterr().err
 
 
-def test_a_controller_that_lays_cubics_is_always_predicted_with_them(tmp_path):
+def test_pvt_controller_is_always_predicted_with_cubics(tmp_path):
     """Few points: straight lines would miss the waves by their chords, the cubics of a PVT program do not."""
     lathe(tmp_path, 'dialect = "pmac"\n[controller]\ninterpolation = "hermite"')
     few = [*CHANGES, ("strategy.points_per_rev", 60), ("simulation.patches", [])]

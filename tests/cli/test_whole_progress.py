@@ -52,7 +52,7 @@ def lines(monkeypatch):
 
 @pytest.fixture(scope="module")
 def heights(tmp_path_factory):
-    """A map of the dish, cut by a tool 2 um beside its place, 3 nm of noise on it."""
+    """A map of the dish, cut with a tool offset of 2 um, 3 nm of noise on it."""
     file = tmp_path_factory.mktemp("map") / "dish.x3p"
     axis = np.linspace(-1.0, 1.0, 101)
     x, y = np.meshgrid(axis, axis)

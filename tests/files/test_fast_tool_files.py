@@ -92,8 +92,8 @@ def test_an_edited_number_of_entry_rows_is_refused(tmp_path, count):
         tw.post.read_fast_tool(tmp_path / "part.nc", machine)
 
 
-def test_corners_of_z_are_refused_where_the_controller_makes_cubics(tmp_path):
-    """Straight from block to block Z was reckoned with, 12 nm beside the cubics of the program, and nothing noticed."""
+def test_corners_of_z_are_refused_for_a_pvt_controller(tmp_path):
+    """Z was computed straight from block to block, 12 nm off the cubics of the program, unnoticed."""
     pmac = replace(
         tw.Machine.load("nanoform-fts-70"), dialect="pmac", controller=tw.machine.Controller(interpolation="hermite")
     )
@@ -239,7 +239,7 @@ def test_a_second_axis_has_a_column_of_its_own(tmp_path, by):
     assert np.interp(begun, again.time, again.axes["X"]) == pytest.approx(made.axes["X"], abs=0.7e-6)
 
 
-def test_a_stream_asks_no_more_blocks_of_the_lathe_than_its_program_has(tmp_path):
+def test_stream_needs_no_more_blocks_than_the_lathe_program_has(tmp_path):
     """Oracle: the program of the lathe, read without the stream; X and Z follow decimals, not straight lines."""
     machine = tw.Machine.load("nanoform-fts-70")
     tw.post.write_fast_tool(motion(machine), machine, tmp_path / "part.nc", by="time", rate_hz=20_000)

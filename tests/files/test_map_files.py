@@ -13,8 +13,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import HealthCheck, given, strategies as st
 
+from laws import examples
 from measured_files import (
     COUNTS,
     PICTURE,
@@ -479,7 +480,7 @@ MAPS = st.builds(
     st.text(max_size=10),
     st.dictionaries(st.text(max_size=5), st.text(max_size=10), max_size=3),
 )
-LAW = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+LAW = examples(25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @LAW
@@ -598,7 +599,7 @@ UNWRITABLE = {
 
 
 @pytest.mark.parametrize(("one", "name", "said"), UNWRITABLE.values(), ids=UNWRITABLE)
-def test_what_a_format_cannot_hold_is_refused_and_nothing_is_left(tmp_path, one, name, said):
+def test_map_that_a_format_cannot_hold_is_refused_without_a_file(tmp_path, one, name, said):
     with pytest.raises(MapError, match=said):
         write_map(one, tmp_path / name)
     assert list(tmp_path.iterdir()) == []
@@ -765,7 +766,7 @@ def test_bytes_cut_or_changed_give_a_map_or_a_sentence(tmp_path, name, data):
 
 
 @pytest.mark.parametrize("member", ["main.xml", "a.npy"])
-def test_bytes_changed_inside_an_archive_give_a_map_or_a_sentence(tmp_path, member):
+def test_changed_bytes_in_an_archive_give_a_map_or_a_message(tmp_path, member):
     # An archive's own sums would find what is changed from outside.
     packed = x3p() if member == "main.xml" else SAMPLES["npz"][1]
     with zipfile.ZipFile(io.BytesIO(packed)) as file:
@@ -785,7 +786,7 @@ def test_bytes_changed_inside_an_archive_give_a_map_or_a_sentence(tmp_path, memb
             assert found.z.size < 1e6
 
 
-def test_a_library_that_dies_of_a_file_takes_nobody_with_it(tmp_path, monkeypatch):
+def test_a_library_that_dies_of_a_file_ends_nothing_else(tmp_path, monkeypatch):
     monkeypatch.setattr("turnwright._io.READER", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
     with pytest.raises(MapError, match="is HDF5 that cannot be read"):
         read(tmp_path, datx(), "a.datx")

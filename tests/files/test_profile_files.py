@@ -85,7 +85,7 @@ def test_a_column_of_words_is_no_height(tmp_path):
         read(tmp_path, SLICE, unit="um", height="Slice")
 
 
-def test_one_of_several_slices_is_asked_for(tmp_path):
+def test_one_of_several_slices_is_selected(tmp_path):
     text = SLICE + SLICE.split("\n", 1)[1].replace("Slice 1", "Slice 2").replace("0.5", "0.75")
     with pytest.raises(MapError, match="holds 2 slices"):
         read(tmp_path, text, unit="um")

@@ -36,7 +36,7 @@ def contents(folder):
 
 
 @pytest.mark.parametrize("dialect", ["nanotech", "generic"])
-def test_what_is_told_is_what_is_there(tmp_path, dialect):
+def test_inspection_reports_what_the_files_hold(tmp_path, dialect):
     passes = {"rough": motion(800, 0.1), "finish": motion(1000)}
     header = ProgramHeader(design="Lens (A.1)", tool="R1.5 + waviness", date="2026-01-02", notes="µm\nline " * 30)
     done = write_nc(passes, machine(dialect), tmp_path / "part.nc", header=header, max_lines=700, depth=None)

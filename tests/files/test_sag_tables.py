@@ -95,7 +95,7 @@ def test_a_table_that_leaves_something_open_is_refused(tmp_path, text, keys, mat
         Job.read(changed(("part.surface", {"family": "gridded", "file": "a.csv", **keys})), folder=tmp_path)
 
 
-def test_a_table_is_read_anew_when_it_has_changed(tmp_path):
+def test_a_changed_table_is_read_again(tmp_path):
     file = tmp_path / "a.csv"
     job = changed(("part.surface", {"family": "gridded", "file": "a.csv", "units": "mm", "sag_units": "mm"}))
     file.write_text(points(between=","), encoding="utf-8")

@@ -2,14 +2,15 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
+from laws import examples
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import area_psd, bearing, best_fit, fit_zernike, line_psd, remove_form, slope_error
 from turnwright.surface import Sphere
 
 SEEDS = st.integers(0, 2**31)
-SETTINGS = settings(max_examples=15)
+SETTINGS = examples(15)
 
 
 def holed(seed, *, missing=0.2, shape=(24, 27)):

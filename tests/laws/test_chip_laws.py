@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
 import turnwright as tw
+from laws import examples
 
 MACHINE = tw.Machine.load("generic")
-SETTINGS = settings(max_examples=8)
+SETTINGS = examples(8)
 
 
 def chips(surface, *, scale=1.0, feed=0.02, stock=0.004, material=None, sense=1, inside_out=False):

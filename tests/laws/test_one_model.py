@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import tomli_w
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
 import turnwright as tw
 from job_files import changed, written
+from laws import examples
 from tests.laws.test_surface_laws import FAMILIES
 from turnwright._tables import forget_adapters
 from turnwright.errors import InputError, JobError
@@ -18,7 +19,7 @@ from turnwright.strategy import STRATEGIES
 from turnwright.units import Feed, Length, Size, Speed
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(st.data())
 def test_a_surface_is_stated_to_the_last_bit(data):
     surface = data.draw(data.draw(st.sampled_from(list(FAMILIES.values()))))
@@ -93,7 +94,7 @@ def test_a_value_of_any_kind_makes_a_job_or_one_sentence(value):
         assert Job.read(job.table()) == job, name
 
 
-def test_a_field_of_the_plan_of_a_fast_tool_is_changed_as_one_of_the_strategy():
+def test_changed_plan_field_of_a_fast_tool_changes_the_strategy():
     """Oracle: the job of the file with this field changed; its keys stand in one table."""
     fast = {"kind": "hybrid tool servo", "feed": "10 um/rev", "points_per_rev": 360}
     rest = [("machine", {"name": "nanoform-fts-70"}), ("program", {"fast_tool": "position"})]
@@ -111,7 +112,7 @@ def test_a_coefficient_is_changed_by_its_key():
     assert job.part.surface.terms == (((0, 2), 3e-3), ((2, 0), 1e-3))
 
 
-def test_what_follows_from_a_changed_field_is_worked_out_anew():
+def test_what_follows_from_a_changed_field_is_computed_again():
     array = {
         "family": "lens array", "layout": "square", "pitch": "0.5 mm", "rows": 2, "columns": 2,
         "lenslet": {"family": "sphere", "radius": "3 mm"},
@@ -183,7 +184,7 @@ def test_what_was_read_from_no_file_is_not_written():
 
 
 def test_a_family_that_is_added_is_stated_at_once(tmp_path):
-    """One class in one file: no table beside it names its fields."""
+    """One class in one file: no other table names its fields."""
     _ = Job.read(changed())
 
     @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,7 +212,7 @@ def test_a_family_that_is_added_is_stated_at_once(tmp_path):
 
 
 def test_a_strategy_that_is_added_is_stated_at_once():
-    """One class in one file: no table beside it names its fields. Oracle: the slow tool servo at half the feed."""
+    """One class in one file: no other table names its fields. Oracle: the slow tool servo at half the feed."""
 
     @dataclass(frozen=True, slots=True, kw_only=True)
     class Halved(tw.strategy.Strategy):

@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-from hypothesis import example, given, settings, strategies as st
+from hypothesis import example, given, strategies as st
 
+from laws import examples
 from turnwright.generation import generate_points, generate_polar
 from turnwright.machine import Machine
 from turnwright.motion import drive
@@ -17,7 +18,7 @@ from turnwright.tool import Tool
 
 MACHINE = Machine.load("generic")
 RADIUS, FEED, POINTS = 0.5, 0.02, 48
-quick = settings(max_examples=25)
+quick = examples(25)
 
 
 def unit(low, high):
@@ -144,7 +145,7 @@ def test_nothing_is_left_above_the_cusps(terms, nose):
     down=0.0078125,
 )
 @given(surface=surfaces(), tool=tools(upright=False), stop=unit(0.3, 0.9), down=unit(1e-4, 1e-2))
-def test_more_passes_never_raise_and_a_lower_tool_cuts_as_much_lower(surface, tool, stop, down):
+def test_passes_never_raise_and_a_lower_tool_cuts_lower(surface, tool, stop, down):
     motion = cut(surface, tool)
     x, y = scatter(3)
     whole = generate_points(motion, tool, x=x, y=y)

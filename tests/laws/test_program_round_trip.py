@@ -5,8 +5,9 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
+from laws import examples
 from turnwright.errors import ProgramError
 from turnwright.machine import Axis, Convention, Machine
 from turnwright.path import Motion
@@ -61,7 +62,7 @@ def assert_same(read, written, dialect, reach=0.0):
     assert read.sense == written.sense
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(st.data())
 def test_round_trip(tmp_path_factory, data):
     machine = data.draw(machines())
@@ -74,7 +75,7 @@ def test_round_trip(tmp_path_factory, data):
     assert done.minutes == pytest.approx((motion.time[-1] - motion.time[0]) / 60)
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(st.data())
 def test_every_pass_comes_back_under_its_name(tmp_path_factory, data):
     machine = data.draw(machines())
@@ -122,7 +123,7 @@ def reformatted(text, random):
     return random.choice(["\n", "\r\n"]).join(lines)
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(st.data())
 def test_another_hand_reads_the_same(tmp_path_factory, data):
     machine = data.draw(machines())
@@ -141,7 +142,7 @@ def test_another_hand_reads_the_same(tmp_path_factory, data):
     assert (again.time == before.time).all()
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(st.data())
 def test_one_changed_digit_is_never_silent(tmp_path_factory, data):
     machine = data.draw(machines())
@@ -162,7 +163,7 @@ def test_one_changed_digit_is_never_silent(tmp_path_factory, data):
             read_nc(path, machine)
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(text=st.text(max_size=300))
 def test_whatever_is_written_in_the_header_stays_a_comment(tmp_path_factory, text):
     machine = Machine(name=text, axes=dict.fromkeys("CXZ", Axis()), spindle_rpm=1, block_rate_hz=1, dialect="generic")
@@ -191,7 +192,7 @@ PIECES += ["C1", "C2.5", "X1", "Z-1", "G0", "G1", "G4", "G52", "G93", "G94", "F1
 PIECES += ["#1=", "#1", "0.0001"]
 
 
-@settings(max_examples=400)
+@examples(400)
 @given(pieces=st.lists(st.sampled_from(PIECES), max_size=60), dialect=st.sampled_from(sorted(DECIMALS)))
 def test_anything_is_read_or_refused(tmp_path_factory, pieces, dialect):
     machine = Machine(name="m", axes=dict.fromkeys("CXZ", Axis()), spindle_rpm=1, block_rate_hz=1, dialect=dialect)

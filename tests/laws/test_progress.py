@@ -1,4 +1,4 @@
-"""Work in chunks: every place once, told of in order, and stoppable; a single thread is the caller's own."""
+"""Work in chunks: every place once, reported in order, and stoppable; a single thread is the caller's own."""
 
 import subprocess
 import sys
@@ -16,7 +16,7 @@ from turnwright.tool import Tool
 
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize(("total", "chunk"), [(0, 3), (1, 3), (10, 3), (12, 3)])
-def test_every_place_is_worked_on_once_and_told_of(threads, total, chunk):
+def test_every_place_is_worked_on_once_and_reported(threads, total, chunk):
     places, told = [], []
     run_chunks(
         lambda start, stop: places.extend(range(start, stop)),
@@ -32,7 +32,7 @@ def test_every_place_is_worked_on_once_and_told_of(threads, total, chunk):
 
 @pytest.mark.parametrize(("chunk", "threads"), [(2, 1), (5, 2)])
 def test_a_single_thread_or_chunk_runs_in_the_caller(chunk, threads):
-    """A thread made for each call would take memory anew each time, a tenth of the time of a case of a study."""
+    """A thread made for each call would take memory again each time, a tenth of the time of a case of a study."""
     used = set()
     run_chunks(lambda _start, _stop: used.add(threading.get_ident()), 5, chunk, threads=threads)
     assert used == {threading.get_ident()}

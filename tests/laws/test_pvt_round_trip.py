@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
+from laws import examples
 from turnwright.errors import ProgramError
 from turnwright.machine import Axis, Controller, Convention, Machine
 from turnwright.path import Motion
@@ -62,7 +63,7 @@ def assert_same(read, written):
     assert (np.abs(read.time - elapsed) <= rounding + 1e-9 * elapsed + 8 * np.spacing(written.time)).all()
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(st.data())
 def test_round_trip(tmp_path_factory, data):
     machine = data.draw(machines())
@@ -77,7 +78,7 @@ def test_round_trip(tmp_path_factory, data):
     assert inspect_nc(path).passes[0].hash == done.passes[0].hash
 
 
-@settings(max_examples=10)
+@examples(10)
 @given(st.data())
 def test_every_pass_comes_back_under_its_name(tmp_path_factory, data):
     machine = data.draw(machines())
@@ -129,7 +130,7 @@ def test_what_was_read_is_tracked_as_its_cubics(tmp_path):
     assert again == pytest.approx(np.gradient(motion.axes["Z"], motion.time)[1:-1], abs=1e-6)
 
 
-def test_a_changed_velocity_is_told(tmp_path):
+def test_a_changed_velocity_is_reported(tmp_path):
     machine = lathe()
     write_nc(smooth(machine), machine, tmp_path / "part.nc")
     text = (tmp_path / "part.nc").read_text()

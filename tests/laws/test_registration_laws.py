@@ -1,8 +1,9 @@
 """Registration finds the motion that was put in."""
 
 import numpy as np
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
+from laws import examples
 from turnwright import HeightMap, Part, Pose, XYPolynomial, register
 
 PART = Part(
@@ -16,7 +17,7 @@ angles = st.floats(-0.08, 0.08)
 poses = st.builds(Pose, shift=st.tuples(*[st.floats(-4, 4)] * 3), rotation=angles, tilt=st.tuples(angles, angles))
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(poses)
 def test_a_moved_map_is_found_where_it_was_moved_from(pose):
     found = register(MAP.moved(pose.inverse), PART)
@@ -25,7 +26,7 @@ def test_a_moved_map_is_found_where_it_was_moved_from(pose):
     assert np.nanmax(np.abs(found.residual.z)) < 1e-10
 
 
-@settings(max_examples=8)
+@examples(8)
 @given(poses)
 def test_the_residual_does_not_depend_on_how_the_map_lies(pose):
     rough = HeightMap(x=X, y=Y, z=MAP.z + 1e-5 * np.sin(3 * X) * np.cos(2 * Y))

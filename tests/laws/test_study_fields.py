@@ -150,7 +150,7 @@ def test_values_are_those_of_exact_decimals(job):
     )
 
 
-def test_the_job_s_own_value_is_known_in_the_unit_asked_for(job):
+def test_value_of_the_job_is_given_in_the_requested_unit(job):
     assert get_job_value(job, read_varied(job, "tool.nose_radius", "400, 500 um")) == 500
     assert get_job_value(job, read_varied(job, "part.surface[2].terms.5", "1, 3 um")) == pytest.approx(2)
     assert get_job_value(job, read_varied(job, "actual.tool.radius_error", "1 um")) is None
@@ -159,7 +159,7 @@ def test_the_job_s_own_value_is_known_in_the_unit_asked_for(job):
     ) == (pytest.approx(0.5))
 
 
-def test_a_feed_over_time_is_divided_by_the_speed_of_the_same_case(job):
+def test_feed_per_minute_is_divided_by_the_speed_of_its_case(job):
     names = {"strategy.feed": "0.3, 0.6 mm/min", "strategy.spindle_speed": "50, 150 rpm"}
     fields, rows = design_cases(job, [read_varied(job, name, given) for name, given in names.items()])
     feeds = []
@@ -241,10 +241,10 @@ def test_every_whole_number_of_a_range_is_drawn_as_often(job, design):
         ({"measure": 3}, "a measure is 3, it must be a name or a function"),
     ],
 )
-def test_a_study_that_cannot_be_is_refused_before_anything_is_computed(job, how, said):
+def test_impossible_study_is_refused_before_any_case_runs(job, how, said):
     asked = {"vary": {"strategy.feed": "5, 10 um/rev"}, "measure": "minutes", **how}
     with pytest.raises(InputError) as error:
-        study(job, executor=Executor(), **asked)  # whoever asked that executor for anything would fail
+        study(job, executor=Executor(), **asked)  # a call of that executor would fail
     assert said in str(error.value)
     assert "\n" not in str(error.value)
 

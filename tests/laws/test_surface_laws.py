@@ -5,8 +5,9 @@ import pickle  # noqa: TID251 - what a process pool does to its arguments
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
+from laws import examples
 from turnwright.surface import (
     Biconic,
     Conic,
@@ -74,7 +75,7 @@ places = st.tuples(st.floats(-1, 1), st.floats(-1, 1)).map(lambda p: (REACH * p[
 
 
 @every_family
-@settings(max_examples=60)
+@examples(60)
 @given(data=st.data(), place=places)
 def test_derivatives_are_those_of_the_height(family, data, place):
     """Five-point differences of the height and of the slopes; their own error is 1e-9 or so here."""
@@ -94,7 +95,7 @@ def test_derivatives_are_those_of_the_height(family, data, place):
 
 
 @every_family
-@settings(max_examples=20)
+@examples(20)
 @given(data=st.data(), count=st.integers(1, 300))
 def test_a_point_does_not_depend_on_its_company(family, data, count):
     """Blocks, remainders, orders, shapes and read-only arrays change the last digit at most."""
@@ -117,7 +118,7 @@ def test_a_point_does_not_depend_on_its_company(family, data, count):
 
 
 @every_family
-@settings(max_examples=5)
+@examples(5)
 @given(data=st.data())
 def test_a_surface_is_a_value(family, data):
     """It can be copied, sent to another process, compared and hashed, and it can be replaced."""
@@ -130,7 +131,7 @@ def test_a_surface_is_a_value(family, data):
         setattr(surface, dataclasses.fields(surface)[0].name, 1.0)
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(st.tuples(*FAMILIES.values()), places, st.floats(0.2, 5.0))
 def test_scaled_lengths_scale_the_heights(surfaces, place, scale):
     """All lengths times k: heights times k, slopes the same, second derivatives over k."""
@@ -165,7 +166,7 @@ def scaled(surface, k):
     return dataclasses.replace(surface, **changes)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(st.integers(1, 36), places, st.floats(-4, 4))
 def test_a_turned_zernike_pair_keeps_its_power(index, place, turn):
     """Cosine and sine of one order turn into each other: the sum of their squares does not depend on the angle."""

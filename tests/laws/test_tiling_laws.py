@@ -4,9 +4,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
 import turnwright as tw
+from laws import examples
 
 TURN = 2 * np.pi
 MACHINE = tw.Machine(
@@ -31,7 +32,7 @@ def whole(name, folder):
     return WHOLE[name]
 
 
-@settings(max_examples=12)
+@examples(12)
 @given(name=st.sampled_from(sorted(CASES)), tile=st.integers(64, 300), stop=st.integers(0, 6))
 def test_any_tile_and_any_stop_give_the_same_map_and_roughness(name, tile, stop):
     with TemporaryDirectory() as folder:

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from scipy.interpolate import CubicSpline
 
+from laws import examples
 from turnwright.machine import Axis, Controller, Machine
 from turnwright.motion import check_limits, drive
 from turnwright.part import Part
@@ -29,7 +30,7 @@ def lathe(*, acceleration=None, c_acceleration=None, jerk=None, varied=True, rat
     )
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(
     acceleration=st.sampled_from([None, 5.0, 50.0, 1000.0]),
     c_acceleration=st.sampled_from([None, 1.0, 50.0]),

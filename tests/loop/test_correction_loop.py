@@ -1,23 +1,13 @@
 """Inject, generate, measure, diagnose, correct, generate: what is left of the form. See `tests.proof.proof_correction`.
 
-Oracle: the job of somebody who knows the true tool and machine, simulated by the generator. The proof has each cause
+Oracle: a job written with the true tool and machine, simulated by the generator. The proof has each cause
 alone, a second correction, and a map of 85,000 points.
 """
 
 import numpy as np
 import pytest
 
-from tests.proof.proof_correction import ALONE, EVERY_MACHINE, EVERY_TOOL, Loop, bump
-
-
-@pytest.mark.parametrize("cause", ["straightness", "servo lag"])
-def test_a_cause_alone_is_gone_after_one_correction(cause, tmp_path):
-    """Those that the next test does not have. What stays unexplained are noise and cusps."""
-    injected, before, after = ALONE[cause]
-    residual, found, _ = Loop(**injected).go(tmp_path, 1)
-    assert residual[0] > before
-    assert residual[1] < after
-    assert found.unexplained_rms_nm == pytest.approx(np.hypot(20, 9), rel=0.15)
+from tests.proof.proof_correction import EVERY_MACHINE, EVERY_TOOL, Loop, bump
 
 
 def test_all_causes_and_a_form_that_none_explains(tmp_path):

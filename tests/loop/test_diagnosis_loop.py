@@ -55,7 +55,7 @@ def test_an_offset_is_found_on_a_sphere(ogive, reference):
     """5 um within 4 % where the map is clean, 0.5 um with 20 nm noise: drift of Z and squareness look much alike."""
     views = {"true form": ogive, "best-fit sphere": tw.remove_form(ogive, "sphere")}
     seen = views.get(reference) or along_normal(ogive)
-    for heights, within in ((seen, 2e-4), *((noisy(seen, seed), 5e-4) for seed in range(3))):
+    for heights, within in ((seen, 2e-4), *((noisy(seen, seed), 5e-4) for seed in range(1))):
         found = tw.diagnose(heights, SPHERE, TOOL, MACHINE, reference=reference, feed=FEED)
         first = found[0]
         assert first.name == "offset x"
@@ -104,7 +104,7 @@ def test_the_rule_of_the_handbook_is_for_small_angles(ogive):
     assert tw.diagnosis.handbook_offset(seen, 10.0, 10.0) == pytest.approx(0.0067, abs=2e-4)
 
 
-@pytest.mark.parametrize("powers", model_trials.POWERS)
+@pytest.mark.parametrize("powers", [(3, 4, 5), pytest.param((1, 2, 3), marks=pytest.mark.proof)])
 def test_intervals_hold_what_they_say(powers):
     """Offset, radius error, squareness and waviness together: in their intervals in at least 90 % of the trials.
 
@@ -125,7 +125,7 @@ def test_neighbours_that_err_together_widen_the_intervals():
     assert np.median(together) == pytest.approx(model_trials.AS_ONE, rel=0.5)
 
 
-@pytest.mark.parametrize("rake", [0.0, -15.0])
+@pytest.mark.parametrize("rake", [0.0, pytest.param(-15.0, marks=pytest.mark.proof)])
 def test_a_toroid_is_corrected_in_one_step(rake):
     """Everything at once on a part that is not round; cut again with what was found, it is as if nothing was wrong."""
     planned = replace(TOOL, rake=np.deg2rad(rake))
@@ -150,7 +150,7 @@ def test_a_toroid_is_corrected_in_one_step(rake):
     assert left.measured_rms_nm < 1.2
 
 
-def test_what_does_not_repeat_is_said_to():
+def test_an_error_that_does_not_repeat_is_reported():
     """The offset shifts between two maps, the squareness stays."""
     made = model_maps([FLAT])
     rng = np.random.default_rng(4)
@@ -172,7 +172,7 @@ def test_what_does_not_repeat_is_said_to():
 
 
 def test_a_lag_needs_a_fiducial():
-    """On a part that is not round the lag of Z looks like a clocking, and is told from it if that is known."""
+    """On a part that is not round the lag of Z looks like a clocking, and is separated from it if the pose is known."""
     part = tw.Part(surface=tw.XYPolynomial(terms={(2, 0): 0.03, (0, 2): 0.04, (3, 0): 0.001}), radius=5.0)
     (heights,) = model_maps([part])(Deviations(late=2e-4), np.random.default_rng(5), 2e-5)
     asked = {"causes": ("servo lag", "offset x"), "waviness": (3,)}
@@ -207,7 +207,7 @@ def test_a_bent_mount_and_a_cause_of_ones_own():
     assert np.nanstd(found.residual.z) * 1e6 == pytest.approx(20, rel=0.05)
 
 
-def test_a_pose_beside_the_right_one_is_found_with_the_causes():
+def test_a_residual_pose_is_found_with_the_error_sources():
     """Registered to within 20 um and 0.2 mrad: the rest does not pass for an error of the tool."""
     part = tw.Part(surface=tw.Toroid(radius_x=12.0, radius_y=16.0), radius=5.0)
     (heights,) = model_maps([part])(Deviations(offset=(0.002, 0.003, 0.0)), np.random.default_rng(8), 5e-6)
@@ -274,6 +274,7 @@ def test_what_is_not_corrected_is_left_to_the_form():
     assert np.nanstd(found.residual.z) * 1e6 == pytest.approx(20, rel=0.03)
 
 
+@pytest.mark.proof
 def test_a_part_that_uses_little_of_the_nose_is_diagnosed_too():
     """On 0.3 deg of sweep all powers look alike, and none may grow until no edge has a contact. Oracle: the offset."""
     grid = tw.Part(surface=tw.SineGrid(amplitude=(0.002, 0.002), period=(2.5, 2.5)), radius=5.0)
@@ -287,7 +288,7 @@ def test_a_part_that_uses_little_of_the_nose_is_diagnosed_too():
     assert found["offset x"].value == pytest.approx(0.002, abs=2e-4)
 
 
-@pytest.mark.parametrize("offset", [0.0, 0.003])
+@pytest.mark.parametrize("offset", [pytest.param(0.0, marks=pytest.mark.proof), 0.003])
 def test_cusps_are_not_taken_for_waves_of_the_nose(offset):
     """Cusps of 24 nm, seen at pixels of six feeds, on slopes of 0.4 deg, where waves could bend the nose at will."""
     grid = tw.Part(surface=tw.SineGrid(amplitude=(0.002, 0.002), period=(2.5, 2.5)), radius=5.0)

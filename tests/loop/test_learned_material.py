@@ -8,7 +8,7 @@ from turnwright.cutting import learn_from_file
 from turnwright.material import Material
 
 
-def test_a_material_that_is_cut_and_learned_is_the_one_that_was_cut(tmp_path):
+def test_learned_material_is_the_one_that_was_cut(tmp_path):
     glass = Material.load("irg26")
     random = np.random.default_rng(7)
     rate = 5000.0

@@ -1,7 +1,7 @@
 """Kong et al. 2019 (Science Progress): spheres on a toric base by a fast tool on a slow slide.
 
 Toric base R 500/250 mm, spheres R 10 mm of 1 mm aperture at 2 mm, nose 0.025 mm, 100 rev/min, 10 um/rev, part of 15 mm.
-The aperture is taken as a diameter, spheres as hollows; the path is looked at in a band of 0.3 mm.
+The aperture is taken as a diameter, spheres as concave; the path is examined in a band of 0.3 mm.
 """
 
 import numpy as np
@@ -75,7 +75,7 @@ def test_a_split_by_design_gives_the_slide_the_torus(path):
 
 
 def test_the_slide_is_found_that_shakes_least(path):
-    """Within 70 um the tool needs no help: the slide does what is slower than a turn. Within 40 um it helps more."""
+    """Within 70 um the slide alone moves what takes longer than a revolution; within 40 um the tool helps more."""
     by_design = tw.check_limits(tw.drive(path, tw.HybridToolServo(plan=PLAN, base=BASE, tool=TOOL), MACHINE), MACHINE)
     for stroke, most in ((0.070, 0.15), (0.040, 0.5)):
         servo = tw.HybridToolServo(plan=PLAN, fast=tw.Axis(low=-stroke / 2, high=stroke / 2))
@@ -92,7 +92,7 @@ def test_few_blocks_of_the_lathe_are_enough(path):
     limits = tw.check_limits(motion, MACHINE)
     assert np.abs(motion.axes["Z"] + motion.axes["W"] - path.z).max() < 1e-9
     assert limits.block_rate_hz == pytest.approx(180 * 100 / 60)
-    # The rims of the lenses are kinks, of which more than 10 nm is faster than the tool.
+    # The rims of the lenses are slope discontinuities, of which more than 10 nm is faster than the tool.
     assert all(one.startswith("W bandwidth") for one in limits.findings), limits.findings
 
 

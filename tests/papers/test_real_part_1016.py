@@ -111,7 +111,7 @@ def test_the_edge_of_1021_shows_on_both_sides_of_its_axis(measured, edge):
     assert np.std(parts[0] - parts[1]) < 10e-6  # of waves of 20 to 40 nm
 
 
-def test_1016_is_predicted_by_the_edge_of_1021_through_the_microscope(measured, motion, edge):
+def test_edge_of_1021_predicts_1016_through_the_microscope(measured, motion, edge):
     """Within 5 % in every zone, where they range from 43 to 68 nm."""
     like = measured["1016"]
     truth = medians(find_cusps(like, axis=AXES["1016"]))

@@ -87,7 +87,7 @@ def test_between_turns_z_is_linear_in_x(motion, knots):
     assert 1e6 * middle.max() == pytest.approx(1e6 * BEND / 8 * 0.0401**2, rel=0.02)
 
 
-def test_the_compensation_is_that_of_an_edge_with_three_high_places(knots):
+def test_compensation_is_that_of_an_edge_with_three_lobes(knots):
     """The slope of Z - design between turns tells where the edge touches: u = (dZ/dX - f'(X)) / f''.
 
     A round nose would roll, u = R sin(slope) / (1 - ...), from 0 to 19 um. The program dwells at three places.
@@ -161,7 +161,7 @@ def test_roughness_of_the_predicted_surface(motion):
 
 
 def test_the_part_as_measured_agrees_with_the_nominal_nose(motion):
-    """The strongest oracle: nobody's model, the part itself."""
+    """The strongest oracle: no model, the part itself."""
     predicted, measured = fitted(motion, NOMINAL)
     assert np.corrcoef(predicted, measured)[0, 1] > 0.97
     assert (measured - predicted).std() < 70  # nm, of 302

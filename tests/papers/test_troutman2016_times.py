@@ -23,7 +23,7 @@ class Flat(Surface):
     ("feed", "minutes", "points"),
     [
         (0.025, 18.0, 1_080_001),
-        (0.002, 225.0, 13_500_001),
+        pytest.param(0.002, 225.0, 13_500_001, marks=pytest.mark.proof),
     ],
 )
 def test_table_7_1(feed, minutes, points):

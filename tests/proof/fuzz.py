@@ -412,7 +412,7 @@ class Workers:
         ours, theirs = self.context.Pipe(duplex=False)
         arguments = (self.counter, self.numbers.stop, self.seed, theirs, self.kept)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of a fork beside threads, which all sleep
+            warnings.simplefilter("ignore", DeprecationWarning)  # of a fork with threads, which all sleep
             process = self.context.Process(target=_work, args=arguments, daemon=True)
             process.start()
         theirs.close()

@@ -1,8 +1,8 @@
 """Inject, generate, measure, diagnose, correct, generate: what is left of the form after one correction and after two.
 
-Oracle: the job of somebody who knows the true tool and machine, simulated by the generator, which knows nothing of
+Oracle: a job written with the true tool and machine, simulated by the generator, which knows nothing of
 signatures, registration or smoothing. Beyond cusps: means over whole feeds. The instrument adds 20 nm of noise to each
-of 34,000 points or more, spikes, a hole, and a pose that nobody tells.
+of 34,000 points or more, spikes, a hole, and a pose that is not stated.
 
 ``python -m tests.proof.proof_correction`` prints one line a case and fails if one of them does. The suite keeps a few.
 """

@@ -1,7 +1,7 @@
 """Blind parts cut by brute force, measured, diagnosed, corrected and cut again: none may become worse.
 
 Nothing of what is cut and judged here is the program's own simulation, see `blind_parts`. Every part is
-taken as one map, and as two maps of two cuts. In half of the drift parts the drift is drawn anew for each cut.
+taken as one map, and as two maps of two cuts. In half of the drift parts the drift is drawn again for each cut.
 
 ``python -m tests.proof.proof_loop [PARTS] [SEED]``, so many of each group, prints one table of figures and fails if one
 of them does.

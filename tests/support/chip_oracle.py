@@ -57,7 +57,7 @@ def brute(motion, tool, line, angle, time, stock):
     for k in np.flatnonzero(chip)[:: max(1, np.count_nonzero(chip) // 500)]:
         d = np.hypot(u + p - line[k], e + z - before[k])
         near = int(np.argmin(d))
-        # Distance to the polyline beside the nearest point.
+        # Distance to the polyline on both sides of the nearest point.
         best = d[near]
         for j in (near - 1, near):
             ax, ay, bx, by = u[j] + p, e[j] + z, u[j + 1] + p, e[j + 1] + z

@@ -22,7 +22,7 @@ def bisected(low, high, rising):
 
 
 def edge(u, nose):
-    """Height of a round edge, infinite beside it. (...) [mm]."""
+    """Height of a round edge, infinite outside it. (...) [mm]."""
     return nose - np.sqrt(np.where(np.abs(u) < nose, nose * nose - u * u, -np.inf))
 
 

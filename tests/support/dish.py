@@ -1,4 +1,4 @@
-"""A concave sphere that a tool beside its place has cut, and what an instrument shows of it."""
+"""A concave sphere cut with a tool offset, and what an instrument shows of it."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ DISH = (
 
 
 def seen(job, file, *, offset=OFFSET, **more):
-    """Write what an instrument shows of a job that was cut by a tool beside its place, 5 nm of noise on it."""
+    """Write what an instrument shows of a job that was cut with a tool offset, 5 nm of noise on it."""
     recipe = Job.load(job)
     part, tool, servo = recipe.part.aimed, recipe.tool, recipe.servo(recipe.passes[-1])
     motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, recipe.machine)

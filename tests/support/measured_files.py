@@ -62,7 +62,7 @@ def metropro_height(resolution=1):
 
 
 def datx(picture=PICTURE, *, unit="Fringes", pixel=RESOLUTION, without=(), **create):
-    """HDF5 as Mx writes it: one surface, with converters beside it."""
+    """HDF5 as Mx writes it: one surface, with converters next to it."""
     converter = np.dtype(
         [
             ("Category", h5py.string_dtype()),

@@ -1,4 +1,4 @@
-"""Small maps of parts cut with known errors, by the model that the simulator has borne out, and what they tell."""
+"""Small maps of parts cut with known errors, by the model that the simulator confirmed, and what they show."""
 
 from dataclasses import replace
 

@@ -84,7 +84,7 @@ class Passes:
         return first + share * (last - first)
 
     def over(self, px, py, line, share):
-        """How far aside of the edge the point stands, and the height of the edge."""
+        """Lateral distance of the point from the edge, and the height of the edge."""
         c, x, y, z = self.stands(line, share)
         return self.beside(px * np.cos(c) + py * np.sin(c), py * np.cos(c) - px * np.sin(c), x, y, z)
 

@@ -18,7 +18,8 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import Error
 
-PATIENCE_S = 600
+from patience import PATIENCE_S
+
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 ARGUMENTS = [
@@ -60,7 +61,7 @@ def serving(folder):
 
 @contextlib.contextmanager
 def chromium(playwright):
-    """Start the browser; whoever is root has no sandbox."""
+    """Start the browser; root has no sandbox."""
     alone = ["--no-sandbox"] if hasattr(os, "getuid") and os.getuid() == 0 else []
     started = playwright.chromium.launch(executable_path=browser(), args=[*alone, *ARGUMENTS])
     try:
@@ -186,7 +187,7 @@ class Bench:
         part.wait_for()
 
         def picture():
-            # What is drawn anew just now has none yet.
+            # An element drawn again just now has none yet.
             with contextlib.suppress(Error):
                 png = self.png(part)
                 return png if colours_of(png) >= colours else None

@@ -171,7 +171,7 @@ class Roofs(Surface):
 
 @pytest.mark.parametrize(("slope", "valley_at"), [(0.2, 0.0), (-0.2, 1.0)])
 def test_a_sharp_valley_is_found_with_its_place_and_what_stays(slope, valley_at):
-    # One sign has its valley through the centre and ridges beside it, the other the reverse.
+    # One sign has its valley through the centre and ridges next to it, the other the reverse.
     access = check_access(Part(surface=Roofs(slope), radius=1.9), TOOL)
     valley = finding(access, "valley")
     assert not access.ok

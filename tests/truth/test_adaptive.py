@@ -5,6 +5,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 import cusp_oracle
+from cases import every_second
 from turnwright import (
     AdaptiveToolServo,
     Axis,
@@ -58,7 +59,7 @@ def followed(servo, part, tool=TOOL, each=24):
     return path, angle, radius, z, exact
 
 
-def left(angle, radius, z, part, *, low, high, tool=TOOL, azimuths=60, samples=12001):
+def left(angle, radius, z, part, *, low, high, tool=TOOL, azimuths=24, samples=12001):
     """Return the error of the surface that a motion leaves. (azimuths, samples)"""
     motion = Motion(time=np.abs(angle - angle[0]), axes={"C": angle, "X": radius, "Z": z}, machine=MACHINE)
     rings, rays = np.linspace(low, high, samples), np.linspace(0, TURN, azimuths, endpoint=False)
@@ -91,16 +92,18 @@ def test_either_way_round_is_within_the_chord(sense, inside_out):
     assert np.abs(z - exact).max() <= 5e-6
 
 
-@pytest.mark.parametrize("way", WAYS[:3])
-@pytest.mark.parametrize("surface", [GRID.surface, Sphere(radius=0.5), Plane()])
-def test_every_cusp_is_as_high_as_the_scallop(way, surface):
-    part = Part(surface=surface, radius=0.3)
-    servo = AdaptiveToolServo(scallop=SCALLOP, chord=10e-6, **way)
-    # Straight lines between as many samples follow the cubics to a ten-thousandth of the scallop.
-    _, angle, radius, _, exact = followed(servo, part, each=200)
+SURFACES = {"grid": GRID.surface, "sphere": Sphere(radius=0.5), "plane": Plane()}
+
+
+@pytest.mark.parametrize(("name", "way"), every_second(SURFACES, range(3)))
+def test_every_cusp_is_as_high_as_the_scallop(name, way):
+    part = Part(surface=SURFACES[name], radius=0.3)
+    servo = AdaptiveToolServo(scallop=SCALLOP, chord=10e-6, **WAYS[way])
+    # Straight lines between as many samples follow the cubics to less than a thousandth of the scallop.
+    _, angle, radius, _, exact = followed(servo, part, each=100)
     # Where the tip is within its first two turns the edge touches up to 0.03 mm from the axis.
     high = crests(left(angle, radius, exact, part, low=0.05, high=0.299, samples=40001)) / SCALLOP
-    assert high.size > 60 * 30
+    assert high.size > 24 * 30
     assert high.min() > 0.98
     assert high.max() < 1.005
     # Nothing is higher anywhere, the axis and the rim included.
@@ -110,7 +113,7 @@ def test_every_cusp_is_as_high_as_the_scallop(way, surface):
 def test_the_program_itself_leaves_scallop_and_chord():
     for way in WAYS:
         servo = AdaptiveToolServo(scallop=SCALLOP, chord=1e-6, **way)
-        _, angle, radius, z, _ = followed(servo, GRID, each=200)
+        _, angle, radius, z, _ = followed(servo, GRID, each=100)
         error = left(angle, radius, z, GRID, low=0.0, high=0.3)
         assert error.max() < 1.005 * SCALLOP + 1.02e-6
         assert error.min() > -1.02e-6
@@ -134,7 +137,7 @@ def test_the_radius_is_smooth_over_the_seam():
     rate = CubicHermiteSpline(spiral.angle, spiral.radius, spiral.radius_rate).derivative()
     at = np.concatenate([TURN * np.arange(1, 45), TURN * (np.arange(1, 45) + 0.5)])
     jumps = [np.abs(rate(at + h) - 2 * rate(at) + rate(at - h)).max() / h for h in (0.04, 0.02)]
-    assert jumps[1] < 0.6 * jumps[0]  # it goes with h, a kink of the rate would stay
+    assert jumps[1] < 0.6 * jumps[0]  # it goes with h, a discontinuity of the rate would stay
 
 
 def test_a_steady_feed_is_the_largest_that_keeps_the_scallop():
@@ -210,7 +213,7 @@ def test_where_the_density_changes_nothing_is_gouged(way):
     assert left(angle, radius, exact, part, low=0.0, high=0.3, azimuths=180).max() < 1.01 * SCALLOP
 
 
-def test_points_off_the_path_save_a_factor_of_nearly_the_root_of_two():
+def test_points_off_the_path_save_nearly_a_factor_of_root_two():
     counts = [
         AdaptiveToolServo(scallop=SCALLOP, chord=1e-6, interpolation="linear", off_path=off, x_motion="steady")
         .spiral(GRID, TOOL)
@@ -271,12 +274,17 @@ def torus(x, y):
     return 12.0 - np.sqrt((12.0 - 8.0 + np.sqrt(64.0 - x * x)) ** 2 - y * y)
 
 
-@pytest.mark.parametrize("way", [*WAYS[:3], {"interpolation": "linear", "inside_out": True, "sense": -1}])
-@pytest.mark.parametrize(
-    ("sag", "part"), [(grid, GRID), (torus, Part(surface=Toroid(radius_x=8, radius_y=12), radius=0.3))]
-)
-def test_every_cusp_of_the_program_itself(tmp_path, way, sag, part):
+FORMULAS = {
+    "grid": (grid, GRID),
+    "torus": (torus, Part(surface=Toroid(radius_x=8, radius_y=12), radius=0.3)),
+}
+DIRECTIONS = [*WAYS[:3], {"interpolation": "linear", "inside_out": True, "sense": -1}]
+
+
+@pytest.mark.parametrize(("name", "number"), every_second(FORMULAS, range(4)))
+def test_every_cusp_of_the_program_itself(tmp_path, name, number):
     """Oracle: crossings of the edges of neighbouring turns by bisection, on formulas, over the program read back."""
+    (sag, part), way = FORMULAS[name], DIRECTIONS[number]
     linear = way["interpolation"] == "linear"
     lathe = Machine(
         name="lathe", axes=dict.fromkeys("CXZ", Axis()), spindle_rpm=30, block_rate_hz=1e6,
@@ -304,7 +312,7 @@ def test_every_cusp_of_the_program_itself(tmp_path, way, sag, part):
     assert np.abs(z - exact).max() < 10e-6 + 0.65e-6
 
 
-def test_the_last_turns_ask_x_for_little_more_jerk_than_those_inside():
+def test_outer_revolutions_need_little_more_jerk_of_x():
     """Oracle: third differences of the radius; with a rest within three steps it was sixty times as much."""
     servo = AdaptiveToolServo(scallop=SCALLOP, chord=1e-7, interpolation="hermite", inside_out=True)
     for radius in (0.6, 1.0):

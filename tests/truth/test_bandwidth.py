@@ -73,7 +73,7 @@ def test_lenses_need_the_same_bandwidth_on_an_astigmatic_base():
 
 @pytest.mark.parametrize("residual", [5e-6, 1e-5, 5e-5])
 def test_what_remains_above_the_frequency_is_the_residual(residual):
-    """Kinks of a triangle wave: its sines are 8 / (pi n)^2, their powers above n add up; oracle: that sum."""
+    """Oracle: slope discontinuities of a triangle wave: its sines are 8 / (pi n)^2, their powers above n add up."""
     turned = np.linspace(0, 4 * TURN, 4 * 8000 + 1)
     height, waves = 5e-3, 3
     w = height * 2 / np.pi * np.arcsin(np.sin(waves * turned))

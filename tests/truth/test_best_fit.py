@@ -102,7 +102,7 @@ def test_a_plane_by_normals_is_total_least_squares():
     assert list(vertical.uncertainty.values()) == pytest.approx(np.sqrt(np.diag(truth) / (z.size - 3)), rel=1e-9)
 
 
-def test_distances_along_the_normal_of_a_conic_are_the_shortest_ones():
+def test_normal_distances_of_a_conic_are_the_shortest():
     conic = Conic(radius=9.0, conic=0.4).placed(shift=(0.1, 0.0, 0.0), tilt=(0.05, 0.1))
     heights = seen(conic, noise=0.02, missing=0.0)
     free = ("z", "tilt_x", "tilt_y", "radius")
@@ -168,7 +168,7 @@ def test_a_polar_map_and_scattered_points_find_the_same_sphere():
         assert best_fit(heights, "sphere").parameters["radius"] == pytest.approx(-30.0, rel=1e-10)
 
 
-def test_fizeau_sees_the_departure_along_the_normal_of_the_best_sphere():
+def test_interferogram_is_the_departure_from_the_best_fit_sphere():
     # A sphere grown along its normals by a bump is seen as the bump, whatever the slope; along z it is taller by the
     # secant of the slope.
     bump = 1e-4

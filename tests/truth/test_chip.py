@@ -133,7 +133,7 @@ def test_the_map_of_a_flat_is_the_closed_form():
     np.testing.assert_allclose(found.rake, 0.0, atol=1e-12)
 
 
-def test_the_round_chip_is_what_lies_between_two_circles_and_the_stock():
+def test_round_chip_is_bounded_by_two_circles_and_the_stock():
     """Oracle: intersection of a ray with both, at 50 digits."""
     chip = RoundChip(nose_radius=1.0, feed=0.02, depth=0.01)
     with mpmath.workdps(50):

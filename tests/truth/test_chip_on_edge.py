@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+from cases import every_second
 from turnwright.access import check_depths, largest_depth
 
 
@@ -54,8 +55,7 @@ def chips_beyond(bend, aperture, nose, half, depth, feed, inside_out):
     return worst
 
 
-@pytest.mark.parametrize("inside_out", [False, True])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(("seed", "inside_out"), every_second(range(8), [False, True]))
 def test_the_limit_is_where_a_chip_leaves_the_arc(seed, inside_out):
     rng = np.random.default_rng(seed)
     aperture, nose = 3.0, rng.uniform(0.2, 0.6)
@@ -121,7 +121,7 @@ def test_lenslets_bend_the_layer():
 
 
 def test_the_search_for_the_thinnest_place_announces_its_work():
-    """Features of 0.1 um under an edge of 0.5 mm take minutes: how many places there are is said before the first."""
+    """Features of 0.1 um under an edge of 0.5 mm take minutes: their number is reported before the first."""
     heard = []
     part = tw.Part(surface=tw.Sphere(radius=20.0), radius=1.0)
     check_depths(part, tw.Tool(nose_radius=0.5, included=1.0), {"a": 0.01}, progress=lambda *one: heard.append(one))

@@ -38,7 +38,7 @@ def test_the_robust_rule_finds_every_spike_and_nothing_else(polar):
     assert found.scale[0] == pytest.approx(NOISE, rel=0.01)
     np.testing.assert_array_equal(np.isnan(found.heights.z), where)
     np.testing.assert_array_equal(found.heights.z[~where], z[~where])
-    # Beside a spike at the rim of a polar grid, which has no diagonals, a point keeps one way to be judged.
+    # Next to an outlier at the rim of a polar grid, which has no diagonals, a point keeps one way to be judged.
     assert found.unjudged <= (4 if polar else 0)
 
 
@@ -50,13 +50,13 @@ def test_one_in_fifty_points_and_spikes_that_touch_are_found():
     where[50:52, 60:62] = where[90, 100:103] = where[120:123, 130:133] = True
     found = remove_outliers(grid(z))
     assert not (found.outliers & ~where).any()
-    # Where spikes of all sizes crowd, one in a hundred hides beside a higher one.
+    # Where outliers of all sizes crowd, one in a hundred hides next to a higher one.
     assert (where & ~found.outliers).sum() <= 0.01 * where.sum()
     for block in ((slice(50, 52), slice(60, 62)), (90, slice(100, 103)), (slice(120, 123), slice(130, 133))):
         assert found.outliers[block].all()
 
 
-def test_borders_and_holes_neither_hide_spikes_nor_are_taken_for_them():
+def test_borders_and_holes_are_no_outliers_and_hide_none():
     z, where = injected((200, 200), 0.002, 20 * NOISE, seed=3)
     x = np.arange(200)
     far = np.hypot(x - 99.5, x[:, None] - 99.5)
@@ -74,7 +74,7 @@ def test_borders_and_holes_neither_hide_spikes_nor_are_taken_for_them():
     assert found.unjudged == 0
 
 
-def test_scratches_steps_and_curved_forms_without_noise_are_no_spikes():
+def test_scratches_steps_and_noiseless_forms_are_no_outliers():
     x = np.arange(120)
     smooth = np.sin(x / 15) * np.cos(x[:, None] / 20)
     assert remove_outliers(grid(smooth)).count == 0
@@ -103,7 +103,7 @@ def test_with_the_design_borders_of_lenses_stay():
     assert (remove_outliers(measured).outliers & ~where).any()
 
 
-def test_kongs_rule_keeps_borders_too_but_not_the_neighbours_of_spikes():
+def test_kongs_rule_keeps_borders_but_not_neighbours_of_outliers():
     design, measured, where = lens_map()
     found = remove_outliers(measured, rule="kong", design=design).outliers
     near = np.zeros_like(where)

@@ -90,7 +90,7 @@ def test_nesting_indices_stand_in_order(s_filter, l_filter, sentence):
         Nesting(s_filter=s_filter, form="plane", l_filter=l_filter)
 
 
-def test_nesting_indices_must_fit_the_grid_before_anything_is_filtered():
+def test_nesting_indices_must_fit_the_grid():
     with pytest.raises(
         InputError, match=r"the nesting index of the S-filter must be at least .* \(5 steps.*, got 0.01 mm"
     ):
@@ -146,7 +146,7 @@ def test_single_points_and_empty_lines_are_filtered():
         (flat(np.full((4, 4), np.nan)), {}, "has 0 valid heights, outlier removal needs 3"),
     ],
 )
-def test_despike_says_what_it_cannot_do(heights, arguments, sentence):
+def test_outlier_removal_refuses_what_it_cannot_do(heights, arguments, sentence):
     with pytest.raises(InputError, match=sentence):
         remove_outliers(heights, **arguments)
 

@@ -75,7 +75,7 @@ def test_a_plane_runs_on_as_a_plane_over_missing_places():
         (HeightMap(x=np.arange(3.0), y=np.arange(3.0), z=np.zeros((3, 3)), calibrated=False), 0.5, 1.0, "pixel size"),
     ],
 )
-def test_what_cannot_be_corrected_is_said(error, cutoff, beyond, words):
+def test_what_cannot_be_corrected_is_reported(error, cutoff, beyond, words):
     with pytest.raises(InputError, match=words):
         form_compensation(FLAT, error, cutoff=cutoff, beyond=beyond)
 

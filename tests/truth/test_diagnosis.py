@@ -14,7 +14,7 @@ FEED = 2e-4
 """Cusps of 0.005 nm, which the model does not know."""
 
 NEAR = np.linspace(-0.005, 0.005, 21)
-"""Azimuths beside the one that cuts, which a leaning edge needs."""
+"""Azimuths next to the one that cuts, which a leaning edge needs."""
 
 ROUGH = np.arange(0.1, 2 * np.pi, 0.2)
 
@@ -130,7 +130,7 @@ def test_a_tilted_flat_tells_offsets_and_squareness():
     theta = phi - np.arcsin(dy / r)
     assert at.z == pytest.approx(slope * (np.sqrt(r * r - dy * dy) - dx) * np.cos(theta), abs=1e-14)
     at = modelled(tw.Plane(slope=(slope, 0)), tool, Deviations(squareness=skew), x, y)
-    # The nose touches aside, so that the slide stands by R sin(sweep) further in; to the first order in the skew.
+    # The nose touches off its centre, so that the slide stands R sin(sweep) further in, to first order in the skew.
     aside = 1.5 * np.sin(np.arctan(slope * np.cos(phi)))
     assert at.z - slope * x == pytest.approx(skew * (r - aside), abs=2e-9)
 

@@ -32,7 +32,7 @@ MAP = tw.HeightMap(x=X, y=X, z=PART.surface.sag(*np.meshgrid(X, X) * np.array(0.
         ({"points": 0}, "points is 0"),
     ],
 )
-def test_what_is_asked_must_exist(asked, words):
+def test_requested_error_sources_must_exist(asked, words):
     with pytest.raises(tw.InputError, match=words):
         tw.diagnose(MAP, PART, TOOL, MACHINE, **asked)
 

@@ -196,7 +196,7 @@ def test_a_rake_is_proposed_that_holds_beyond_doubt():
         assert np.rad2deg(gate.rake) == pytest.approx(np.floor(needed), abs=1e-9)
 
 
-def test_foretell_cracks_match_the_chips_of_a_pass():
+def test_predicted_cracks_match_the_chips_of_a_pass():
     """Oracle: the lowest place of the edge that is beyond the limit, on a dense grid of the nose."""
     tool = tw.Tool(nose_radius=0.5, included=np.deg2rad(100))
     critical, ratio = 0.5 * FLAT.thickest, 12.0
@@ -223,7 +223,7 @@ def test_foretell_cracks_match_the_chips_of_a_pass():
         (0.83, "brittle: "),
     ],
 )
-def test_foretell_verdict_matches_the_gate(times, words):
+def test_predicted_verdict_matches_the_ductile_check(times, words):
     critical = times * FLAT.thickest
     glass = Material(name="glass", critical=CriticalThickness(value=critical, uncertainty=0.1 * critical))
     tool = tw.Tool(nose_radius=0.5, included=np.deg2rad(100))

@@ -71,7 +71,7 @@ def test_the_stated_uncertainty_of_the_gain_covers_the_truth():
     assert 0.90 <= share <= 0.99  # 360 entries; those of one column hang together
 
 
-def test_coherence_is_high_where_the_hammer_is_heard():
+def test_coherence_is_high_where_the_hammer_excites():
     sensor = Dynamometer.from_taps(tap_tests(np.random.default_rng(1)))
     heard = (sensor.frequency_hz > 50) & (sensor.frequency_hz < 7000)
     assert sensor.coherence[heard].min() > 0.95

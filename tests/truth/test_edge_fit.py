@@ -102,7 +102,7 @@ def test_the_waviness_of_a_tool_comes_back_either_way_round():
 
 
 def test_strokes_that_miss_each_other_are_put_together():
-    """Two strokes of one edge, the second put 4 um aside and 5 um lower, as on measured traces."""
+    """Two strokes of one edge, the second put 4 um off and 5 um lower, as on measured traces."""
     u, height = arc_with_flanks(0.2, np.deg2rad(60), 0.5, 3000)
     left, right = u < 0.05, u > 0.02
     along = np.concatenate([u[left], u[right] + 0.004])

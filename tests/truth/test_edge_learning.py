@@ -75,7 +75,7 @@ def test_a_dozen_feeds_with_the_whole_way_from_record_and_taps():
     assert sum(inside) >= 15  # of 18 at 95 %: fewer has a chance below 1 %
 
 
-def test_what_one_component_tells_is_learned_and_the_rest_left_open():
+def test_one_force_component_leaves_the_other_unlearned():
     glass = Glass(1489.0, 816.0)
     only = learn_material(averages(glass, axial=None, feed_force=None))
     assert only.cutting.value == pytest.approx(1489, rel=2e-5)
@@ -87,7 +87,7 @@ def test_what_one_component_tells_is_learned_and_the_rest_left_open():
         assert other.thrust.value == pytest.approx(816, rel=2e-5)
 
 
-def test_stated_uncertainties_give_those_of_weighted_least_squares():
+def test_uncertainties_are_those_of_weighted_least_squares():
     """Oracle: SciPy's least_squares of forces that brute force makes, with its own Jacobian."""
     random, glass = np.random.default_rng(4), Glass(1489.0, 816.0)
     sigma = np.array([2e-3, 1e-3, 3e-3])
@@ -162,7 +162,7 @@ def test_a_fly_cutter_gives_back_the_coefficients():
         (FlyCut(**FLY), lambda glass, phi: fly(glass, *FLY.values(), phi)),
     ],
 )
-def test_means_over_whole_turns_do_without_the_place_of_the_cutter(geometry, shape):
+def test_means_over_whole_revolutions_need_no_cutter_angle(geometry, shape):
     glass, random = Glass(1489.0, 816.0), np.random.default_rng(0)
     reach = np.arccos(1 - FLY["depth"] / FLY["swing"])
     phi = np.linspace(0, np.pi, 2001) if isinstance(geometry, SlotMill) else np.linspace(-reach, reach, 401)

@@ -88,7 +88,7 @@ def test_the_tip_stays_on_its_radius_and_does_not_drift(name):
 
 
 @pytest.mark.parametrize("name", SERVOS)
-def test_no_kink_where_the_tool_stands_still(found, name):
+def test_no_slope_discontinuity_where_the_tool_stands_still(found, name):
     """Must show: no jump of dZ/dangle above 1e-6 mm/rad, by heights that know nothing of how valleys are found."""
     valleys, swing = found[name]
     inside = np.flatnonzero(valleys.is_at_rest & (valleys.radius < 0.2) & (valleys.slope_jump > 0.01))
@@ -108,7 +108,7 @@ def test_no_kink_where_the_tool_stands_still(found, name):
         assert abs(beyond - near) / (2 * step) < 1e-6
 
 
-def test_the_kink_of_a_steady_tool_in_closed_form():
+def test_slope_discontinuity_of_a_steady_tool_in_closed_form():
     """And every valley that a steady tool passes is among them."""
     valleys = replace(SKIP, shortest=1e-6).valleys(PART, TOOL)
     plain = SKIP._make_slow_servo().spiral(PART, TOOL)
@@ -134,7 +134,7 @@ def test_the_kink_of_a_steady_tool_in_closed_form():
             assert valleys.slope_jump[nearest] == pytest.approx(after - before, rel=1e-2, abs=1e-7)
 
 
-def test_slow_keeps_the_limit_of_the_y_axis_at_the_least_displacement(found):
+def test_slow_keeps_the_y_axis_limit_at_least_displacement(found):
     axes = {letter: tw.Axis() for letter in "CXYZ"}
     lathe = tw.Machine(name="lathe", axes=axes, spindle_rpm=600.0, block_rate_hz=1e5)
     peak = {}

@@ -38,7 +38,7 @@ def dense(x, y, z, weight, width, order):
 
 @pytest.mark.parametrize("order", [0, 1, 2])
 @pytest.mark.parametrize("cutoff", [0.05, 0.13, 0.4])
-def test_the_filter_is_the_dense_regression_also_with_missing_data(order, cutoff):
+def test_filter_is_the_dense_regression_with_missing_data_too(order, cutoff):
     rough = rough_map((34, 43))
     found = filter_map(rough, cutoff, order=order)
     expected = dense(rough.x, rough.y, rough.z, np.ones(rough.z.shape), WIDTHS[order] * cutoff, order)
@@ -126,7 +126,7 @@ def test_a_whole_map_agrees_with_scipy_and_surfalize():
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_planes_and_curved_forms_pass_whole_up_to_borders_and_holes(order):
+def test_planes_and_forms_pass_unchanged_to_borders_and_holes(order):
     rough = rough_map((34, 43))
     x, y = rough.points()
     form = 3 * x - 2 * y + (5 * x * x - x * y + y * y if order == 2 else 0)

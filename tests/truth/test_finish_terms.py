@@ -1,4 +1,4 @@
-"""Terms of the finish beside the tool's shape, each against a closed form."""
+"""Terms of the finish other than the tool's shape, each against a closed form."""
 
 import mpmath
 import numpy as np
@@ -29,7 +29,7 @@ def cusps(start=0.6995, count=40_001):
 
 
 @pytest.mark.parametrize("chip", [2e-6, 10e-6, 40e-6, 90e-6])
-def test_what_thin_chips_leave_makes_cusps_as_high_as_brammertz_says(flat, chip):
+def test_minimum_chip_makes_cusps_of_brammertz_height(flat, chip):
     found = finish(flat, TOOL, radius=cusps(), angle=[0.7], minimum_chip=MinimumChip(thickness=chip))
     exact_flat = NOSE - np.sqrt(NOSE**2 - FEED**2 / 4)
     assert np.ptp(found.terms["kinematic"].z) == pytest.approx(exact_flat, abs=1e-8)
@@ -90,13 +90,13 @@ def test_cusp_height_with_a_minimum_chip_is_that_of_two_circles(nose, chip, curv
         assert cusp_height(feed, nose, chip, curvature=curvature) == pytest.approx(float(expected), rel=1e-12)
 
 
-def test_cusp_height_is_brammertz_and_the_parabola_to_the_first_order():
+def test_cusp_height_is_brammertz_to_the_first_order():
     f, r, t = 1e-3, 1.0, 1e-7
     assert cusp_height(f, r, t) == pytest.approx(f**2 / (8 * r) + t / 2 * (1 + r * t / f**2), rel=1e-6)
 
 
 @pytest.mark.parametrize(("friction", "share"), [(0.0, 1 - np.sqrt(0.5)), (np.pi / 6, 1 - np.cos(np.pi / 6))])
-def test_the_minimum_chip_of_an_edge_at_angles_whose_cosine_is_known(friction, share):
+def test_minimum_chip_at_angles_of_known_cosine(friction, share):
     assert MinimumChip.of_edge(100e-6, friction).thickness == pytest.approx(share * 100e-6, rel=1e-12)
 
 
@@ -108,7 +108,7 @@ def test_a_vibration_of_whole_cycles_per_turn_leaves_itself(flat):
 
 
 @pytest.mark.parametrize("amplitude", [0.5e-6, 2e-6, 8e-6])
-def test_half_a_cycle_more_per_turn_sets_neighbouring_turns_apart(flat, amplitude):
+def test_half_a_cycle_more_offsets_neighbouring_revolutions(flat, amplitude):
     """Turns stand at +a and -a by turns: the peak is where the two parabolas meet, above the lower tip."""
     shake = Vibration(amplitude=amplitude, frequency_hz=1.5 * RPM / 60)
     found = finish(flat, TOOL, radius=cusps(count=4001), angle=[np.pi / 3], vibration=shake)
@@ -136,7 +136,7 @@ def test_a_vibrating_motion_adds_its_sine_to_one_axis(flat):
 
 
 def test_a_nose_that_no_two_passes_hold_in_a_valley_is_refused():
-    """Two centres half a feed beside the middle stand on an arc of radius 1/curvature - R, if that is so much."""
+    """Two centres half a feed off the middle stand on an arc of radius 1/curvature - R, if that is so much."""
     feed, nose = 0.0004, 0.004
     most = 1 / (nose + feed / 2)
     assert np.isfinite(cusp_height(feed, nose, curvature=most))

@@ -84,7 +84,7 @@ def test_beyond_the_critical_thickness_forces_per_width_stay():
     assert chip_forces(round_chip, GLASS).cutting == pytest.approx(brute, rel=1e-7)
 
 
-def test_beyond_the_critical_thickness_forces_drop_to_their_shares():
+def test_forces_drop_beyond_the_critical_chip_thickness():
     glass = replace(GLASS, brittle_force=(0.5, 0.3))
     forces = chip_forces(OrthogonalChip(thickness=3e-3, width=0.2), glass)
     assert forces.cutting == pytest.approx(0.5 * 1489 * 600e-6 * 0.2, rel=1e-12)
@@ -158,7 +158,7 @@ def test_a_milling_record_is_that_of_brute_force(corner, teeth):
         assert record.y[k] == pytest.approx(fy, rel=2e-4, abs=2e-5)
 
 
-def test_fly_cutting_removes_a_volume_of_feed_times_step_times_depth():
+def test_fly_cutting_removes_feed_times_step_times_depth():
     """Oracle: the volume of one swing in a long cut is feed x step x depth, less the cusps that stay."""
     fly = FlyCut(swing=20.0, nose_radius=1.0, feed=0.005, step=0.02, depth=0.01)
     phi = np.linspace(-0.001, fly.exit, 3001)

@@ -1,12 +1,13 @@
-"""What other people's programs may say beside straight blocks. Oracles: RS-274/NGC's definitions, worked by hand."""
+"""What programs of other sources have besides straight blocks. Oracles: RS-274/NGC's definitions, worked by hand."""
 
 import time
 import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
+from laws import examples
 from turnwright.errors import ProgramError
 from turnwright.machine import Axis, Controller, Machine
 from turnwright.post import ProgramWarning, inspect_nc, read_nc
@@ -53,7 +54,7 @@ def test_g92_is_cancelled(tmp_path, code):
     assert cut.axes["X"] == pytest.approx([1, 1, 0.9])
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(seed=st.integers(0, 2**32), dialect=st.sampled_from(["nanotech", "generic"]))
 def test_set_coordinates_do_not_change_the_motion(tmp_path_factory, seed, dialect):
     """The same places, written with and without random G92 before, within and after the cut."""
@@ -324,7 +325,7 @@ def test_calls_of_calls_end(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["/etc/hostname", "../other.nc", "a/../foreign.nc"])
-def test_only_files_beside_the_program_are_called(tmp_path, name):
+def test_only_files_next_to_the_program_are_called(tmp_path, name):
     (tmp_path.parent / "other.nc").write_text("M99\n")
     with pytest.raises(ProgramError, match=r"line 5 calls .*in the same folder"):
         read(tmp_path, START + f"M98({name})\nM30\n")
@@ -402,7 +403,7 @@ def test_a_call_is_repeated_as_its_l_says(tmp_path):
 @pytest.mark.parametrize(
     "line", ["M98(s.nc) P3", "M98(s.nc) L0", "M98(s.nc) X3", "M98(s.nc) M98(s.nc)", "L3 M98(s.nc)", "M98(s.nc) L1.5"]
 )
-def test_other_words_beside_a_call_are_refused(tmp_path, line):
+def test_other_words_in_the_block_of_a_call_are_refused(tmp_path, line):
     with pytest.raises(ProgramError, match=r"line 3 calls s\.nc with more words"):
         called(tmp_path, line + "\nM30\n")
 
@@ -424,7 +425,7 @@ def test_an_f_is_no_axis_and_a_sub_program_ends_with_m99(tmp_path):
 # --------------------------------------------------------------------------------------------- nothing left unsaid
 @pytest.mark.parametrize(("rest", "blocks"), [(3, 6), (8, 1)])
 @pytest.mark.parametrize("line", ["X4.25 F60", "G0 C400\nG1"])
-def test_what_stands_beside_the_stretch_that_is_read_is_counted(tmp_path, rest, blocks, line):
+def test_blocks_outside_the_stretch_that_is_read_are_counted(tmp_path, rest, blocks, line):
     rows = [f"C{20 * k} X{5 - 0.1 * k:.1f} F60" for k in range(1, 10)]
     if rest == 3:
         rows.insert(6, line.replace("400", "121"))
@@ -458,7 +459,7 @@ UNSEEN = {
 
 
 @pytest.mark.parametrize("name", UNSEEN)
-def test_what_moves_the_tool_unseen_or_says_two_things_is_refused(tmp_path, name):
+def test_hidden_or_ambiguous_tool_motion_is_refused(tmp_path, name):
     line, message = UNSEEN[name]
     with pytest.raises(ProgramError, match=message):
         read(tmp_path, CALLER + CUT + line + "C15 X4.7 F60\nC20 X4.6 F60\nM30\n", "generic")

@@ -1,6 +1,7 @@
 """The surface left. Oracles: closed form for cusps, and brute force over every pass written out here."""
 
 from dataclasses import replace
+from functools import lru_cache
 
 import mpmath
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 import turnwright as tw
+from cases import every_second
 
 DEG = np.pi / 180
 MACHINE = tw.Machine(
@@ -27,6 +29,12 @@ def spiral_motion(radius, feed, points, height, sense=1, beyond=0.0, wobble=0.0,
     return tw.Motion(time=0.001 * k, axes={"C": c, "X": x, "Z": z}, machine=MACHINE)
 
 
+@lru_cache(maxsize=2)
+def dense_edge(tool, sense):
+    s = np.linspace(-3.0, 3.0, 1_500_001)
+    return tool.edge(s[(s > -1.55) & (s < 1.55)] if tool.included is None else s, sense)
+
+
 class BruteForce:
     """Every crossing of every azimuth, the edge by dense interpolation of its definition."""
 
@@ -35,9 +43,7 @@ class BruteForce:
         self.sense = motion.sense
         self.x = motion.axes["X"]
         self.z = motion.axes["Z"] + squareness * self.x
-        s = np.linspace(-3.0, 3.0, 1_500_001)
-        s = s[(s > -1.55) & (s < 1.55)] if tool.included is None else s
-        self.u, self.v, self.e = tool.edge(s, motion.sense)
+        self.u, self.v, self.e = dense_edge(tool, motion.sense)
 
     def at(self, x, y):
         r, azimuth = np.hypot(x, y), self.sense * np.arctan2(y, x)
@@ -52,7 +58,7 @@ class BruteForce:
         sign = 1 - 2 * side
 
         def aside(at):
-            """How far aside of the edge the point stands when the tool is at ``at``, and the height of the edge."""
+            """Lateral distance of the point from the edge when the tool is at ``at``, and the height of the edge."""
             tip = np.interp(at, self.c, self.x)
             u = sign * r * np.cos(at - t) - tip
             v = np.interp(u, self.u, self.v)
@@ -113,11 +119,10 @@ MOTIONS = {
 }
 
 
-@pytest.mark.parametrize("how", MOTIONS.values(), ids=MOTIONS)
-@pytest.mark.parametrize("name", TOOLS)
+@pytest.mark.parametrize(("name", "how"), every_second(TOOLS, MOTIONS))
 def test_generated_surface_equals_brute_force_over_every_pass(name, how):
     tool = TOOLS[name]
-    motion = spiral_motion(1.0, 0.02, 37, bowl, **how)
+    motion = spiral_motion(1.0, 0.02, 37, bowl, **MOTIONS[how])
     brute = BruteForce(motion, tool)
     rng = np.random.default_rng(5)
     x, y = rng.uniform(-0.6, 0.6, (2, 10))
@@ -133,10 +138,9 @@ def test_generated_surface_equals_brute_force_over_every_pass(name, how):
     np.testing.assert_allclose(got[reached], expected[reached], atol=2e-11)
 
 
-@pytest.mark.parametrize("how", MOTIONS.values(), ids=MOTIONS)
-@pytest.mark.parametrize("name", ["off centre", "leaning"])
+@pytest.mark.parametrize(("name", "how"), every_second(["off centre", "leaning"], MOTIONS))
 def test_every_pass_of_a_turn_counts_close_to_the_axis(name, how):
-    motion = spiral_motion(1.0, 0.02, 37, bowl, **how)
+    motion = spiral_motion(1.0, 0.02, 37, bowl, **MOTIONS[how])
     brute = BruteForce(motion, TOOLS[name])
     rng = np.random.default_rng(11)
     r, azimuth = np.sqrt(rng.uniform(0, 0.008**2, 16)), rng.uniform(-np.pi, np.pi, 16)
@@ -162,12 +166,11 @@ def test_no_turn_that_matters_is_left_out(name, height):
     np.testing.assert_allclose(got[:6], expected, atol=2e-11)
 
 
-@pytest.mark.parametrize("how", MOTIONS.values(), ids=MOTIONS)
-@pytest.mark.parametrize("name", TOOLS)
+@pytest.mark.parametrize(("name", "how"), every_second(TOOLS, MOTIONS))
 def test_maps_equal_single_points(name, how):
     """Tiles and envelopes share work between points; each point alone is the reference, checked above."""
     tool = TOOLS[name]
-    motion = spiral_motion(1.0, 0.02, 61, bowl, **how)
+    motion = spiral_motion(1.0, 0.02, 61, bowl, **MOTIONS[how])
     maps = [
         tw.generate(motion, tool, x=np.linspace(0.3, 0.34, 41), y=np.linspace(-0.01, 0.01, 21)),
         tw.generate(motion, tool, x=np.linspace(-0.03, 0.03, 31), y=np.linspace(-0.03, 0.03, 31)),
@@ -253,7 +256,7 @@ def test_squareness_and_straightness_of_the_actual_machine():
     assert np.abs(got - tw.generate_points(motion, ROUND, **points)).min() > 1e-5
 
 
-def test_a_second_axis_across_moves_the_tip_aside():
+def test_a_second_axis_across_moves_the_tip_laterally():
     """A constant Y is a tool off centre by as much."""
     motion = spiral_motion(1.0, 0.02, 47, bowl)
     moved = replace(motion, axes={**motion.axes, "Y": np.full(motion.time.size, 0.004)})
@@ -330,7 +333,7 @@ def test_a_tool_that_swings_in_y_equals_brute_force(tool, sense):
 def passes_of_a_swinging_tool(motion, x, y, above):
     """Every moment at which an upright tool, ``above`` centre, passes over a point: at most one between two extremes.
 
-    On one line of the motion the point is r sin(c - azimuth) aside, which is as far as the tip is where Y is straight:
+    On one line of the motion the point is r sin(c - azimuth) off, which is as far as the tip is where Y is straight:
     an extreme of the difference is where r cos(c - azimuth) equals the rate of Y, in closed form.
     """
     r, azimuth = np.hypot(x, y), np.arctan2(y, x)
@@ -384,7 +387,7 @@ def test_a_tool_at_rest_equals_the_closed_form(sense, above, share):
     assert most >= 3 or share < 1 / 9  # passes over one point within half a radian
 
 
-def test_the_axis_under_a_wavy_edge_is_left_by_the_least_of_all_passes():
+def test_axis_under_a_wavy_edge_is_the_least_of_all_passes():
     """Oracle: every block in 100 steps under a dense edge, whose waves make it sink back on the way out."""
     rng, worst = np.random.default_rng(3), 0.0
     sweep = np.linspace(-0.7, 0.7, 57)

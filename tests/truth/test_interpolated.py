@@ -38,7 +38,7 @@ def off_the_cubics(made, motion):
 
 
 @pytest.mark.parametrize("points", [24, 120])
-def test_pieces_of_a_pvt_motion_keep_to_a_hundredth_of_a_nanometre(points):
+def test_pieces_of_a_pvt_motion_agree_to_a_hundredth_of_a_nm(points):
     motion = pvt_motion(points)
     made = interpolated(motion, MACHINE)
     assert off_the_cubics(tw.track(motion, MACHINE), motion) > 2e-7

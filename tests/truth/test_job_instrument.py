@@ -52,7 +52,7 @@ def blurred(z, step, resolution, pixel):
     return np.fft.ifft2(np.fft.fft2(z) * passed * np.sinc(fx * pixel) * np.sinc(fy * pixel)).real
 
 
-def test_the_pixel_of_the_instrument_takes_no_height_off_the_form():
+def test_instrument_pixel_does_not_lower_the_form():
     """A pixel of 0.1 mm passes sinc(p / L) of a sine of 1.5 mm: 7 nm of 1 um, which is no error of the part."""
     surface = {"family": "sine grid", "amplitude": ["1 um", "1 um"], "period": ["1.5 mm", "1.5 mm"]}
     pixel, axis = 0.1, np.linspace(-2, 2, 41)

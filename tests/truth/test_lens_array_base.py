@@ -74,7 +74,7 @@ def judged(found, centres, moved):
 
 
 @pytest.mark.parametrize(("base", "way"), [("toroid", 0.0), ("sphere", 0.6)])
-def test_the_form_of_the_base_neither_moves_nor_turns_the_lenslets(base, way):
+def test_form_of_the_base_does_not_displace_the_lenslets(base, way):
     """Without it the centres are 1.4 um off, stated within 10 nm; a toroid turns by what 0.5 um of astigmatism is."""
     heights, part, centres, moved = made(base, 1, way=way)
     found = tw.lenslets(heights, part)

@@ -83,7 +83,7 @@ def test_an_alignment_needs_two_places():
         tw.metrology.Alignment.of([[0, 0], [0, 0]], [[0, 0], [1, 0]])
 
 
-def test_an_array_that_is_not_there_is_said_lens_by_lens_and_drawn():
+def test_missing_array_is_reported_by_lenslet_and_drawn():
     lost = found(ARRAY)
     assert not lost.measured.any()
     assert len(lost.findings) == 4
@@ -98,7 +98,7 @@ def test_an_array_that_is_not_there_is_said_lens_by_lens_and_drawn():
     assert picture.svg.startswith("<svg")
 
 
-def test_a_scan_of_some_lenslets_may_be_one_pitch_off_and_says_so():
+def test_scan_of_some_lenslets_reports_an_ambiguous_pitch():
     array = tw.LensArray.square(pitch=1.0, rows=5, columns=5, lenslet=SPHERE, aperture=0.4, surround=0.0)
     some = tw.HeightMap(x=X, y=X, z=array.sag(X, X[:, None]))
     frame = tw.lenslets(some, tw.Part(surface=array, radius=4.0)).frame

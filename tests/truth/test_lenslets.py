@@ -107,7 +107,7 @@ def test_the_lowest_pixel_is_no_centre(perfect):
     assert rms(np.array(lowest) - perfect.centres) > 100 * rms(found.centres - perfect.centres)
 
 
-def test_rotation_and_scale_are_told_from_lens_displacements():
+def test_rotation_and_scale_are_separated_from_displacements():
     """The share that is one rotation or scale; the same turn from the singular vectors of the covariance (Umeyama)."""
     rng = np.random.default_rng(5)
     turn, scale = 4e-3, 1 + 2e-3
@@ -148,7 +148,7 @@ def test_hexagonal_lenslets_that_share_borders(noise):
         assert np.abs(off).max() < 1e-9
 
 
-def test_what_is_missing_is_said_and_spoils_nothing(perfect):
+def test_missing_lenslets_are_reported_and_spoil_nothing(perfect):
     rng = np.random.default_rng(7)
     x = np.linspace(-RIM, RIM, 500)
     gx, gy = np.meshgrid(x, x)
@@ -178,7 +178,7 @@ def test_what_is_missing_is_said_and_spoils_nothing(perfect):
     assert found[0].finding in found.table()
 
 
-def test_a_part_placed_as_a_whole_with_an_array_turned_on_its_base():
+def test_part_pose_with_an_array_rotated_on_its_base():
     rng = np.random.default_rng(8)
     lens = tw.Sphere(radius=8.0).placed(shift=(0, 0, np.sqrt(8**2 - 0.5**2) - 8))  # flush with the base
     array = tw.LensArray.square(pitch=1.5, rows=2, columns=3, aperture=0.5, lenslet=lens, surround=0.0)
@@ -196,7 +196,7 @@ def test_a_part_placed_as_a_whole_with_an_array_turned_on_its_base():
     assert found.centres[0] == pytest.approx(found.design[0], abs=1e-4)
 
 
-def test_a_free_tilt_is_found_where_the_form_tells_it_from_a_shift():
+def test_free_tilt_is_found_where_the_form_separates_it():
     """An asphere on which r^4 outweighs r^2; tilts of up to 2 mrad added as slopes."""
     rng = np.random.default_rng(9)
     form = tw.EvenAsphere(radius=20.0, conic=0.0, terms={4: 0.2})

@@ -248,7 +248,7 @@ def test_what_an_axis_can_do_at_a_frequency():
     assert Axis().amplitude(3.0) == np.inf
 
 
-def test_a_machine_travels_to_another_process_and_stays_read_only():
+def test_machine_stays_read_only_in_another_process():
     # A process of its own, in which nothing else of the package has been imported.
     ask = (
         "import pickle, turnwright as tw; m = tw.Machine.load('nanotech-350fg'); n = pickle.loads(pickle.dumps(m)); "

@@ -81,7 +81,7 @@ def test_islands_too_far_apart_to_compare_give_no_length():
     assert any("map a larger area" in note for note in found.notes)
 
 
-def test_neighbours_of_a_full_turn_meet_and_those_of_a_part_do_not():
+def test_only_a_full_revolution_closes_on_its_neighbour():
     angle = np.arange(8) * np.pi / 4
     z = np.zeros((8, 3))
     z[0] = 1.0

@@ -53,7 +53,7 @@ def test_limit_finding_names_value_place_limit_and_remedy():
     assert limits.binding == "X speed"
 
 
-def test_what_binds_is_the_stated_speed_where_every_limit_has_room():
+def test_stated_speed_binds_where_every_limit_has_room():
     slow = check_limits(drive(PATH, servo(3), MACHINE), MACHINE)
     assert slow.ok
     assert (slow.binding, slow.nearest) == ("spindle speed as stated", "X speed")
@@ -62,7 +62,7 @@ def test_what_binds_is_the_stated_speed_where_every_limit_has_room():
     assert fastest.binding == fastest.nearest == "X speed"
 
 
-def test_rounding_of_a_program_read_back_stays_below_what_is_stated():
+def test_rounding_of_a_program_stays_below_its_stated_bound():
     # Positions rounded to q show at most 2 q / t^2 of acceleration and 4 q / t^3 of jerk that is not there.
     machine = replace(MACHINE, spindle_rpm=500, block_rate_hz=1000)
     motion = drive(PATH, servo(300), machine)

@@ -74,7 +74,7 @@ def job_with(changes):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_its_share_of_the_path_leaves_the_surface_of_the_whole_path(name):
+def test_one_part_of_the_path_leaves_the_same_surface(name):
     job = job_with(CASES[name])
     assert can_predict_window(job)
     motion = PassPlan(job).commanded
@@ -98,7 +98,7 @@ def test_its_share_of_the_path_leaves_the_surface_of_the_whole_path(name):
         {"actual.tool.offset": ["0 um", "3 um", "0 um"]},
     ],
 )
-def test_where_a_place_depends_on_the_whole_path_it_is_not_parted(changes):
+def test_a_job_that_depends_on_the_whole_path_is_not_parted(changes):
     assert not can_predict_window(job_with(changes))
 
 
@@ -112,7 +112,7 @@ def test_access_is_that_of_the_file_as_it_is_now(tmp_path):
         file.write_text("\n".join(rows), encoding="utf-8")
         return Pipeline(job_with(job)).access.nose_radius_limit
 
-    # A paraboloid bears its radius at the vertex.
+    # A paraboloid has its radius at the vertex.
     assert limit(10.0) == pytest.approx(10, rel=1e-3)
     assert limit(20.0) == pytest.approx(20, rel=1e-3)
 

@@ -89,7 +89,7 @@ def test_form_and_missing_heights_do_not_count():
     assert found.rsm == pytest.approx(whole.rsm, rel=1e-3)
 
 
-def test_fewer_sections_are_said_and_too_few_refused():
+def test_fewer_sections_are_reported_and_too_few_refused():
     found = profile_roughness(sine(), cutoff=0.2)
     assert found.sections == 2
     assert "2 sections fit" in found.notes[0]

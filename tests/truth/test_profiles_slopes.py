@@ -27,7 +27,7 @@ def test_a_profile_of_a_polynomial_is_the_polynomial(method, degree):
         assert (found.x[-1], found.y[-1]) == pytest.approx(end)
 
 
-def test_horizontal_and_vertical_profiles_meet_the_points_of_the_grid():
+def test_axis_parallel_profiles_meet_the_grid_points():
     z = np.random.default_rng(2).standard_normal((31, 41))
     heights = HeightMap(x=np.linspace(-2, 2, 41), y=np.linspace(-1.5, 1.5, 31), z=z)
     for method in ("linear", "cubic"):
@@ -59,7 +59,7 @@ def test_a_diameter_of_a_polar_map_crosses_its_axis(turns):
         assert not valid[far & (found.distance < 0)].any()
 
 
-def test_a_hole_is_seen_by_the_heights_that_rest_on_it_and_no_others():
+def test_hole_affects_only_the_heights_that_use_it():
     z = np.zeros((20, 20))
     z[10, 10] = np.nan
     heights = HeightMap(x=np.arange(20.0), y=np.arange(20.0), z=z)

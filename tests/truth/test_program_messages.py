@@ -259,7 +259,7 @@ def test_an_editor_that_marks_its_files_is_no_matter(tmp_path):
         read_nc(path, machine("generic"))
 
 
-def test_header_asked_for_where_there_is_none(tmp_path):
+def test_requested_header_is_missing(tmp_path):
     path = tmp_path / "part.nc"
     path.write_text(START)
     with pytest.raises(ProgramError, match="has no Turnwright header") as error:

@@ -59,7 +59,7 @@ def test_a_cubic_has_its_closed_form():
 
 
 @pytest.mark.parametrize("points", [24, 120])
-def test_few_points_a_turn_ask_more_of_z_than_their_differences_show(points):
+def test_few_points_a_revolution_need_more_than_differences_show(points):
     """Acceleration of the cubics through a sine exceeds its own by (omega h)^2 / 12 and more, its differences less."""
     part = tw.Part(surface=tw.Expression("0.002*rho**2*cos(4*phi)"), radius=0.5)
     tool, servo = tw.Tool(nose_radius=0.05), tw.SlowToolServo(feed=0.02, points_per_rev=points)
@@ -109,7 +109,7 @@ def test_a_plunge_keeps_the_limits_too(per_turn, rpm, tmp_path):
             assert fall.max() <= 0.03 * (1 + 1e-9)
 
 
-def test_beside_a_fast_tool_c_comes_to_speed_in_its_first_block():
+def test_with_a_fast_tool_c_comes_to_speed_in_its_first_block():
     """Oracle: the cubic over an angle d from rest to the speed w, in the time d / w, begins with 4 w^2 / d."""
     fast = tw.Machine.load("nanoform-fts-70")
     machine = replace(fast, dialect="pmac", controller=tw.Controller(interpolation="hermite"))

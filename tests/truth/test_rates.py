@@ -116,7 +116,7 @@ def test_a_slow_tool_servo_states_its_rate():
             assert path.z_rate == pytest.approx(tilt + lift, abs=1e-13)
 
 
-def test_nothing_is_said_where_the_spiral_says_nothing():
+def test_no_rate_where_the_spiral_gives_none():
     part = Part(surface=Plane(), radius=1.0)
     spiral = Spiral(angle=np.linspace(0, 9, 50), radius=np.linspace(1, 0, 50))
     assert place(spiral, part, NOSE).z_rate is None

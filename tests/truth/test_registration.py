@@ -61,10 +61,10 @@ def numbers(pose):
     return np.array([*pose.shift, pose.rotation, *pose.tilt])
 
 
-def test_troutman_731_random_poses_of_the_infrared_lens_come_back():
-    """Troutman 2016, 7.3.1: 360 points, poses within 5 mm and 5 deg. All 500 were run; here 20 of them."""
+def test_troutman_731_random_poses_of_the_lens_are_found():
+    """Troutman 2016, 7.3.1: 360 points, poses within 5 mm and 5 deg. All 500 were run; here 5 of them."""
     part = Job.load(EXAMPLES / "infrared_lens.toml").part
-    for seed in range(20):
+    for seed in range(5):
         rng = np.random.default_rng(1000 + seed)
         true = random_pose(rng)
         found = register(measured(disc(part, 360, rng), true), part)
@@ -76,7 +76,7 @@ def test_troutman_731_random_poses_of_the_infrared_lens_come_back():
 
 
 def test_it_is_scipys_least_squares():
-    """The vertical residual and its covariance, written anew from SciPy's rotations."""
+    """The vertical residual and its covariance, derived again from SciPy's rotations."""
     rng = np.random.default_rng(3)
     points = disc(FREEFORM, 600, rng, radius=5.5)
     points[2] += rng.normal(0, 1e-4, 600)
@@ -131,8 +131,8 @@ def test_the_stated_uncertainty_is_the_spread_of_many_trials():
     assert np.mean(squares) == pytest.approx(6, abs=3 * np.sqrt(12 / 40))
 
 
-def test_astigmatism_on_a_torus_and_a_rotation_pass_for_each_other():
-    """1 um at 45 deg is 2 c / (a² |1/Ry - 1/Rx|) of rotation: fitted, uncertain by as much; or held; or told apart."""
+def test_astigmatism_on_a_torus_is_confused_with_a_rotation():
+    """1 um at 45 deg is 2 c / (a² |1/Ry - 1/Rx|) of rotation: fitted, uncertain by as much; or fixed; or separated."""
     rng = np.random.default_rng(6)
     part = Part(surface=TORUS, radius=7.5)
     astigmatism = Zernike(terms={6: 1.0}, radius=7.5, indexing="fringe")
@@ -151,7 +151,7 @@ def test_astigmatism_on_a_torus_and_a_rotation_pass_for_each_other():
     assert kept.pose.rotation == 0
     with pytest.raises(InputError, match="hardly determines the direction rotation"):
         register(heights, part, weak="raise")
-    # Lengths are said in the unit that suits them: a um of form, and what it passes for at the rim.
+    # Lengths are written in the unit that suits them: a um of form, and what it passes for at the rim.
     said = next(one.words for one in plain.undetermined if "rotation" in one.words)
     assert re.search(r"a form error of 1 um .* [\d.]+ (nm|um|mm|m) at the rim\.$", said), said
     assert "e+" not in said
@@ -205,7 +205,7 @@ def test_a_map_in_the_wrong_unit_does_not_slide_off_the_part():
     assert found.rms_nm <= np.std(error) * 1e6
 
 
-def test_a_departure_taken_for_heights_is_a_poor_fit_of_all_points():
+def test_departure_read_as_heights_is_a_poor_fit():
     """Oracle: the sag of the part, which such a map lacks."""
     part, heights, error = poor_map(1)
     sag = part.surface.sag(*np.meshgrid(heights.x, heights.y))
@@ -215,9 +215,9 @@ def test_a_departure_taken_for_heights_is_a_poor_fit_of_all_points():
 
 
 def test_an_array_on_a_torus_is_found_from_a_raw_start():
-    """Bias below 0.1 nm of height at 1e5 points and 5 nm of noise. 200 starts were run; here 3 of them."""
+    """Bias below 0.1 nm of height at 1e5 points and 5 nm of noise. 200 starts were run; here one of them."""
     part = Part(surface=lenses(7), radius=10.0)
-    for seed in range(3):
+    for seed in range(1):
         rng = np.random.default_rng(seed)
         clean = disc(part, 100_000, rng, radius=7.5)
         true = random_pose(rng)
@@ -264,7 +264,7 @@ def test_a_symmetric_part_lists_its_equivalent_poses(square):
     assert any("The part is symmetric" in one for one in found.sentences)
 
 
-def test_displaced_lenslets_widen_the_uncertainty_to_what_they_do():
+def test_displaced_lenslets_widen_the_uncertainty_as_they_should():
     """Lenslets 50 um off at random: 45 of them decide the pose, not 20 000 points."""
     part, drop, errors = Part(surface=lenses(7), radius=10.0), 10 - np.sqrt(99), []
     for seed in range(5):
@@ -370,7 +370,7 @@ def test_a_flawless_part_is_flawless_however_it_was_clocked():
     ],
     ids=["window", "large window", "whole part", "beyond the part", "middle of the part"],
 )
-@pytest.mark.parametrize("way", [0.3, 2.6])
+@pytest.mark.parametrize("way", [0.3, pytest.param(2.6, marks=pytest.mark.proof)])
 def test_a_weak_freeform_far_off_is_found_in_its_own_valley(view, way):
     """Oracle: the noise. A pose that moved half the map off the part left 227.7 nm rms of the rest."""
     surface = Conic(radius=30.0, conic=-1.0) + Zernike(terms={5: 0.6e-3, 6: 0.3e-3}, radius=5.0, indexing="fringe")
@@ -381,7 +381,7 @@ def test_a_weak_freeform_far_off_is_found_in_its_own_valley(view, way):
     assert not found.ambiguous
 
 
-def test_points_beyond_the_part_are_said():
+def test_points_beyond_the_part_are_reported():
     """Oracle: the points within the radius. A sphere 4 mm off lost half of its map without a word."""
     part = Part(surface=Sphere(radius=40.0), radius=5.0)
     heights = gridded(part, Pose(shift=(4.0, 0.0, 0.0)), side=101)
@@ -427,11 +427,11 @@ def test_the_noise_is_that_of_the_map_and_not_of_the_pose():
 
 
 def test_random_parts_are_found_at_their_noise():
-    """A tenth of tests/proof/proof_registration.py."""
-    assert proof_registration.main(12, 11) == 0
+    """A few of tests/proof/proof_registration.py, one of each family."""
+    assert proof_registration.main(6, 11) == 0
 
 
-@pytest.mark.parametrize("loss", ["linear", "huber"])
+@pytest.mark.parametrize("loss", ["linear", pytest.param("huber", marks=pytest.mark.proof)])
 def test_a_million_points_take_fifteen_evaluations_at_most(loss, monkeypatch):
     """Counted: points at which the design is evaluated, over the points of the map. It was 49 to 57."""
     surface = Conic(radius=30.0, conic=-1.0) + Zernike(terms={5: 0.6e-3, 6: 0.3e-3}, radius=5.0, indexing="fringe")
@@ -497,9 +497,9 @@ NEARLY_ROUND = Biconic(radius_x=60.0, radius_y=90.0, conic_x=-1.0, conic_y=-0.5)
     ("surface", "form", "seed", "move", "turn"),
     [
         (Toroid(radius_x=400.0, radius_y=200.0), 200e-6, 1, 1.2, 0.035),
-        (Toroid(radius_x=400.0, radius_y=200.0), 200e-6, 6, 1.2, 0.035),
-        (NEARLY_ROUND, 10e-6, 3, 0.4, 0.05),
-        (NEARLY_ROUND, 50e-6, 6, 0.5, 0.05),
+        pytest.param(Toroid(radius_x=400.0, radius_y=200.0), 200e-6, 6, 1.2, 0.035, marks=pytest.mark.proof),
+        pytest.param(NEARLY_ROUND, 10e-6, 3, 0.4, 0.05, marks=pytest.mark.proof),
+        pytest.param(NEARLY_ROUND, 50e-6, 6, 0.5, 0.05, marks=pytest.mark.proof),
         (NEARLY_ROUND, 200e-6, 13, 1.5, 0.05),
     ],
     ids=["torus 1", "torus 6", "biconic 10 nm", "biconic 50 nm", "biconic 200 nm"],
@@ -521,7 +521,7 @@ def test_a_form_error_is_that_of_the_best_fit_within_the_edge(surface, form, see
     assert found.rms_nm == pytest.approx(rms, rel=0.02)
 
 
-def test_a_turn_about_an_axis_beside_the_part_is_held():
+def test_a_rotation_about_an_axis_off_the_part_is_fixed():
     """Oracle: an off-axis conic stays what it is when it is turned about the axis of its parent."""
     surface = OffAxis(parent=Conic(radius=60.0, conic=-1.0), distance=8.0)
     part = Part(surface=surface, radius=5.0)

@@ -62,7 +62,7 @@ def test_a_map_without_heights_or_lengths_is_refused():
         register(HeightMap(x=AXIS, y=AXIS, z=MAP.z, calibrated=False), PART)
 
 
-def test_held_numbers_stay_where_the_start_has_them_and_are_named():
+def test_fixed_degrees_of_freedom_keep_the_start_and_are_named():
     start = Pose(shift=(0.1, -0.2, 0.0), rotation=0.3)
     found = register(MAP, PART, start=start)
     assert found.held == ("x", "y", "rotation")

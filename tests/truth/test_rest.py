@@ -105,7 +105,7 @@ def test_all_axes_together_come_to_speed_and_to_rest(sense, tmp_path):
     for letter, values in (("X", path.radius), ("Z", path.z)):
         slope = CubicSpline(path.angle[::sense], values[::sense])(c, 1)
         assert np.abs(motion.velocity[letter] - slope * speed).max() < 1e-8
-    # It gets faster to its speed, keeps it, and gets slower to rest.
+    # It accelerates to its speed, keeps it, and decelerates to rest.
     share = np.abs(speed) / TURN
     steady = np.flatnonzero(share > 1 - 1e-12)
     assert np.ptp(motion.time[steady]) > 0.95 * motion.time[-1]

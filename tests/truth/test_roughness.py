@@ -164,7 +164,7 @@ def test_missing_points_count_as_in_the_definitions():
     assert found.valid == z.size - found.missing
 
 
-def test_the_autocorrelation_is_the_mean_product_over_valid_pairs():
+def test_autocorrelation_is_the_mean_product_over_valid_pairs():
     from turnwright.metrology.areal_parameters import _autocorrelation
 
     z = holed((14, 11))
@@ -249,7 +249,7 @@ def test_a_sphere_anywhere_is_removed_to_the_noise(radius):
     assert np.abs(remove_form(HeightMap(x=x, y=x, z=z), "sphere").z).max() < 1e-11 + 2e-16 * abs(radius)
 
 
-def test_the_sphere_of_best_fit_is_the_one_a_general_optimiser_finds():
+def test_best_fit_sphere_is_that_of_a_general_optimiser():
     from scipy import optimize
 
     z = holed((40, 50))

@@ -42,7 +42,7 @@ def test_averages_of_a_saturated_channel_are_refused(which, sign):
 
 
 @pytest.mark.parametrize("kind", CLIPPED)
-def test_channels_in_proportion_that_end_at_a_force_are_no_transition(kind):
+def test_saturated_proportional_channels_are_no_transition(kind):
     """A tenth of the proof in tests/proof/proof_chance.py. Unrefused, both gave 672.8 nm where there is no limit."""
     for seed in range(5):
         with pytest.raises(InputError, match="saturated"):

@@ -34,7 +34,7 @@ def test_the_low_pass_is_a_butterworth_filter_without_delay(order, frequency):
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.5, 0.9])
-def test_the_correlation_time_of_an_autoregression_is_its_closed_form(memory):
+def test_correlation_time_of_an_autoregression_is_closed_form(memory):
     series = lfilter([1], [1, -memory], np.random.default_rng(0).normal(size=400_000))
     assert correlation_time(series) == pytest.approx((1 + memory) / (1 - memory), rel=0.05)
 

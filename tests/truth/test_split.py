@@ -13,7 +13,7 @@ from turnwright.strategy import split as _split
 TURN = 2 * np.pi
 
 
-def test_the_split_is_the_optimum_that_an_active_set_method_finds():
+def test_split_is_the_optimum_of_an_active_set_method():
     """Least-distance programming by NNLS (Lawson and Hanson, ch. 23) over the same splines and all samples.
 
     The split keeps the whole stroke everywhere, and all but a thousandth of it where it looks: so its cost is between
@@ -52,7 +52,7 @@ def test_the_split_is_the_optimum_that_an_active_set_method_finds():
 
 
 @pytest.mark.parametrize(("harmonic", "share"), [(1, 1 / 2), (2, 1 / 65), (3, 1 / 730)])
-def test_with_room_to_spare_the_slide_takes_what_is_slower_than_a_turn(harmonic, share):
+def test_slide_takes_what_is_slower_than_a_revolution(harmonic, share):
     turned = np.linspace(0, 12 * TURN, 12 * 512 + 1)
     drift = 0.3 * np.cos(turned / 40)
     height = drift + 0.004 * np.cos(harmonic * turned)
@@ -101,7 +101,7 @@ def test_a_corner_that_no_slide_can_help_is_refused():
 
 @pytest.fixture(scope="module")
 def compound():
-    """A toric base with one lens beside the axis, at half a millimetre."""
+    """A toric base with one lens off the axis, at half a millimetre."""
     base = tw.Toroid(radius_x=20.0, radius_y=10.0)
     lens = tw.Expression("0.002*exp(-((x-0.25)**2 + y**2)/0.005)")
     part = tw.Part(surface=base + lens, radius=0.5)
@@ -117,7 +117,7 @@ def servos(part, tool, plan, base):
     yield tw.HybridToolServo(plan=plan, fast=tw.Axis(low=-0.0025, high=0.0025))
 
 
-def test_both_axes_together_are_the_path_and_leave_the_same_surface(compound):
+def test_both_axes_together_leave_the_same_surface(compound):
     part, tool, plan, base, path = compound
     slow = tw.drive(path, plan, tw.Machine.load("nanoform"))
     grid = {"x": np.linspace(0.15, 0.35, 41), "y": np.linspace(-0.1, 0.1, 41)}
@@ -173,7 +173,7 @@ def test_the_rates_of_both_axes_are_derivatives_and_add_up(compound):
     assert pvt.axes["W"].bandwidth_hz == 1000
 
 
-def test_blocks_beside_a_fast_tool_are_as_few_as_needed(compound):
+def test_blocks_with_a_fast_tool_are_as_few_as_needed(compound):
     part, tool, plan, base, path = compound
     machine = tw.Machine.load("nanoform-fts-500")
     for servo, most in zip(servos(part, tool, plan, base), (17, 361, 46, 361), strict=True):
@@ -190,7 +190,7 @@ def test_blocks_beside_a_fast_tool_are_as_few_as_needed(compound):
 
 @pytest.mark.parametrize("sense", [1, -1])
 @pytest.mark.parametrize("turns", [0, 1e3, 1e4, 1e5])
-def test_the_lathe_has_the_blocks_that_were_asked_for(turns, sense):
+def test_the_lathe_has_the_requested_blocks(turns, sense):
     """Oracle: 1600 points over 200 blocks, 8 points to each, however far the spindle has turned."""
     turned = np.arange(4001) * (TURN / 1600)
     spiral = tw.Spiral(angle=sense * (TURN * turns + turned), radius=1 - 1e-3 * turned)

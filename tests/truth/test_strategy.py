@@ -127,7 +127,7 @@ def test_the_lead_in_reaches_the_rim(surface, dx, needed):
 
 
 @pytest.mark.parametrize("radius", [-30.0, 30.0])
-def test_the_last_cusp_inside_the_rim_is_no_higher_than_the_others(radius):
+def test_last_cusp_inside_the_rim_is_no_higher_than_the_others(radius):
     shape, nose, feed = Part(surface=Sphere(radius=radius), radius=1.0), 0.5, 0.02
     tool, machine = Tool(nose_radius=nose, included=np.deg2rad(120)), Machine.load("generic")
     servo = SlowToolServo(feed=feed, points_per_rev=360, spindle_rpm=1.0)
@@ -151,7 +151,7 @@ def test_a_quarter_feed_of_overrun_levels_the_cusp_on_the_axis(tmp_path, points,
         spiral = servo.spiral(shape, tool)
         assert spiral.radius.min() == pytest.approx(-overrun * feed, abs=1e-14)
         motion = drive(place(spiral, shape, tool, along=along), servo, machine)
-        # What the controller is told, not what was meant: a program with negative X.
+        # The commanded, not the nominal path: a program with negative X.
         write_nc(motion, machine, tmp_path / "part.nc")
         motion = read_nc(tmp_path / "part.nc", machine)
         near = generate_polar(motion, tool, radius=np.linspace(0, 0.1, 2001), angle=np.linspace(0, TURN, 181)[:-1])
@@ -227,13 +227,13 @@ class Roof(Tilted):
         return (z, zero, 0.3 * np.sign(y - 0.3))[: order * 2 + 1] if order else (z,)
 
 
-def test_chord_is_kept_across_kinks(monkeypatch):
+def test_chord_is_kept_across_creases(monkeypatch):
     sharp(monkeypatch)
     surface = Roof()
     servo = SlowToolServo(feed=0.1, chord=1e-5)
     spiral = servo.spiral(Part(surface=surface, radius=1.0), TOOL)
     assert worst(spiral, surface).max() <= 1e-5 * (1 + 1e-9)
-    # Two kinks a turn at most cost a few points each above the smooth count.
+    # Two creases a revolution at most cost a few points each above the smooth count.
     tau = np.linspace(0, spiral.turns * TURN, 400_001)
     smooth = np.trapezoid(np.sqrt(0.3 * 0.1 / TURN * tau * np.abs(np.sin(tau)) / 8e-5), tau)
     assert spiral.angle.size < 1.1 * smooth + 12 * 2 * spiral.turns

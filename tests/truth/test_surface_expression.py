@@ -114,7 +114,7 @@ def test_the_domain_is_where_the_value_is_finite():
         Expression("(x**2)**0.75").hessian(0.0, 1.0)
 
 
-def test_a_pole_is_outside_the_domain_and_warns_nobody():
+def test_a_pole_is_outside_the_domain_without_a_warning():
     ring = Expression("cos(phi)*rho/(rho - 25)")
     assert not ring.inside(np.array([-25.0]), np.zeros(1)).any()
     assert float(ring.sag(-24.0, 0.0)) == 24.0
@@ -168,7 +168,7 @@ def test_the_feature_size_of_a_bump_is_near_its_width():
 
 @pytest.mark.parametrize("width", [0.02, 0.3])
 @pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (0.01, 0.0), (3.0, 1.0), (10.0, 5.0), (-17.0, 3.3)])
-def test_the_feature_size_of_a_bump_does_not_depend_on_where_it_stands(x, y, width):
+def test_feature_size_of_a_bump_is_independent_of_position(x, y, width):
     """exp(-r²/w²) has the fourth derivative 12/w^4 and the second -2/w² at its crest, as a wave of k² = 6/w²."""
     formula = f"0.001*exp(-((x-{x})**2 + (y+{-y})**2)/{width}**2) + rho**2/100"
     assert Expression(formula).feature_size == pytest.approx(np.pi / 4 * width / np.sqrt(6), rel=1e-3)

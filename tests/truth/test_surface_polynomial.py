@@ -15,7 +15,7 @@ SLOPE = (-1.01e-03, 9.45e-08, -1.78e-11, 4.39e-15, -7.61e-18, 9.49e-20, -5.34e-2
 
 
 def worst(surface, terms, x, y):
-    """Return the error of `surface_oracle.error` against exact rational arithmetic, which is quicker here. (3,)."""
+    """Return the error of `surface_oracle.error` against exact rational arithmetic, which is faster here. (3,)."""
     fractions = [(i, j, Fraction(a)) for (i, j), a in terms.items()]
     truth = np.empty((6, x.size))
     for row, (p, q) in enumerate([(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]):

@@ -25,7 +25,7 @@ def within(surface, radius, count=5000):
     return x[chosen], y[chosen]
 
 
-def test_points_are_met_and_what_lies_between_is_as_good_as_stated():
+def test_points_are_met_and_interpolation_is_as_good_as_stated():
     found = sampled(ASPHERE, 800)
     assert np.abs(found.evaluate(found.x, found.y, 0)[0] - found.z).max() < 1e-8
     x, y = within(found, 10.0)

@@ -38,7 +38,7 @@ def test_toroid_keeps_its_digits_near_the_vertex():
     assert surface.sag(x, y) == pytest.approx(exact(torus(1e6, -12.0), x, y, 80)[0], rel=1e-15, abs=0)
 
 
-def test_every_point_is_one_arc_radius_from_the_circle_of_centres():
+def test_points_are_one_arc_radius_from_the_circle_of_centres():
     surface = Toroid(radius_x=5.0, radius_y=12.0)
     x, y = points(4.0, 7.0)
     from_line = np.hypot(y, surface.sag(x, y) - 12.0)

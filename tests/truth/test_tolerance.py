@@ -158,7 +158,7 @@ def test_the_thinned_program_leaves_what_the_whole_one_leaves(kind):
         assert keep.mean() < (0.9 if kind == "mirror" or not scene.polar else 1.01)
         head, rows = pack_motion(plan, keep, reach)
         assert head["duration"] == duration
-        for draw in DEVIATIONS:
+        for draw in DEVIATIONS if kind == "mirror" else DEVIATIONS[1:]:
             real = draws_of.apply_draw(job.tool, job.machine, draw)
             few = scene_motion(head, rows, job.machine, {})
             few = add_drift(few, *real.drift, drift_share(few.time, duration, 5.0))
@@ -247,7 +247,7 @@ def test_form_sees_the_highest_cusp_of_the_last_turn(overrun):
     assert cusp * (0.98 if overrun else 1 - 4 / (48 * 4)) <= still < cusp * (1 + 1e-9)
     for y in (1e-9, -1e-9, 1e-6, -1e-6):  # a micrometre of a nanometre, and a nanometre
         aside = np.ptp(left_by(job, plan, y=y)[1])
-        # A pass over a place y aside of its line comes so much earlier or later: it is off by feed y / (2 pi r).
+        # A pass over a place y off its line comes so much earlier or later: it is off by feed y / (2 pi r).
         moved = half / nose * 2 * feed * abs(y) / (2 * math.pi * feed / 4)
         assert abs(aside - still) <= moved + 1e-6 / NM
 
@@ -276,7 +276,7 @@ def test_nothing_leaps_while_a_core_grows():
         assert few @ inside == pytest.approx(many @ outside, rel=1e-7)
 
 
-@pytest.mark.parametrize("kind", ["fine mirror", "raked over the axis"])
+@pytest.mark.parametrize("kind", ["fine mirror", pytest.param("raked over the axis", marks=pytest.mark.proof)])
 def test_lines_end_at_the_core_of_a_tool_off_centre(kind):
     job = job_of(kind)
     plan = plan_motion(job, ContactShift(along=0.02, across=0.01, servos={}))
@@ -396,7 +396,7 @@ def test_servos_between_the_nodes_are_tracked_ones(tmp_path):
     assert np.abs(left.z - exact).max() * NM < 0.01 * np.abs(slow.z - exact).max() * NM + 0.01
 
 
-@pytest.mark.parametrize("number", [0, 1, 2])
+@pytest.mark.parametrize("number", [0, *(pytest.param(one, marks=pytest.mark.proof) for one in (1, 2))])
 def test_the_short_way_to_a_corrected_part_is_the_long_one(tmp_path, number):
     job = job_of("fine mirror")  # cusps that move with the tool are no error of either way
     budget = ErrorBudget.typical()
@@ -408,7 +408,7 @@ def test_the_short_way_to_a_corrected_part_is_the_long_one(tmp_path, number):
     found = bench.diagnose_test_parts(draw, [5, number])
     planned_only, _ = bench.measure(real)
     short, _ = bench.measure(draws_of.residual_setup(real, job.tool, job.machine, found))
-    # The long way: a job file with what was found, planned, placed and driven anew, cut with the real tool.
+    # The long way: a job file with what was found, planned, placed and driven again, cut with the real tool.
     (tmp_path / "better").mkdir()
     draws = found.effects_on(job.part)
     if not prove(draws, np.zeros(draws.x.size)).ok:

@@ -44,7 +44,7 @@ def test_waviness_deviates_along_the_radius_and_outward():
     np.testing.assert_allclose(np.arctan2(u, 1.5 - e), s, atol=1e-15)
 
 
-def test_certificate_passes_through_its_points_and_holds_beyond_them():
+def test_certificate_passes_through_its_points_and_extends():
     sweep = np.linspace(-0.4, 0.4, 17)
     deviation = 5e-5 * np.sin(9 * sweep)
     tool = Tool(nose_radius=0.2, included=70 * DEG, waviness=WavinessTable(sweep=sweep, deviation=deviation))
@@ -117,7 +117,7 @@ def table_and_formula(tool, sweep, deviation, rate):
     [((-20, 25), 100), ((-60, 30), 100), ((-10, 60), 100), ((-0.1, 0.1), 100), ((-50, 50), 100), ((-20, 25), None)],
     ids=["inside", "one end", "other end", "narrow", "with the arc", "half a circle"],
 )
-def test_profile_is_exact_where_a_certificate_ends_inside_the_arc(ends, included):
+def test_profile_is_exact_where_a_certificate_ends_on_the_arc(ends, included):
     table = certificate(*ends)
     tool = Tool(nose_radius=0.5, included=included and included * DEG, waviness=table)
     near = np.linspace(-3e-4, 3e-4, 2000)

@@ -204,7 +204,7 @@ def test_one_short_block_does_not_ask_for_a_million_samples():
     assert np.abs(apart).max() < 2e-3 * following + 2e-7
 
 
-def test_a_controller_that_takes_fewer_blocks_slows_the_whole_motion():
+def test_lower_block_rate_slows_the_whole_motion():
     given = motion(machine(), points=401)  # 1000 blocks a second
     made = track(given, machine(block_rate=400), chord=1)
     assert made.time[-1] == pytest.approx(0.4 * 2.5, rel=1e-6)

@@ -8,9 +8,10 @@ from typing import Annotated
 
 import pint
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from pydantic import TypeAdapter, ValidationError
 
+from laws import examples
 from turnwright.errors import UnitError
 from turnwright.units import convert, parse, say_length, unit, write
 
@@ -48,7 +49,7 @@ def by_pint(number: float, written: str, wanted: str) -> float:
     powers=st.tuples(st.integers(-4, 4), st.integers(-3, 3), st.integers(-2, 2)),
     sign=st.sampled_from([1, -1]),
 )
-@settings(max_examples=150)
+@examples(150)
 def test_compound_units_agree_with_pint(number, bases, powers, sign):
     def expression(side: int) -> str:
         return "*".join(f"{name}^{power}" for name, power in zip((*bases[side], "rev"), (*powers, 1), strict=True))
@@ -77,7 +78,7 @@ def test_quantities_of_the_trade_agree_with_pint(text, wanted):
 
 
 @given(digits=st.integers(1, 10**12), point=st.integers(-12, 3))
-@settings(max_examples=150)
+@examples(150)
 def test_lengths_are_rounded_once(digits, point):
     """Oracle: Python rounds a decimal literal correctly, so shifting the exponent of the text is exact."""
     assert parse(f"{digits}e{point} um", "mm") == float(f"{digits}e{point - 3}")
@@ -86,7 +87,7 @@ def test_lengths_are_rounded_once(digits, point):
 
 
 @given(value=st.floats(allow_nan=False, allow_infinity=False), name=st.sampled_from(["mm", "mm/rev", "rad", "1/mm^5"]))
-@settings(max_examples=200)
+@examples(200)
 def test_what_is_written_reads_back_to_the_same_number(value, name):
     assert parse(write(value, name), name) == value
 
@@ -136,8 +137,8 @@ def test_a_pydantic_field_takes_text_only_and_goes_out_as_text():
 
 
 @given(st.floats(1e-6, 9.99e5), st.sampled_from((1, -1)))
-def test_a_length_is_said_in_plain_digits_and_reads_back(length, sign):
-    """Oracle: pint reads what is said."""
+def test_a_length_is_written_in_plain_digits_and_reads_back(length, sign):
+    """Oracle: pint reads the text."""
     said = say_length(sign * length)
     number, name = said.split()
     assert "e" not in number

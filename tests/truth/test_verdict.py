@@ -24,7 +24,7 @@ DISH = {
 
 
 def test_the_cusp_on_the_axis_counts_as_closed_form_has_it():
-    """The middle of the last turn is a quarter of a feed aside, its cusp 9/4 of f^2/(8 R (1 - R/radius))."""
+    """The middle of the last turn is a quarter of a feed off, its cusp 9/4 of f^2/(8 R (1 - R/radius))."""
     job = tw.Job.read(DISH | {"tolerances": {"form_pv": "40 nm"}})
     cusp = 0.01**2 / (8 * 0.5) * (1 - 0.5 / 20) ** -1 * 9 / 4 * 1e6
     exact = PassPlan(job).commanded

@@ -176,7 +176,7 @@ def reach(x, y, x0, y0):
     return np.hypot(x - x0, y - y0).max()
 
 
-def test_an_aperture_that_is_not_stated_is_found_from_the_valid_points():
+def test_missing_aperture_is_found_from_the_valid_points():
     rng = np.random.default_rng(8)
     x, y, columns, rows, valid, _ = holed(301, rng, share=0.0)
     z = np.where(valid, 1e-3 * columns, np.nan)

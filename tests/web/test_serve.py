@@ -13,10 +13,10 @@ from urllib.request import Request, urlopen
 import pytest
 
 from job_files import changed
+from patience import PATIENCE_S
 from turnwright.cli import main
 from turnwright.web import address as _address
 
-PATIENCE_S = 60
 LONG = changed(("strategy.feed", "1 um/rev"), ("strategy.points_per_rev", 3600), ("simulation.patches", []))
 
 
@@ -121,7 +121,7 @@ def test_a_port_that_is_taken_is_refused(tmp_path, capsys):
     assert "--port" in capsys.readouterr().err
 
 
-def test_under_windows_no_second_server_comes_in_beside_the_first(monkeypatch):
+def test_under_windows_a_second_server_cannot_share_the_port(monkeypatch):
     """Its own option for that is asked for, and never the one that lets anybody in."""
     monkeypatch.setattr(_address.sys, "platform", "win32")
     monkeypatch.setattr(_address.socket, "SO_EXCLUSIVEADDRUSE", socket.SO_KEEPALIVE, raising=False)

@@ -20,6 +20,7 @@ from fastapi.testclient import TestClient
 import turnwright as tw
 from dish import DISH, OFFSET, seen
 from job_files import changed, written
+from patience import PATIENCE_S
 from turnwright._tables import adapter
 from turnwright.cli import main
 from turnwright.job import Job, compare, correct, diagnose, measure, preview
@@ -33,8 +34,6 @@ from turnwright.web.references import FILE_KEYS, located
 from turnwright.web.shown import write_predicted
 
 HERE = "http://127.0.0.1:8765"
-PATIENCE_S = 600
-
 # A run of some seconds that a test interrupts.
 LONG = changed(("strategy.feed", "1 um/rev"), ("strategy.points_per_rev", 3600), ("simulation.patches", []))
 
@@ -214,7 +213,7 @@ def test_a_run_tells_its_progress(dish):
 
 
 def test_a_run_that_misses_a_tolerance_says_so_in_the_list(client, dish):
-    """The list put a green tick beside it."""
+    """The list put a green tick next to it."""
     strict = changed(*DISH, ("tolerances.form_pv", "1 nm"))
     name = client.post("/api/runs", json={"data": strict, "kind": "run"}).json()["id"]
     ended(client, name)
@@ -278,7 +277,7 @@ def test_a_comparison_is_that_of_the_command_line(client, folder):
 
 @pytest.fixture(scope="module")
 def measured(client, dish, folder):
-    """A map of the dish as a tool 3 um beside its place would have cut it, sent as a page sends it."""
+    """A map of the dish as a tool offset of 3 um would have cut it, sent as a page sends it."""
     file = seen(folder / "job.toml", folder / "dish.x3p")
     answer = client.post("/api/measurements", params={"run": dish[0], "name": "dish.x3p"}, content=file.read_bytes())
     assert answer.status_code == 201, answer.text
@@ -650,7 +649,7 @@ def test_a_file_is_thrown_away_when_no_run_names_it_for_long(tmp_path):
     assert left == ["a", "c"]
 
 
-def test_what_is_wrong_with_a_file_is_said_with_its_name(client):
+def test_an_error_in_a_file_names_the_file(client):
     """A table that is none of this surface is met at the check, and called what its owner calls it."""
     told = client.post("/api/files", params={"kind": "waviness", "name": "edge 3.csv"}, content=WAVY).json()
     job = changed(("tool.waviness_file", told["reference"]), ("tool.waviness", ["1 um/rad"]))

@@ -24,6 +24,7 @@ from fastapi.testclient import TestClient
 
 import turnwright as tw
 from job_files import changed
+from patience import PATIENCE_S
 from turnwright.errors import InputError
 from turnwright.web import bundles as _bundles, create_app, queue as _queue, server as _server
 from turnwright.web.guard import Guard
@@ -336,7 +337,7 @@ class Touch:
 
 
 @pytest.mark.parametrize("name", BAD_FILES)
-def test_a_file_that_is_none_of_its_kind_is_refused_and_thrown_away(client, folder, tmp_path, name):
+def test_file_of_another_kind_is_refused_and_deleted(client, folder, tmp_path, name):
     kind, called, content, status = BAD_FILES[name]
     if content is None:
         sink, trap = io.BytesIO(), Touch(tmp_path / "owned")
@@ -645,7 +646,7 @@ def test_the_page_of_the_server_is_not_refused(client):
     assert client.get("/api/about", headers={"host": "localhost:8765"}).status_code == 200
 
 
-def test_a_token_is_asked_for_everything(tmp_path):
+def test_a_token_is_required_for_everything(tmp_path):
     with TestClient(create_app(tmp_path, token=TOKEN), base_url=HERE, follow_redirects=False) as client:
         for given in ({}, {"authorization": "Bearer wrong"}, {"cookie": "turnwright=wrong"}, {"cookie": "%%;=;"}):
             assert client.get("/", headers=given).status_code == 401
@@ -741,7 +742,7 @@ RAW = {
 
 @pytest.mark.parametrize("name", RAW)
 def test_requests_that_no_library_sends(port, name):
-    with socket.create_connection(("127.0.0.1", port), timeout=10) as line:
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as line:
         line.sendall(RAW[name])
         answer = line.recv(65536)
     assert answer == b"" or re.match(rb"HTTP/1\.1 4\d\d", answer), answer[:100]
@@ -752,7 +753,7 @@ def test_ten_gigabytes_in_chunks_end_at_the_limit(port):
     """A client that never stops: the server hangs up when the limit is passed, and nothing of it stays."""
     chunk = b"100000\r\n" + b"0," * 2**19 + b"\r\n"
     sent = 0
-    with socket.create_connection(("127.0.0.1", port), timeout=20) as line:
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as line:
         target = "/api/files?kind=heights&name=a.csv"
         line.sendall(head(target, "Transfer-Encoding: chunked", method="POST"))
         with contextlib.suppress(OSError):
@@ -763,10 +764,10 @@ def test_ten_gigabytes_in_chunks_end_at_the_limit(port):
     assert _alive(port)
 
 
-def test_clients_that_never_finish_a_question_keep_nobody_waiting(port):
+def test_unfinished_requests_keep_no_one_waiting(port):
     with contextlib.ExitStack() as stack:
         for number in range(200):
-            line = stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=10))
+            line = stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S))
             half = head("/api/job/parse", "Content-Length: 1000", method="POST")
             line.sendall(half[:-2] if number % 2 else half + b"{")
         assert _alive(port)
@@ -778,7 +779,10 @@ def test_clients_that_never_finish_a_question_keep_nobody_waiting(port):
 def test_a_request_that_does_not_arrive_is_closed(tmp_path, monkeypatch, sent):
     monkeypatch.setattr(_server, "HEAD_S", 0.3)
     monkeypatch.setattr(_server, "BODY_S", 0.3)
-    with served(create_app(tmp_path)) as port, socket.create_connection(("127.0.0.1", port), timeout=20) as line:
+    with (
+        served(create_app(tmp_path)) as port,
+        socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as line,
+    ):
         line.sendall(sent)
         with contextlib.suppress(ConnectionResetError):  # aborted: the peer owes nothing more
             assert line.recv(100) == b""
@@ -787,10 +791,13 @@ def test_a_request_that_does_not_arrive_is_closed(tmp_path, monkeypatch, sent):
 
 def test_a_request_that_dribbles_is_closed(tmp_path, monkeypatch):
     monkeypatch.setattr(_server, "HEAD_S", 0.5)
-    with served(create_app(tmp_path)) as port, socket.create_connection(("127.0.0.1", port), timeout=20) as line:
-        letters = iter(range(400))
+    with (
+        served(create_app(tmp_path)) as port,
+        socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as line,
+    ):
+        letters = iter(range(50 * PATIENCE_S))
         with contextlib.suppress(OSError):  # which one depends on the system
-            for _ in letters:  # a letter every 20 ms for 8 s
+            for _ in letters:  # a letter every 20 ms
                 line.sendall(b"G")
                 time.sleep(0.02)
         assert next(letters, None) is not None
@@ -798,7 +805,10 @@ def test_a_request_that_dribbles_is_closed(tmp_path, monkeypatch):
 
 def test_what_is_too_large_is_answered_before_the_line_is_closed(tmp_path):
     body = b"x" * (3 * 8 * 2**20)
-    with served(create_app(tmp_path)) as port, socket.create_connection(("127.0.0.1", port), timeout=20) as line:
+    with (
+        served(create_app(tmp_path)) as port,
+        socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as line,
+    ):
         line.sendall(
             head("/api/job/check", f"Content-Length: {len(body)}", "Content-Type: application/json", method="POST")
         )
@@ -808,7 +818,7 @@ def test_what_is_too_large_is_answered_before_the_line_is_closed(tmp_path):
 
 def test_a_client_that_hangs_up_leaves_nothing(port):
     for head in (b"Content-Length: 1000000", b"Transfer-Encoding: chunked"):
-        with socket.create_connection(("127.0.0.1", port), timeout=10) as line:
+        with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as line:
             line.sendall(b"POST /api/job/check HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n")
             line.sendall(head + b"\r\n\r\n" + b"5\r\n{")
     assert _alive(port)
@@ -816,7 +826,7 @@ def test_a_client_that_hangs_up_leaves_nothing(port):
 
 def test_a_body_in_chunks_is_counted(port):
     """Ten megabytes that do not say so."""
-    with socket.create_connection(("127.0.0.1", port), timeout=20) as line:
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as line:
         line.sendall(
             b"POST /api/job/check HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
             b"Transfer-Encoding: chunked\r\n\r\n"
@@ -828,7 +838,7 @@ def test_a_body_in_chunks_is_counted(port):
             line.sendall(b"0\r\n\r\n")
         except OSError:
             pass  # it hung up, which is as good
-        line.settimeout(10)
+        line.settimeout(PATIENCE_S)
         try:
             answer = line.recv(65536)
         except OSError:
@@ -838,6 +848,6 @@ def test_a_body_in_chunks_is_counted(port):
 
 
 def _alive(port):
-    with socket.create_connection(("127.0.0.1", port), timeout=10) as line:
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as line:
         line.sendall(b"GET /api/about HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n")
         return line.recv(64).startswith(b"HTTP/1.1 200")

@@ -147,7 +147,7 @@ def compared(chrome, address, by_hand):
 
 @pytest.fixture(scope="module")
 def measured(chrome, address, done, by_hand):
-    """A map of the dish as a tool beside its place has cut it, brought as a person brings it."""
+    """A map of the dish cut with a tool offset, brought as a person brings it."""
     file = seen(by_hand.parent / "job.toml", by_hand.parent / "dish.x3p")
     one = Bench(chrome, address).open().look_at("run")
     one.page.keyboard.press("6")
@@ -356,7 +356,7 @@ def test_a_file_goes_to_its_field_into_the_archive_and_back(bench, tmp_path):
         ]
 
 
-def test_a_file_that_is_none_of_its_kind_is_told_of_by_its_name(bench, tmp_path):
+def test_a_file_of_another_kind_is_reported_by_its_name(bench, tmp_path):
     (tmp_path / "no table.csv").write_text("<html>", encoding="utf-8")
     surface = {"family": "gridded", "units": "mm", "sag_units": "mm"}
     one = bench().take(written(tmp_path, *DISH, ("part.surface", surface)))
@@ -509,7 +509,7 @@ def test_what_one_page_throws_away_leaves_every_page(bench, by_hand):
         expect(one.page.locator(".run", has_text="short-lived")).to_have_count(0)
 
 
-def test_many_runs_at_a_time_leave_lines_to_the_server_for_all_else(bench):
+def test_many_runs_leave_connections_for_other_requests(bench):
     """A browser keeps six of them."""
     one = bench()
     page, heard = one.page, set()
@@ -537,7 +537,7 @@ TOOL = tw.Tool(nose_radius=NOSE, included=np.deg2rad(60), clearance=np.deg2rad(1
 
 
 def zoomed(one, act):
-    """Return the view after an act, and what the server has told of it: header, x, y and values."""
+    """Return the view after an act, and what the server sent of it: header, x, y and values."""
     told = []
     one.page.on("response", lambda each: told.append(each) if "/map?" in each.url and "x0=" in each.url else None)
     act()
@@ -761,7 +761,7 @@ def test_an_injected_offset_is_found_and_corrected(bench, folder, tmp_path):
     program = one.download(links.get_by_role("link", name="Program", exact=True))
     assert program == (out / "part.nc").read_bytes()
     (tmp_path / "job.toml").write_bytes(one.download(links.get_by_role("link", name="Job", exact=True)))
-    # What is not certain of the offset is compensated as form, by a table beside the job.
+    # What is not certain of the offset is compensated as form, by a table next to the job.
     table = one.download(links.get_by_role("link", name="Correction", exact=True))
     (tmp_path / "correction.npz").write_bytes(table)
     assert main(["run", str(tmp_path / "job.toml"), "--out", str(tmp_path / "out")]) == 0
@@ -772,7 +772,7 @@ def test_an_injected_offset_is_found_and_corrected(bench, folder, tmp_path):
 
 
 def cone(header, arrays):
-    """Return the slope of the cone in a map, beside its mean and its paraboloid."""
+    """Return the slope of the cone in a map, without its mean and its paraboloid."""
     z = arrays["values"].astype(float) * 1e-6  # [mm] of nm
     radius = np.hypot(
         *np.meshgrid(*(np.linspace(*header[axis], n) for axis, n in zip("xy", z.shape[::-1], strict=True)))
@@ -846,7 +846,7 @@ def test_a_map_is_worked_by_keys_alone(bench):
     one.answer("/profile", lambda: page.keyboard.press("l"))
 
 
-def test_the_part_is_asked_for_before_all_else_and_once(bench):
+def test_the_part_is_requested_first_and_once(bench):
     one = bench()
     page = one.page
     page.locator("#scene canvas").first.wait_for(state="attached")  # what this first page asks for is not to be held
@@ -905,6 +905,11 @@ def test_a_phone_shows_one_pane_at_a_time_with_run_in_reach(bench, by_hand):
 
 
 HARD = {"critical", "serious"}
+LOOKS = [
+    pytest.param({}, id="light"),
+    pytest.param({"dark": True}, id="dark", marks=pytest.mark.proof),
+    pytest.param({"size": PHONE, "touch": True}, id="phone", marks=pytest.mark.proof),
+]
 
 
 def barriers(page, state):
@@ -915,7 +920,7 @@ def barriers(page, state):
     return [(state, one["id"], one["nodes"][0]["html"][-200:]) for one in broken if one["impact"] in HARD]
 
 
-@pytest.mark.parametrize("how", [{}, {"dark": True}, {"size": PHONE, "touch": True}], ids=["light", "dark", "phone"])
+@pytest.mark.parametrize("how", LOOKS)
 @pytest.mark.usefixtures("done", "compared", "measured")
 def test_no_state_has_a_barrier(bench, by_hand, how):
     # Oracle: axe-core.
@@ -951,7 +956,7 @@ def test_help_of_a_field_shows_its_drawing(bench, by_hand):
     expect(page.get_by_role("button", name=re.compile("^Enlarge: "))).to_have_count(0)
 
 
-@pytest.mark.parametrize("how", [{}, {"dark": True}, {"size": PHONE, "touch": True}], ids=["light", "dark", "phone"])
+@pytest.mark.parametrize("how", LOOKS)
 def test_a_job_with_an_error_or_under_check_has_no_barrier(bench, by_hand, how):
     # Oracle: axe-core.
     one = bench(**how).take(by_hand.parent / "job.toml")
@@ -1015,7 +1020,10 @@ def test_two_fingers_zoom_a_map(bench):
     assert zoomed(one, lambda: pinch(20, 60))[0] == pytest.approx(first / 3, rel=0.02)
 
 
-@pytest.mark.parametrize("size", [(1280, 800), (1024, 768)], ids=["desk", "tablet"])
+@pytest.mark.parametrize(
+    "size",
+    [pytest.param((1280, 800), id="desk", marks=pytest.mark.proof), pytest.param((1024, 768), id="tablet")],
+)
 @pytest.mark.usefixtures("done", "compared", "measured")
 def test_nothing_needs_to_be_scrolled_sideways(bench, size):
     one = bench(size=size)
@@ -1073,6 +1081,7 @@ def test_every_state_of_an_example_has_its_picture(chrome, tmp_path):
         one.close()
 
 
+@pytest.mark.proof
 @pytest.mark.usefixtures("done", "compared", "measured")
 def test_every_state_has_its_picture(bench, by_hand, tmp_path):
     """Each by day and by night, of what is carried out already."""
@@ -1157,7 +1166,7 @@ def both_schemes(one):
 
 
 def instrument(job, file):
-    """Write what an instrument sees of a job whose tool stood beside its place."""
+    """Write what an instrument sees of a job that was cut with a tool offset."""
     recipe = tw.Job.load(job)
     part, tool, servo = recipe.part.aimed, recipe.tool, recipe.servo(recipe.passes[-1])
     motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, recipe.machine)

@@ -185,7 +185,7 @@ def test_a_path_is_seen_in_true_contact() -> None:
     assert arrays["fraction"][-1] == 1
 
 
-def test_the_cusps_beside_the_contact_are_those_of_a_flat() -> None:
+def test_the_cusps_next_to_the_contact_are_those_of_a_flat() -> None:
     header, arrays = unpack(_seen.section(PLANE, "", 0.7, 1.0, 0.0))
     assert header["contact"]["u"] == pytest.approx(1.0, abs=1e-12)
     near, left = arrays["near"].astype(float), arrays["left_gap"].astype(float)
@@ -245,7 +245,7 @@ def test_a_coarse_window_is_what_was_stored(made: tuple[Path, tw.job.Result]) ->
 
 
 @pytest.mark.parametrize("interpolation", ["linear", "cubic spline"])
-def test_a_map_that_is_generated_again_is_the_one_that_was_stored(interpolation: str, tmp_path: Path) -> None:
+def test_regenerated_map_is_the_stored_one(interpolation: str, tmp_path: Path) -> None:
     # Oracle: the run itself, whatever the controller makes of the points of its program.
     lathe = tmp_path / "lathe.toml"
     generic = Path(turnwright.__file__).parent / "machines" / "generic.toml"

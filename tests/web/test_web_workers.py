@@ -9,10 +9,9 @@ import pytest
 
 pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 'turnwright[web]'")
 
+from patience import PATIENCE_S
 from turnwright.web import workers as _workers
 from turnwright.web.workers import Busy, TooLong, Workers
-
-PATIENCE_S = 60
 
 
 def carried_out(questions, count=2, **more):
@@ -89,7 +88,7 @@ def test_who_hears_that_it_took_too_long_finds_the_process_gone():
     assert before != after
 
 
-def test_who_waits_when_the_server_ends_is_told():
+def test_waiting_clients_get_an_answer_when_the_server_ends():
     async def late(workers):
         waiting = asyncio.create_task(workers.ask(os.getpid))
         await asyncio.sleep(0)
