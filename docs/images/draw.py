@@ -34,7 +34,7 @@ plan_axes.plot(
     5 * (1 - sparse / sparse[-1]) * np.cos(sparse), 5 * (1 - sparse / sparse[-1]) * np.sin(sparse), "w", lw=0.4
 )
 figure.colorbar(shown, ax=plan_axes, label="height / µm")
-plan_axes.set(title="asked for (path: 12 of 500 turns)", xlabel="x / mm", ylabel="y / mm", aspect="equal")
+plan_axes.set(title="nominal surface (path: 12 of 500 revolutions)", xlabel="x / mm", ylabel="y / mm", aspect="equal")
 
 error = patch.error
 shown = patch_axes.pcolormesh(error.x, error.y, error.z * NM, cmap="inferno", vmin=0)
