@@ -19,7 +19,8 @@ EXPLAINED = {
     "[measure and correct](howto/measure_and_correct.md) for `correction`",
     "part.surface": "[surfaces](theory/surfaces.md), [cut from a table of heights](howto/sag_table.md), "
     "[cut an off-axis part](howto/off_axis.md)",
-    "tool": "[tool and access](theory/access.md), [describe the measurement](howto/measurement_setup.md) for `plausible`",
+    "tool": "[tool and access](theory/access.md), "
+    "[describe the measurement](howto/measurement_setup.md) for `plausible`",
     "machine": "[add a machine](howto/machine_file.md)",
     "strategy": "[which strategy for which part](howto/choose_strategy.md), [points](howto/points.md)",
     "passes": "[state the blank](howto/blank.md), [cut a brittle material](howto/brittle_material.md)",
