@@ -12,7 +12,7 @@ FINE, COARSE = (tw.cutting.RoundChip(nose_radius=1.0, feed=feed, depth=0.15) for
 
 
 def panel(sheet, left, chip, title):
-    """Draw the chip and the crack that the gate reckons with."""
+    """Draw the chip and the crack of the ductile-mode check."""
     view = View(left + 220, 190, 330)
     sheet.text((left, 34), title, size="head")
     with sheet.inside((left, 50), (330, 236)):

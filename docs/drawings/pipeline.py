@@ -1,4 +1,4 @@
-"""The pipeline: values in boxes, on each arrow the verb that makes the next one."""
+"""The pipeline: values in boxes, on each arrow the function that computes the next one."""
 
 import itertools
 
@@ -24,7 +24,7 @@ def value(sheet, x, y, name, pen="outline"):
 
 
 def feed(sheet, x, names, end):
-    """Draw what a verb takes: a dot on the line of each value, and an arrow to the verb."""
+    """Draw the arguments of a function: a dot on the line of each value, and an arrow to the function."""
     levels = [RAILS[name] for name in names]
     start = max(levels) if end < min(levels) else min(levels)
     sheet.arrow((x, start), (x, end), "thin")

@@ -34,12 +34,14 @@ plan_axes.plot(
     5 * (1 - sparse / sparse[-1]) * np.cos(sparse), 5 * (1 - sparse / sparse[-1]) * np.sin(sparse), "w", lw=0.4
 )
 figure.colorbar(shown, ax=plan_axes, label="height / µm")
-plan_axes.set(title="asked for (path: 12 of 500 turns)", xlabel="x / mm", ylabel="y / mm", aspect="equal")
+plan_axes.set(
+    title="nominal surface and path\n(12 of 500 revolutions)", xlabel="x / mm", ylabel="y / mm", aspect="equal"
+)
 
 error = patch.error
 shown = patch_axes.pcolormesh(error.x, error.y, error.z * NM, cmap="inferno", vmin=0)
 figure.colorbar(shown, ax=patch_axes, label="cut minus design / nm")
-patch_axes.set(title=f"predicted from the program: Sq {patch.roughness.sq_nm:.2f} nm", xlabel="x / mm", aspect="equal")
+patch_axes.set(title=f"predicted from the program:\nSq {patch.roughness.sq_nm:.2f} nm", xlabel="x / mm", aspect="equal")
 
 radius = np.linspace(1.1, 1.15, 2001)
 made = tw.generate_polar(motion, tool, radius=radius, angle=[0.0]).minus(part.surface)
@@ -47,6 +49,6 @@ section_axes.plot(radius, made.z[0] * NM, lw=1)
 pv = tool.nose_radius - np.sqrt(tool.nose_radius**2 - job.strategy.feed**2 / 4)
 section_axes.axhline(pv * NM, color="k", ls=":", lw=1)
 section_axes.text(1.1, pv * NM * 1.02, f"$R - \\sqrt{{R^2 - f^2/4}}$ = {pv * NM:.2f} nm", va="bottom")
-section_axes.set(title="its cusps along a radius", xlabel="x / mm", ylabel="nm", ylim=(0, 30))
+section_axes.set(title="cusps along a radius", xlabel="x / mm", ylabel="nm", ylim=(0, 30))
 
 figure.savefig(HERE / "sine_grid.png", dpi=96, pil_kwargs={"optimize": True})

@@ -287,7 +287,8 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
             roughness=rough,
             lenslets=lenslets(heights, part, pose=registration.pose) if has_lenslets(part.surface) else None,
             fingerprint=_fingerprint(error.z), axis=axis,
-            instrument_effect_nm=instrument_effect_nm, texture=texture_as_seen(job, registration.error, registration.pose),
+            instrument_effect_nm=instrument_effect_nm,
+            texture=texture_as_seen(job, registration.error, registration.pose),
         )  # fmt: skip
         return replace(measured, mismatch=_explain_mismatch(measured, raw))
 
