@@ -39,10 +39,7 @@ def read_map(
 ) -> HeightMap:
     """Read a measured map from the file of an instrument.
 
-    The format is detected by the first bytes, otherwise by the suffix: Zygo ``.dat``, ``.datx``, ASCII and XYZ;
-    ISO 25178-72 ``.x3p``; ISO 25178-71 ``.sdf``; Digital Surf ``.sur``; Zemax grid sag; NumPy ``.npz`` and ``.npy``;
-    text and CSV of x, y and z, or with x in the first row and y in the first column; and with the extra ``formats``
-    those that SurfaceTopography reads, such as ``.opd``, ``.plu`` and ``.al3d``.
+    The format is detected by the first bytes, otherwise by the suffix; the page on map formats lists them.
 
     Parameters
     ----------
