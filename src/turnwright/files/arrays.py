@@ -23,6 +23,7 @@ from turnwright.errors import MapError, shown
 from turnwright.files.base import (
     MAX_POINTS,
     check_inflated_size,
+    damaged,
     finite_or_missing,
     grid_map,
     require_bytes,
@@ -103,7 +104,7 @@ def _array(path: Path, stream: IO[bytes], size: int) -> np.ndarray[Any, Any]:
     length = struct.Struct("<H" if start[6:7] == b"\1" else "<I")
     raw = stream.read(length.size)
     if not start.startswith(SIGNATURE) or len(raw) < length.size:
-        raise MapError(f"{path} holds an array without the signature of NumPy: it is damaged, so save it again")
+        raise damaged(path, "holds an array without the signature of NumPy")
     head = HEAD.fullmatch(stream.read(min(length.unpack(raw)[0], MAX_HEAD_BYTES)))
     if head is None:
         raise MapError(

@@ -22,6 +22,7 @@ __all__ = [
     "MAX_POINTS",
     "SPELLINGS",
     "check_inflated_size",
+    "damaged",
     "even_axes",
     "finite_or_missing",
     "grid_map",
@@ -76,37 +77,32 @@ SPELLINGS = {
 """Unit by its spelling in lower case."""
 
 
+def damaged(path: Path, fault: str) -> MapError:
+    """Return the error for a file that cannot be as its instrument wrote it."""
+    return MapError(f"{path} {fault}: it is truncated or damaged, so export or copy it again")
+
+
 def require_points(path: Path, columns: int, rows: int) -> None:
     """Raise unless a grid has a possible size."""
     if columns < 1 or rows < 1:
-        raise MapError(
-            f"{path} has {columns} columns and {rows} rows of heights, it needs at least 1 of each: it is empty or "
-            "damaged, so export it again"
-        )
+        raise damaged(path, f"has {columns} columns and {rows} rows of heights, it needs at least 1 of each")
     if columns * rows > MAX_POINTS:
-        raise MapError(
-            f"{path} has {columns} x {rows} heights, the limit is {MAX_POINTS:,} in all: crop it, or export it again "
-            "if it is damaged"
-        )
+        raise MapError(f"{path} has {columns} x {rows} heights, the limit is {MAX_POINTS:,} in all: crop it")
 
 
 def require_heights(path: Path, heights: Floats) -> None:
     """Raise if heights are too large for any part."""
     highest = float(np.nanmax(np.abs(heights), initial=0.0))
     if highest > MAX_HEIGHT_MM:
-        raise MapError(
-            f"{path} has heights of up to {highest:.3g} mm, the limit is {MAX_HEIGHT_MM:g} mm: it is damaged, or its "
-            "unit is wrong"
+        raise damaged(
+            path, f"has heights of up to {highest:.3g} mm, the limit is {MAX_HEIGHT_MM:g} mm (check its unit)"
         )
 
 
 def require_bytes(path: Path, needed: int, there: int) -> None:
     """Raise unless a file is long enough for its heights."""
     if needed > there:
-        raise MapError(
-            f"{path} needs {needed:,} bytes by its header and has {there:,}: it is truncated or damaged, so export or "
-            "copy it again"
-        )
+        raise damaged(path, f"needs {needed:,} bytes by its header and has {there:,}")
 
 
 def check_inflated_size(path: Path, packed: int, claimed: int) -> None:
@@ -155,12 +151,9 @@ def grid_map(
     if pixel is not None:
         for size, name in zip(pixel, "xy", strict=True):
             if not (math.isfinite(size) and size > 0):
-                raise MapError(
-                    f"{path} has a pixel size of {size:g} mm along {name}, it must be finite and above 0 mm: it is "
-                    "damaged, so export it again"
-                )
+                raise damaged(path, f"has a pixel size of {size:g} mm along {name}, it must be finite and above 0 mm")
         if not all(map(math.isfinite, start)):
-            raise MapError(f"{path} starts at {start} mm, it must be finite: it is damaged, so export it again")
+            raise damaged(path, f"starts at {start} mm, it must be finite")
     rows, columns = heights.shape
     along_x, along_y = pixel or (1.0, 1.0)
     return HeightMap(

@@ -22,7 +22,7 @@ from turnwright._arrays import Floats
 from turnwright._io import answer_parent, read_isolated
 from turnwright.errors import MapError
 from turnwright.files import arrays
-from turnwright.files.base import DAMAGE, check_inflated_size, grid_map, require_points, to_mm
+from turnwright.files.base import DAMAGE, check_inflated_size, damaged, grid_map, require_points, to_mm
 from turnwright.heightmap import HeightMap
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def _height_unit(path: Path, surface: h5py.Dataset) -> float:
     values = [math.nan if attribute is None else float(np.ravel(attribute)[0]) for attribute in attributes]
     if not all(math.isfinite(value) and value > 0 for value in values):
         listed = ", ".join(f"{name} {value:g}" for name, value in zip(names, values, strict=True))
-        raise MapError(f"{path} has heights in fringes with {listed}, all must be finite and above 0: it is damaged")
+        raise damaged(path, f"has heights in fringes with {listed}, all must be finite and above 0")
     return math.prod(values) * 1e3
 
 

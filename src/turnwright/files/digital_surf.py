@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files.base import check_inflated_size, grid_map, require_bytes, require_points, to_mm, words
+from turnwright.files.base import check_inflated_size, damaged, grid_map, require_bytes, require_points, to_mm, words
 from turnwright.heightmap import HeightMap
 
 __all__ = ["SIGNATURES", "read"]
@@ -77,9 +77,9 @@ def read(path: Path, data: bytes) -> HeightMap:
     columns, rows = field["columns"], field["rows"]
     require_points(path, columns, rows)
     if field["points"] != columns * rows:
-        raise MapError(f"{path} has {field['points']} points for {columns} x {rows}: it is damaged, so save it again")
+        raise damaged(path, f"has {field['points']} points for {columns} x {rows}")
     if min(field["comment bytes"], field["private bytes"]) < 0:
-        raise MapError(f"{path} has notes of negative length: it is damaged, so save it again")
+        raise damaged(path, "has notes of negative length")
     begin = HEAD + field["comment bytes"] + field["private bytes"]
     needed = columns * rows * field["bits"] // 8
     raw = data[begin:] if data.startswith(PLAIN) else _inflate(path, data[begin:], needed)
@@ -87,7 +87,7 @@ def read(path: Path, data: bytes) -> HeightMap:
     stored = np.frombuffer(raw, f"<i{field['bits'] // 8}", columns * rows).reshape(rows, columns)[::-1]
     step = field["step z"] * to_mm(_unit(field["unit z"]), f"{path} states its heights in")
     if not (math.isfinite(step) and step != 0):
-        raise MapError(f"{path} has a height step of {step:g} mm, it must be finite and not 0: it is damaged")
+        raise damaged(path, f"has a height step of {step:g} mm, it must be finite and not 0")
     heights = stored * step
     if field["not measured"] == 1:
         heights[stored == field["lowest"] - 2] = np.nan
@@ -133,7 +133,7 @@ def _inflate(path: Path, data: bytes, needed: int) -> bytes:
             break
         part = zlib.decompressobj().decompress(data[begin : begin + packed], plain + 1)
         if len(part) != plain:
-            raise MapError(f"{path} has a stream of {len(part)} bytes that states {plain}: it is damaged")
+            raise damaged(path, f"has a stream of {len(part)} bytes that states {plain}")
         parts.append(part)
         begin += packed
     return b"".join(parts)

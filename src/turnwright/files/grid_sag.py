@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files.base import even_axes, grid_map, require_bytes, require_points, to_mm
+from turnwright.files.base import damaged, even_axes, grid_map, require_bytes, require_points, to_mm
 from turnwright.files.numbers import table
 from turnwright.heightmap import HeightMap
 
@@ -52,9 +52,7 @@ def read(path: Path, text: str) -> HeightMap:
     flagged = len(first.split("#")[0].split()) > 4
     points = table(path, body, None, (0, 4) if flagged else (0,), text.count("\n", 0, head.end()) + 1)
     if len(points) != columns * rows:
-        raise MapError(
-            f"{path} has {len(points)} points for {columns} x {rows}: it is truncated or damaged, so write it again"
-        )
+        raise damaged(path, f"has {len(points)} points for {columns} x {rows}")
     scale = to_mm(UNITS[unit], f"{path} has the unit")
     heights = points[:, 0] * scale
     if flagged:

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files.base import grid_map, require_bytes, require_points, words
+from turnwright.files.base import damaged, grid_map, require_bytes, require_points, words
 from turnwright.heightmap import HeightMap
 
 __all__ = ["COUNTS", "MISSING", "SIGNATURES", "fringe_scale", "read"]
@@ -82,12 +82,13 @@ class Fringes(NamedTuple):
 def fringe_scale(path: Path, fringes: Fringes) -> float:
     """Return the height of one count [mm]."""
     if fringes.resolution not in COUNTS:
-        raise MapError(f"{path} has the phase resolution {fringes.resolution}, it must be 0, 1 or 2: it is damaged")
+        raise damaged(path, f"has the phase resolution {fringes.resolution}, it must be 0, 1 or 2")
     value = fringes.scale * fringes.obliquity * fringes.wavelength
     if not (math.isfinite(value) and value > 0):
-        raise MapError(
-            f"{path} has scale factor {fringes.scale:g}, wavelength {fringes.wavelength:g} m, obliquity "
-            f"{fringes.obliquity:g}, they must be finite and above 0: it is damaged, so export it again"
+        raise damaged(
+            path,
+            f"has scale factor {fringes.scale:g}, wavelength {fringes.wavelength:g} m, obliquity "
+            f"{fringes.obliquity:g}, they must be finite and above 0",
         )
     return value * 1e3 / COUNTS[fringes.resolution]
 
@@ -133,7 +134,8 @@ def _intensity_bytes(path: Path, field: dict[str, int]) -> int:
     for buckets in (field["intensity buckets"], 1):
         if field["intensity bytes"] == picture * buckets:
             return picture * buckets
-    raise MapError(
-        f"{path} states {field['intensity bytes']} bytes of intensity for {field['intensity buckets']} pictures of "
-        f"{picture} bytes, they must agree: it is damaged, so export it again"
+    raise damaged(
+        path,
+        f"states {field['intensity bytes']} bytes of intensity for {field['intensity buckets']} pictures "
+        f"of {picture} bytes, they must agree",
     )

@@ -12,6 +12,7 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright.errors import MapError
+from turnwright.files.base import damaged
 
 __all__ = ["numbers", "table", "text_of"]
 
@@ -43,7 +44,7 @@ def numbers(path: Path, text: str) -> Floats:
         try:
             return np.fromstring(text, sep=" ")
         except (ValueError, DeprecationWarning) as error:
-            raise MapError(f"{path} holds a value that is not a number: it is damaged, so export it again") from error
+            raise damaged(path, "holds a value that is not a number") from error
 
 
 def table(path: Path, text: str, separator: str | None, columns: Sequence[int] | None, first_line: int = 1) -> Floats:

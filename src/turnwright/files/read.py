@@ -23,7 +23,7 @@ from turnwright.files import (
     x3p,
     zygo_text,
 )
-from turnwright.files.base import DAMAGE, MAX_FILE_BYTES, require_heights
+from turnwright.files.base import DAMAGE, MAX_FILE_BYTES, damaged, require_heights
 from turnwright.files.numbers import text_of
 from turnwright.heightmap import HeightMap
 
@@ -39,10 +39,7 @@ def read_map(
 ) -> HeightMap:
     """Read a measured map from the file of an instrument.
 
-    The format is detected by the first bytes, otherwise by the suffix: Zygo ``.dat``, ``.datx``, ASCII and XYZ;
-    ISO 25178-72 ``.x3p``; ISO 25178-71 ``.sdf``; Digital Surf ``.sur``; Zemax grid sag; NumPy ``.npz`` and ``.npy``;
-    text and CSV of x, y and z, or with x in the first row and y in the first column; and with the extra ``formats``
-    those that SurfaceTopography reads, such as ``.opd``, ``.plu`` and ``.al3d``.
+    The format is detected by the first bytes, otherwise by the suffix; the page on map formats lists them.
 
     Parameters
     ----------
@@ -82,9 +79,7 @@ def read_map(
         raise
     except DAMAGE as error:
         reason = str(error).split("\n")[0].rstrip(".")[:200] or type(error).__name__
-        raise MapError(
-            f"{path} cannot be read as {kind} ({reason}): it is damaged, so export or copy it again"
-        ) from error
+        raise damaged(path, f"cannot be read as {kind} ({reason})") from error
     require_heights(path, heights.z)
     if pixel_size is None:
         return heights
@@ -138,9 +133,7 @@ def _reader_of_archive(path: Path, data: bytes) -> tuple[Callable[[Path, bytes],
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             names = archive.namelist()
     except DAMAGE as error:
-        raise MapError(
-            f"{path} is an archive that cannot be opened: it is truncated or damaged, so copy it again"
-        ) from error
+        raise damaged(path, "is an archive that cannot be opened") from error
     if any(name.endswith("main.xml") for name in names):
         return x3p.read, "x3p"
     if any(name.endswith(".npy") for name in names):

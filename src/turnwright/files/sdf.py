@@ -15,8 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from turnwright.errors import MapError
-from turnwright.files.base import grid_map, require_points
+from turnwright.files.base import damaged, grid_map, require_points
 from turnwright.heightmap import HeightMap
 
 __all__ = ["SIGNATURE", "read"]
@@ -34,7 +33,7 @@ def read(path: Path, data: bytes) -> HeightMap:
     rows, columns = file.data.shape
     require_points(path, columns, rows)
     if not (math.isfinite(header.z_scale) and header.z_scale != 0):
-        raise MapError(f"{path} scales its heights by {header.z_scale:g}, it must be finite and not 0: it is damaged")
+        raise damaged(path, f"scales its heights by {header.z_scale:g}, it must be finite and not 0")
     trailer = file.trailer if isinstance(file.trailer, str) else file.trailer.decode("latin-1")
     along_x = header.x_scale * 1e3
     return grid_map(

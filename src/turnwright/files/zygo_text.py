@@ -18,8 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from turnwright._arrays import Floats
-from turnwright.errors import MapError
-from turnwright.files.base import grid_map, require_bytes, require_points
+from turnwright.files.base import damaged, grid_map, require_bytes, require_points
 from turnwright.files.metropro import MISSING, Fringes, fringe_scale
 from turnwright.files.numbers import numbers, table
 from turnwright.heightmap import HeightMap
@@ -72,9 +71,10 @@ def _split(path: Path, text: str) -> tuple[list[str], str]:
         head = head[: head.index("#")]
         if len(head) >= MIN_DESCRIPTION_LINES:
             return head, text.split("\n", len(head) + 1)[-1]
-    raise MapError(
-        f"{path} has {len(head)} lines of description above its first '#', the limits are "
-        f"{MIN_DESCRIPTION_LINES} to {MAX_DESCRIPTION_LINES}: it is truncated or damaged, so export it again"
+    raise damaged(
+        path,
+        f"has {len(head)} lines of description above its first '#', the limits are "
+        f"{MIN_DESCRIPTION_LINES} to {MAX_DESCRIPTION_LINES}",
     )
 
 
@@ -82,16 +82,13 @@ def _number(path: Path, head: list[str], line: int, index: int) -> float:
     try:
         return float(shlex.split(head[line - 1])[index])
     except (ValueError, IndexError) as error:
-        raise MapError(
-            f"{path} has no number {index + 1} in its line {line}, {head[line - 1][:60]!r}: it is damaged, so export "
-            "it again"
-        ) from error
+        raise damaged(path, f"has no number {index + 1} in its line {line}, {head[line - 1][:60]!r}") from error
 
 
 def _integer(path: Path, head: list[str], line: int, index: int) -> int:
     value = _number(path, head, line, index)
     if not (abs(value) < 1 << 53 and value == int(value)):
-        raise MapError(f"{path} has {value:g} in its line {line}, it must be an integer: it is damaged")
+        raise damaged(path, f"has {value:g} in its line {line}, it must be an integer")
     return int(value)
 
 
@@ -101,10 +98,7 @@ def _phases(path: Path, body: str, intensity: list[int], shape: tuple[int, int])
     pictures = min(intensity) > 0 or (len(blocks) > 1 and not blocks[0].strip())
     counts = numbers(path, "".join(blocks[1:2] if pictures else blocks[:1]))
     if counts.size != shape[0] * shape[1]:
-        raise MapError(
-            f"{path} has {counts.size} phases for {shape[0]} rows of {shape[1]}: it is truncated or damaged, so export "
-            "it again"
-        )
+        raise damaged(path, f"has {counts.size} phases for {shape[0]} rows of {shape[1]}")
     counts[counts >= MISSING] = np.nan
     return counts.reshape(shape)
 
@@ -117,13 +111,14 @@ def _points(path: Path, body: str, corner: tuple[int, int], shape: tuple[int, in
     inside &= (column == np.rint(column)) & (row == np.rint(row))
     if not inside.all():
         bad = int(np.argmin(inside))
-        raise MapError(
-            f"{path} has a height at column {points[bad, 0]:g}, row {points[bad, 1]:g}, outside its {shape[1]} x "
-            f"{shape[0]} pixels from {corner}: it is damaged, so export it again"
+        raise damaged(
+            path,
+            f"has a height at column {points[bad, 0]:g}, row {points[bad, 1]:g}, outside its {shape[1]} x "
+            f"{shape[0]} pixels from {corner}",
         )
     place = (row * shape[1] + column).astype(np.int64)
     if np.bincount(place, minlength=1).max() > 1:
-        raise MapError(f"{path} has two heights at one pixel: it is damaged, so export it again")
+        raise damaged(path, "has two heights at one pixel")
     heights: Floats = np.full(shape, np.nan)
     heights.reshape(-1)[place] = points[:, 2] * 1e-3
     return heights

@@ -134,20 +134,15 @@ def touch(
 
     Parameters
     ----------
-    surface, tool
-        The finished surface, and the real tool.
-    angle, radius
-        Azimuth of the rake plane, and position of the commanded tip along it. (n,) [rad], (n,) [mm]
-    y
-        Position of the tip across that plane, toward growing azimuth; ``None`` for 0. (n,) [mm]
-    sense
-        +1 if the angle grows with time, -1 if it falls.
+    surface, tool, sense
+        The finished surface, and the real tool; ``sense`` is +1 if the angle grows with time, -1 if it falls.
+    angle, radius, y
+        Azimuth of the rake plane [rad], and positions of the commanded tip along and across it, across toward growing
+        azimuth; ``None`` for 0. Each (n,) [mm]
     rim
         Radius inside which the surface counts, at least that of the farthest tip. Outside, it is continued under the
         arc of the outermost tips if its tangent is unique that far; otherwise it ends at the rim, and an edge that
         would touch outside is lowered onto the rim. By default all of the surface counts. [mm]
-    progress
-        Called with (done, total).
 
     Raises
     ------

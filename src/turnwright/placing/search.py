@@ -21,7 +21,7 @@ from turnwright._arrays import Bools, Floats, Ints
 from turnwright._kernels import dilation as kernel
 from turnwright.errors import DomainError, GougeError, InputError
 from turnwright.placing.breaks import Breaks, evaluate_heights, find_breaks, find_extremes
-from turnwright.placing.tangent import MAX_CURVATURE_RATIO, Contact, Tips, Touch, newton_step
+from turnwright.placing.tangent import MAX_CURVATURE_RATIO, Contact, Tips, Touch
 from turnwright.progress import Progress, run_chunks
 from turnwright.surface import Surface
 
@@ -248,7 +248,7 @@ def _refine_maxima(contact: Contact, tips: Tips, found: _Candidates) -> tuple[Fl
     done = np.zeros(sweep.size, dtype=np.bool_)
     open_tips, b, p = tips, best, place
     for _ in range(100):
-        value, first, top, step, _ = newton_step(contact.surface, edge, open_tips, state[4])
+        value, first, top, step, _ = contact.newton_step(open_tips, state[4])
         kernel.bracket(*state, value, first, top, step, b, p, done)
         if done.all():
             best[index], place[index] = b, p

@@ -86,14 +86,14 @@ class Contact:
     @classmethod
     def of(cls, surface: Surface, edge: Edge, tips: Tips, rim: float) -> Contact:
         """Return the data that all tips of a plan share."""
-        outermost = float(np.hypot(tips.radius + edge.dx, tips.lateral).max())
+        outermost = float(np.hypot(tips.radius + edge.dx, tips.lateral).max(initial=0.0))
         rim = max(rim, outermost)
         return cls(
             surface,
             edge,
             upright=edge.upright and not tips.lateral.any(),
-            nearest=float(tips.radius.min() + edge.dx),
-            farthest=float(tips.radius.max() + edge.dx),
+            nearest=float(tips.radius.min(initial=np.inf) + edge.dx),
+            farthest=float(tips.radius.max(initial=-np.inf) + edge.dx),
             rim=rim,
             extent=rim if rim < np.inf else outermost,
             # Where the curvature is zero the feature size may be zero too; features far below the nose radius have no
@@ -112,6 +112,14 @@ class Contact:
         x, y = np.empty((2, sweep.size))
         kernel.under_edge(self.edge, *tips, np.ascontiguousarray(sweep), x, y)
         return x, y
+
+    def newton_step(self, tips: Tips, sweep: Floats) -> tuple[Floats, ...]:
+        """Return f - e, its slope, the height, the Newton step and the curvature at places on the nose. Each (n,)."""
+        with np.errstate(all="ignore"):
+            jet = self.surface.evaluate(*self.under_edge(tips, sweep), 2)
+        value, first, top, step, bend = np.empty((5, sweep.size))
+        kernel.newton_step(self.edge, tips.angle, sweep, *jet, value, first, top, step, bend)
+        return value, first, top, step, bend
 
 
 def find_curvature_limit(contact: Contact) -> float | None:
@@ -195,23 +203,13 @@ def _solve_round_tangents(contact: Contact, limit: float, tips: Tips, out: Touch
     return True
 
 
-def newton_step(surface: Surface, edge: Edge, tips: Tips, sweep: Floats) -> tuple[Floats, ...]:
-    """Return f - e, its slope, the height, the Newton step and the curvature at places on the nose. Each (n,)."""
-    x, y, value, first, top, step, bend = np.empty((7, sweep.size))
-    kernel.under_edge(edge, *tips, sweep, x, y)
-    with np.errstate(all="ignore"):
-        jet = surface.evaluate(x, y, 2)
-    kernel.newton_step(edge, tips.angle, sweep, *jet, value, first, top, step, bend)
-    return value, first, top, step, bend
-
-
 def _solve_edge_tangents(contact: Contact, limit: float, tips: Tips, out: Touch) -> bool:
     """Solve for any convex edge by Newton's method in the sweep; converged points drop out."""
     sweep = np.zeros(tips.angle.size)
     active: Ints | slice = slice(None)
     active_tips, s = tips, sweep
     for _ in range(12):
-        value, _, top, step, bend = newton_step(contact.surface, contact.edge, active_tips, s)
+        value, _, top, step, bend = contact.newton_step(active_tips, s)
         if not (bend < limit).all():
             return False
         # On a steep surface a full step from the tip could leave the arc: the step is limited.
@@ -268,17 +266,16 @@ def follow(surface: Surface, edge: Edge, tips: Tips, sweep: Floats) -> Touch:
     as if the other were absent. Heights are nan where Newton's method does not converge. It starts from ``sweep``, the
     place on the nose. (n,) [rad]
     """
+    contact = Contact.of(surface, edge, tips, np.inf)
     s, tilt = sweep.copy(), 0.5 * min(-edge.low, edge.high)
     lost = np.zeros(s.size, dtype=np.bool_)
     for _ in range(12):
-        value, _, top, step, _ = newton_step(surface, edge, tips, s)
+        value, _, top, step, _ = contact.newton_step(tips, s)
         lost |= ~(np.abs(step) < tilt)
         s += np.where(lost, 0.0, step)
         far = ~lost & ((np.abs(step) > kernel.STEP_TOL_RAD) | (np.abs(top - value) > kernel.RISE_TOL_MM))
         if not far.any():
             break
     lost |= far | (s < edge.low) | (s > edge.high)
-    x, y = np.empty((2, s.size))
-    kernel.under_edge(edge, *tips, s, x, y)
     z = np.where(lost, np.nan, top)
-    return Touch(z, s, x, y, z + edge.points(s)[2])
+    return Touch(z, s, *contact.under_edge(tips, s), z + edge.points(s)[2])

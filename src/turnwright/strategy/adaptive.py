@@ -190,17 +190,7 @@ class AdaptiveToolServo(Strategy):
             )
 
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
-        """Return the spiral for a part and a tool.
-
-        Raises
-        ------
-        GougeError
-            If the scallop is as high as the edge.
-        InputError
-            If the chord tolerance cannot be kept because the path jumps.
-        LimitError
-            If there are more points than any controller takes.
-        """
+        """Return the spiral for a part and a tool, see `Strategy`."""
         if self.interpolation is None:
             raise InputError('interpolation is not set, it must be "linear" or "hermite": set that of the controller')
         way = self.sense if self.inside_out else -self.sense
@@ -326,7 +316,6 @@ class _Steps:
     """
 
     def __init__(self, part: Part, edge: Edge, scallop: float, way: int) -> None:
-        self.kernel = kernel
         self.ridges = part.surface.in_pieces
         self.miss = RIDGE_SAMPLING_FACTOR if self.ridges else SAMPLING_FACTOR
         self.part, self.edge, self.scallop, self.way = part, edge, scallop, way
@@ -378,12 +367,11 @@ class _Steps:
             bend = (zxx + zyy) / 2 + np.hypot((zxx - zyy) / 2, zxy)
         return bool(bend.max() < MAX_CURVATURE_RATIO / self.edge.radius)
 
-    def placed(self, angle: Floats, radius: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the tip's height, its derivative by the angle at constant radius, and by the radius. Each (n,)."""
-        return self._place_with_pieces(angle, radius)[:3]
+    def place(self, angle: Floats, radius: Floats) -> tuple[Floats, Floats, Floats, Ints]:
+        """Return the tip's height, its derivative by the angle at constant radius, and by the radius, and the piece.
 
-    def _place_with_pieces(self, angle: Floats, radius: Floats) -> tuple[Floats, Floats, Floats, Ints]:
-        """Return the same, and the piece of the surface that the edge touches, -1 between two pieces. Each (n,)."""
+        The piece is that of the surface that the edge touches, -1 between two pieces. Each (n,)
+        """
         surface = self.part.surface
         at = touch_down(surface, self.edge, Tips.at(angle, radius - self.edge.dx), self.rim)
         with np.errstate(all="ignore"):
@@ -415,7 +403,7 @@ class _Steps:
             # Each ring is placed as a revolution, so that points of one azimuth share their line.
             angle = self.azimuth + self.way * TURN * np.arange(rings.size)[:, None]
             radii = np.repeat(rings * self.ring, self.spokes)
-            z, _, outward, piece = self._place_with_pieces(angle.ravel(), radii)
+            z, _, outward, piece = self.place(angle.ravel(), radii)
             keep = slice(max(low - self.first, 0), None)
             self.first += min(max(low - self.first, 0), self.height.shape[0])
             shape = (rings.size, self.spokes)
@@ -425,13 +413,13 @@ class _Steps:
             # Half the second derivative: the height error per square of the radius error.
             self.bend = max(self.bend, float(np.abs(np.diff(self.slope, axis=0)).max()) / (2 * self.ring))
         tip, along = np.empty((2, radius.size))
-        self.kernel.tips_at(self.first, self.ring, self.height, self.slope, self.every, radius, tip, along)
+        kernel.tips_at(self.first, self.ring, self.height, self.slope, self.every, radius, tip, along)
         return tip, along
 
     def _evaluate_under(self, radius: Floats, at: Floats) -> tuple[Floats, ...]:
         """Return height and slopes of the surface under the edges; where it is not defined, it counts as level."""
         x, y = np.empty((2, at.size))
-        self.kernel.under(self.edge, self.cosine, self.sine, radius, at, x, y)
+        kernel.under(self.edge, self.cosine, self.sine, radius, at, x, y)
         with np.errstate(all="ignore"):
             f, fx, fy = self.part.surface.evaluate(x, y, 1)
         gone = ~(np.isfinite(f) & np.isfinite(fx) & np.isfinite(fy))
@@ -457,7 +445,7 @@ class _Steps:
         low = low.copy()
         for _ in range(60):
             under = self._evaluate_under(radius, crest)
-            moved = self.kernel.crest_step(self.edge, *ways, self.scallop, radius, tip, *under, crest, low, high)
+            moved = kernel.crest_step(self.edge, *ways, self.scallop, radius, tip, *under, crest, low, high)
             if not moved > 1e-9 * self.flat:
                 break
         new = radius + 1.2 * step
@@ -467,7 +455,7 @@ class _Steps:
         for _ in range(60):
             if not upright:  # with rake, the next edge meets the crest at another place across the rake plane
                 goal = self._evaluate_under(new, crest)[0] + self.scallop
-            moved = self.kernel.next_step(self.edge, goal, crest, *self._tips(new), new, low, high)
+            moved = kernel.next_step(self.edge, goal, crest, *self._tips(new), new, low, high)
             if not moved > 1e-9 * self.flat:
                 break
         on_one_piece = self._lies_on_one_piece(radius, np.maximum(new, radius + step), crest)
@@ -486,7 +474,7 @@ class _Steps:
         low, high = (np.floor(at / self.ring).astype(np.int64) - self.first for at in (radius, new))
         piece = self.piece[low, self.every]
         x, y = np.empty((2, crest.size))
-        self.kernel.under(self.edge, self.cosine, self.sine, radius, crest, x, y)
+        kernel.under(self.edge, self.cosine, self.sine, radius, crest, x, y)
         on_one_piece = (piece >= 0) & (self.part.surface.piece(x, y) == piece)
         for ring in range(1, int((high - low).max()) + 2):
             on_one_piece &= self.piece[np.minimum(low + ring, high + 1), self.every] == piece
@@ -612,7 +600,7 @@ def _estimate_point_count(steps: _Steps, curve: _Curve, end: float, slack: float
     )
     turned = end * (np.arange(PREVIEW_REVS)[:, None] + 0.5) / PREVIEW_REVS + TURN / per_turn * np.arange(per_turn)
     turned = np.minimum(turned, end)
-    z = steps.placed(steps.way * turned.ravel(), curve.at(turned.ravel())[0])[0].reshape(turned.shape)
+    z = steps.place(steps.way * turned.ravel(), curve.at(turned.ravel())[0])[0].reshape(turned.shape)
     bend = np.abs(np.diff(z, 2, axis=1))
     return float(np.sqrt(bend / (8 * slack)).sum()) * end / TURN / PREVIEW_REVS
 
@@ -646,12 +634,12 @@ def _sample_path(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, 
     radius. (7, n)
     """
 
-    def placed(turned: Floats) -> Floats:
+    def sample(turned: Floats) -> Floats:
         radius, rate = curve.at(turned)
-        z, around, outward = steps.placed(steps.way * turned, radius)
+        z, around, outward, _ = steps.place(steps.way * turned, radius)
         return np.stack([turned, z, steps.way * around + outward * rate, radius, rate, outward])
 
-    path = placed(turned)
+    path = sample(turned)
     while True:
         if steps.ridges:  # on a ridge the path has a slope, the surface has none
             path[2] = np.gradient(path[1], path[0], edge_order=2)
@@ -666,12 +654,12 @@ def _sample_path(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, 
             # Twice as many even samples, at the same azimuths in every revolution, are faster than scattered ones.
             check_samples(2 * turned.size, chord)
             turned = np.linspace(turned[0], turned[-1], 2 * turned.size - 1)
-            path = placed(turned)
+            path = sample(turned)
             continue
         middle = (path[0, coarse] + path[0, coarse + 1]) / 2
         check_interval(path[0, coarse + 1] - path[0, coarse], middle, chord)
         check_samples(path.shape[1] + coarse.size, chord)
-        path = np.insert(path, coarse + 1, placed(middle), axis=1)
+        path = np.insert(path, coarse + 1, sample(middle), axis=1)
     t, z, dz, x, dx, s = path
     if hermite:
         pieces = SAMPLES_PER_BLOCK / 2 * (doubt / chord) ** 0.25

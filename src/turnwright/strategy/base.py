@@ -102,7 +102,17 @@ class Strategy(Stated, ABC):
 
     @abstractmethod
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
-        """Return the spiral of the tool over the part, in plan view."""
+        """Return the spiral of the tool over the part, in plan view.
+
+        Raises
+        ------
+        GougeError
+            If neighbouring cuts would not overlap, or the rim would stay uncut.
+        InputError
+            If the surface has no such path, or the chord tolerance cannot be kept because the path jumps.
+        LimitError
+            If there are more points than any controller takes, or an axis is too slow.
+        """
 
     def glimpse(self, part: Part, tool: Tool, *, turns: int, per_turn: int) -> Spiral:
         """Return some of the points of `spiral` for a preview: single revolutions, evenly from first to last.

@@ -228,17 +228,7 @@ class QuasiEllipticalToolServo(Strategy):
         )  # fmt: skip
 
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
-        """Return the swinging spiral for a part and a tool.
-
-        Raises
-        ------
-        GougeError, LimitError
-            As the spiral of a `SlowToolServo`.
-        InputError
-            If the surface has no pieces, and therefore no valleys.
-        LimitError
-            If the Y axis is too slow for the spindle (``short="slow"``).
-        """
+        """Return the swinging spiral for a part and a tool, see `Strategy`."""
         base = self._make_slow_servo().spiral(part, tool)
         return self._plan(base, part, tool, progress)[0].spiral(base.angle)
 

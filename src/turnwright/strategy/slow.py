@@ -156,17 +156,7 @@ class SlowToolServo(Strategy):
             )
 
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
-        """Return the spiral for a part and a tool.
-
-        Raises
-        ------
-        GougeError
-            If the feed is at least the width of the edge, or the lead-in is too short to cut the rim.
-        InputError
-            If the chord tolerance cannot be kept because the path jumps.
-        LimitError
-            If there are more points than any controller takes.
-        """
+        """Return the spiral for a part and a tool, see `Strategy`."""
         edge = tool.cutting_edge(self.sense)
         self._require_overlap(edge)
         if self.points_per_rev is not None:
