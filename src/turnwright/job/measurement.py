@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from os import PathLike
 from types import MappingProxyType
-from typing import Any, NamedTuple, overload
+from typing import Any, Literal, NamedTuple, overload
 
 import numpy as np
 
@@ -253,7 +253,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         outliers = 0
         if settings.spikes != "none":
             # The form error has no edges of the design, so only outliers stand out.
-            rule: Literal[kong, robust] = "kong" if settings.spikes == "second difference" else "robust"
+            rule: Literal["kong", "robust"] = "kong" if settings.spikes == "second difference" else "robust"
             removal = remove_outliers(_error_at(heights, part, first.pose), rule=rule)
             # Where many heights are outliers, the map is of another part.
             if removal.count <= MAX_OUTLIER_FRACTION * np.count_nonzero(np.isfinite(heights.z)):
