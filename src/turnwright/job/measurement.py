@@ -733,7 +733,6 @@ def _on_part(heights: HeightMap, registration: Registration) -> tuple[HeightMap,
 
 
 def _terms(error: HeightMap, radius: float) -> ZernikeFit | None:
-    """Return the Zernike terms of the form error, ``None`` if the points do not determine them."""
     try:
         return fit_zernike(error, terms=ZERNIKE_TERMS, indexing="fringe", radius=radius, centre=(0.0, 0.0))
     except InputError:

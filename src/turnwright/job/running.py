@@ -225,7 +225,6 @@ def _accepted(job: Job, kind: type[InputError], findings: Iterable[tuple[str, st
 
 
 def _or_accept(sentence: str, what: str) -> str:
-    """Add to a message how a job accepts the finding."""
     return f'{sentence} (or accept it in the job: accept = ["{what}"])'
 
 
