@@ -20,8 +20,7 @@ from turnwright.heightmap import HeightMap
 from turnwright.job.advice import open_questions
 from turnwright.job.contributions import pv_nm_of
 from turnwright.job.named import with_keys
-from turnwright.job.pass_plan import Watch
-from turnwright.job.predicted_finish import across_feed, cut_by, feed_of, motion_of
+from turnwright.job.pass_plan import Watch, across_feed, cut_by, feed_of, motion_of
 from turnwright.job.schema import Job
 from turnwright.job.seen import SeenTexture, design_as_seen, texture_as_seen
 from turnwright.job.verdict import Verdict, judge_form
