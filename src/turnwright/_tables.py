@@ -141,9 +141,13 @@ class Merged:
         )
 
 
-@cache
 def merged(cls: Any) -> Mapping[str, Any]:
     """Return the fields whose keys stand among those of the class, with the classes that the keys describe."""
+    return _merged(cls)
+
+
+@cache
+def _merged(cls: Any) -> Mapping[str, Any]:
     notes = {name: get_args(kind)[1:] for name, kind in types_of(cls).items()}
     return {name: note.stated for name, field in notes.items() for note in field if isinstance(note, Merged)}
 
@@ -402,9 +406,13 @@ def named(value: Any) -> str | None:
     return str(file)
 
 
-@cache
 def adapter(annotation: Any) -> TypeAdapter[Any]:
     """Return the pydantic adapter of a type, which reads and writes it."""
+    return _adapter(annotation)
+
+
+@cache
+def _adapter(annotation: Any) -> TypeAdapter[Any]:
     from pydantic import TypeAdapter  # noqa: PLC0415 - only files need pydantic
 
     return TypeAdapter(annotation)
@@ -412,12 +420,16 @@ def adapter(annotation: Any) -> TypeAdapter[Any]:
 
 def forget_adapters() -> None:
     """Clear the cache of adapters, after a surface family was added."""
-    adapter.cache_clear()
+    _adapter.cache_clear()
+
+
+def types_of(cls: Any) -> Mapping[str, Any]:
+    """Return the types of the input fields of a dataclass, with their units, by name."""
+    return _types(cls)
 
 
 @cache
-def types_of(cls: Any) -> Mapping[str, Any]:
-    """Return the types of the input fields of a dataclass, with their units, by name."""
+def _types(cls: Any) -> Mapping[str, Any]:
     types: dict[str, Any] = {}
     names = [field.name for field in dataclasses.fields(cls) if field.init]
     for base in reversed(cls.__mro__):

@@ -47,9 +47,7 @@ class Spiral(Compared):
     ----------
     angle
         Azimuth of the part under the tool, cumulative over the revolutions, strictly growing or strictly falling; the
-        median step is at most half a turn. Angles in degrees are refused where the step is wider than that, where it
-        is coarse, even and divides 360, and where the span is a multiple of 360; uneven steps below 3.1 degrees cannot
-        be distinguished from coarse steps in radians. (n,) [rad]
+        median step is at most half a turn. Angles that are evidently in degrees are refused. (n,) [rad]
     radius
         Commanded distance of the tip from the axis (for a path along the normal: of the contact point). (n,) [mm]
     y

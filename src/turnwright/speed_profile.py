@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 import numpy as np
 from annotated_types import MinLen
 
-from turnwright._arrays import Floats, Value, frozen, same_length
+from turnwright._arrays import Floats, Value, freeze
 from turnwright._validate import check_numbers
 from turnwright.errors import InputError
 from turnwright.units import Speed, Thickness, write
@@ -49,9 +49,7 @@ class SpeedProfile(Value):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        for name in ("radius", "spindle_rpm"):
-            object.__setattr__(self, name, frozen(getattr(self, name), name))
-        same_length([("radius", self.radius), ("spindle_rpm", self.spindle_rpm)])
+        freeze(self, ("radius", "spindle_rpm"))
         if not self.radius.size:
             raise InputError("a speed profile has 0 radii, it needs at least 1: give a radius and its spindle speed")
         if not (self.radius[1:] > self.radius[:-1]).all():

@@ -301,7 +301,6 @@ def _spline(certificate: WavinessTable) -> CubicSpline:
 
 @lru_cache(maxsize=64)
 def _edge(tool: Tool, sense: int) -> Edge:
-    """Return the edge of a tool; the last tools are kept."""
     if sense < 0:
         edge = _edge(tool, 1)
         return edge._replace(rake_sin=-edge.rake_sin)

@@ -1,12 +1,7 @@
-r"""Actual motion of the axes: interpolation by the controller and response of the servos.
+"""Actual motion of the axes: interpolation by the controller and response of the servos.
 
-A program is a list of points. The controller interpolates the command u between them, and the servo of an axis follows:
-
-.. math:: y(s) = H(s)\, e^{-s T}\, u(s)
-
-with the dead time T and the closed loop H of the axis. A rational H is split into its modes :math:`x' = p x + u`; the
-command is a polynomial between two knots, so every mode has a closed form there and nothing is discretised. A measured
-H is applied to the spectrum of the command instead.
+A rational response is split into its modes, which answer a polynomial command in closed form, so that nothing is
+discretised (see the theory of tracking). A measured response is applied to the spectrum of the command instead.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from turnwright.job.contributions import ErrorBreakdown, break_down_error, has_s
 from turnwright.job.correction import Correction, correct
 from turnwright.job.finish_terms import Finish, finish
 from turnwright.job.measurement import Measured, diagnose, measure, read_measurement
-from turnwright.job.named import HeightFile, MachineDeviations, context_of, with_keys
+from turnwright.job.named import HeightFile, MachineDeviations, Table, context_of, with_keys
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.pipeline import Pipeline
 from turnwright.job.planning import Plan, Trial, plan
@@ -28,7 +28,6 @@ from turnwright.job.result import Pass, Preview, Result
 from turnwright.job.running import finishing_motion, preview, run
 from turnwright.job.schema import Job, faults
 from turnwright.job.shape import PartShape, part_shape
-from turnwright.job.table import Table
 from turnwright.job.template import job_template, reference_tables
 from turnwright.job.testparts import TestPartKind, make_test_part
 from turnwright.job.text import as_tables, edited, written

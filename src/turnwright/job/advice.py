@@ -22,12 +22,12 @@ EDGE_FRACTION = 0.01
 """First width of an edge to leave out, over the clear semi-diameter."""
 
 
-def open_questions(registration: Registration, asked: MeasurementTable, radius: float) -> tuple[str, ...]:
+def open_questions(registration: Registration, settings: MeasurementTable, radius: float) -> tuple[str, ...]:
     """Return what a registration could not determine, a sentence each with the keys of ``[measurement]`` for it."""
     remedies: dict[DoubtKind, Callable[[], str]] = {
-        "tails": lambda: _trim(asked, radius),
-        "lost": lambda: _larger(asked),
-        "held": lambda: _hold(registration, asked),
+        "tails": lambda: _trim(settings, radius),
+        "lost": lambda: _larger(settings),
+        "held": lambda: _hold(registration, settings),
         "ambiguous": lambda: _single_out(registration, registration.rivals[0]),
         "symmetric": lambda: _clock(registration),
     }
@@ -51,22 +51,22 @@ def _shift(registration: Registration) -> list[str]:
     return [_length(one) for one in registration.pose.shift]
 
 
-def _trim(asked: MeasurementTable, radius: float) -> str:
-    keys: dict[str, object] = {"trim": _length(max(2 * asked.trim, EDGE_FRACTION * radius))}
-    if asked.spikes != "robust":
+def _trim(settings: MeasurementTable, radius: float) -> str:
+    keys: dict[str, object] = {"trim": _length(max(2 * settings.trim, EDGE_FRACTION * radius))}
+    if settings.spikes != "robust":
         keys = {"spikes": "robust", **keys}
     return f"Write {_keys(keys)} in [measurement], or mirrored or inverted if the map is."
 
 
-def _larger(asked: MeasurementTable) -> str:
+def _larger(settings: MeasurementTable) -> str:
     return (
         "Unless they are points beyond the rim, state shift and rotation of the map, and a reach of more than "
-        f"{_length(asked.reach)}, in [measurement]."
+        f"{_length(settings.reach)}, in [measurement]."
     )
 
 
-def _hold(registration: Registration, asked: MeasurementTable) -> str:
-    keys: dict[str, object] = {"free": [name for name in asked.free if name not in registration.held]}
+def _hold(registration: Registration, settings: MeasurementTable) -> str:
+    keys: dict[str, object] = {"free": [name for name in settings.free if name not in registration.held]}
     if {"x", "y", "z"} & set(registration.held):
         keys["shift"] = _shift(registration)
     if "rotation" in registration.held:

@@ -48,7 +48,7 @@ def steps_of_run(job: Job) -> tuple[Step, ...]:
     steps = [Step(stage="access", work=ACCESS_S), Step(stage="depth of cut", work=DEPTH_S)]
     stock = job.part.stock
     material = job.part.substance
-    written = 0.0
+    program_points = 0.0
     for cut in job.passes:
         points, times = _points(job, cut), len(cut.names(stock))
         steps += _placed(job, points)
@@ -56,12 +56,12 @@ def steps_of_run(job: Job) -> tuple[Step, ...]:
             steps.append(Step(stage="limits", work=LIMITS_S * points))
             if material is not None:
                 steps.append(Step(stage="chips", work=CHIPS_S * points))
-        written += times * points
+        program_points += times * points
         stock = cut.allowance
     points = _points(job, job.passes[-1])
     steps += [
         Step(stage="approach", work=APPROACH_S),
-        Step(stage="write program", work=WRITE_S * written),
+        Step(stage="write program", work=WRITE_S * program_points),
         Step(stage="read program", work=READ_S * points),
         Step(stage="compare", work=0.2),
     ]

@@ -183,7 +183,6 @@ def _with_fast_tool(plunge: Motion, turned: Floats, fast: Mapping[str, Floats]) 
 
 
 def _beyond_travel(job: Job, name: str, fast: Mapping[str, Floats]) -> str:
-    """Return a message if a fast tool would exceed its travel in a plunge, else an empty text."""
     for letter, values in fast.items():
         axis = job.machine.axes.get(letter, Axis())
         low, high = (-math.inf if axis.low is None else axis.low), (math.inf if axis.high is None else axis.high)

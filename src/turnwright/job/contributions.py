@@ -213,7 +213,6 @@ def _axis_zone(part: Part, tool: Tool, feed: float) -> tuple[float, float]:
 
 
 def _digits(height_nm: float) -> str:
-    """Return a height with three digits, or 0 where it is rounding."""
     return f"{height_nm:.3g}" if height_nm >= MIN_SHOWN_NM else "0"
 
 

@@ -25,8 +25,7 @@ from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import pv_nm_of, rms_nm_of
 from turnwright.job.measurement import Measured, beyond_pose, cutoff_of, errors_at_candidates, same_part
 from turnwright.job.named import HeightFile
-from turnwright.job.pass_plan import Watch
-from turnwright.job.predicted_finish import across_feed, cut_by, feed_of, motion_of
+from turnwright.job.pass_plan import Watch, across_feed, cut_by, feed_of, motion_of
 from turnwright.job.schema import Actual, Job
 from turnwright.job.text import edited
 from turnwright.job.verdict import Verdict, judge_form

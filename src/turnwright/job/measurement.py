@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from os import PathLike
 from types import MappingProxyType
-from typing import Any, NamedTuple, overload
+from typing import Any, Literal, NamedTuple, overload
 
 import numpy as np
 
@@ -20,8 +20,7 @@ from turnwright.heightmap import HeightMap
 from turnwright.job.advice import open_questions
 from turnwright.job.contributions import pv_nm_of
 from turnwright.job.named import with_keys
-from turnwright.job.pass_plan import Watch
-from turnwright.job.predicted_finish import across_feed, cut_by, feed_of, motion_of
+from turnwright.job.pass_plan import Watch, across_feed, cut_by, feed_of, motion_of
 from turnwright.job.schema import Job
 from turnwright.job.seen import TextureComparison, design_as_seen, texture_as_seen
 from turnwright.job.verdict import Verdict, judge_form
@@ -253,7 +252,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         outliers = 0
         if settings.spikes != "none":
             # The form error has no edges of the design, so only outliers stand out.
-            rule = "kong" if settings.spikes == "second difference" else "robust"
+            rule: Literal["kong", "robust"] = "kong" if settings.spikes == "second difference" else "robust"
             removal = remove_outliers(_error_at(heights, part, first.pose), rule=rule)
             # Where many heights are outliers, the map is of another part.
             if removal.count <= MAX_OUTLIER_FRACTION * np.count_nonzero(np.isfinite(heights.z)):
@@ -734,7 +733,6 @@ def _on_part(heights: HeightMap, registration: Registration) -> tuple[HeightMap,
 
 
 def _terms(error: HeightMap, radius: float) -> ZernikeFit | None:
-    """Return the Zernike terms of the form error, ``None`` if the points do not determine them."""
     try:
         return fit_zernike(error, terms=ZERNIKE_TERMS, indexing="fringe", radius=radius, centre=(0.0, 0.0))
     except InputError:

@@ -1,33 +1,33 @@
-"""Values that a job states by name or file: heights, certificates, machines, instruments."""
+"""The base class of the tables of a job, and values that they state by name or file."""
 
 from __future__ import annotations
 
+import csv
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from os import PathLike
 from pathlib import Path as File
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from pydantic import BeforeValidator
 
-from turnwright._arrays import same
-from turnwright._tables import ByName, types_of, written
+from turnwright._arrays import Floats, Value, same
+from turnwright._tables import ByName, Stated, types_of, written
 from turnwright._validate import check_numbers, key_of
-from turnwright.errors import InputError, JobError, MapError, shown
+from turnwright.errors import InputError, JobError, MapError, UnitError, shown
 from turnwright.files import read_map
 from turnwright.instrument import Instrument
-from turnwright.job.table import Table, read_columns
 from turnwright.machine import PLAUSIBLE, ErrorSizes, Machine
 from turnwright.material import Material
 from turnwright.post import dialect_of
 from turnwright.surface import Family, Gridded, Scattered
 from turnwright.tool import WavinessTable
-from turnwright.units import Flag, Number, Size, Slope, Text, Thickness, write
+from turnwright.units import Flag, Number, Size, Slope, Text, Thickness, parse, write
 
 if TYPE_CHECKING:
     from pydantic import ValidationInfo
@@ -38,10 +38,55 @@ __all__ = [
     "ExistingFile",
     "HeightFile",
     "MachineDeviations",
+    "Table",
     "context_of",
     "with_interpolation",
     "with_keys",
 ]  # fmt: skip
+
+
+class Table(Stated, Value):
+    """Base class of the tables of a job file that only hold values."""
+
+    __slots__ = ()
+    like: ClassVar[Any] = None
+    """Class or function whose docstring explains the fields of the same names."""
+
+
+def read_columns(file: File, columns: Mapping[str, str]) -> Iterator[Floats]:
+    """Read a CSV table whose first row names the columns with their units, such as ``sweep [deg],deviation [um]``.
+
+    Lines starting with # are comments. Yields each of the named columns in the stated unit. (n,)
+
+    Raises
+    ------
+    JobError
+        If the file is not a CSV table, a column is missing or a value is not a number.
+    UnitError
+        If a column has the wrong unit.
+    """
+    try:
+        with file.open(encoding="utf-8-sig", newline="") as lines:
+            rows = [row for row in csv.reader(lines) if row and not row[0].lstrip().startswith("#")]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise JobError(f"{file.name} is not a CSV table in UTF-8 ({error}): save it as plain text") from error
+    heads = [re.fullmatch(r"\s*(.*?)\s*\[(.*)\]\s*", cell) for cell in (rows[0] if rows else [])]
+    units = {head.group(1): (place, head.group(2)) for place, head in enumerate(heads) if head}
+    for name, wanted in columns.items():
+        if name not in units:
+            raise JobError(
+                f"{file.name} has no column {name!r} in its first row: name its columns like "
+                f"{','.join(f'{key} [{value}]' for key, value in columns.items())!r}"
+            )
+        place, have = units[name]
+        values = np.empty(len(rows) - 1)
+        for number, row in enumerate(rows[1:]):
+            text = f"{row[place] if place < len(row) else ''} {have}"
+            try:
+                values[number] = parse(text, wanted)
+            except UnitError as error:
+                raise UnitError(f"{file.name}, row {number + 1} below the header, column {name}: {error}") from error
+        yield values
 
 
 def existing(text: str, folder: str | PathLike[str]) -> File:

@@ -304,7 +304,8 @@ def describe_gouge(job: Job, path: Path) -> str:
     least = float(path.clearance.min())
     if least >= -GOUGE:
         return ""
-    return f"placed along the {job.strategy.along}, the edge cuts {-least * 1e6:.3g} nm below the surface"
+    cut = f"placed along the {job.strategy.along}, the edge cuts {-least * 1e6:.3g} nm below the surface"
+    return f'{cut}, the limit is 0 nm: place it along "z"'
 
 
 def _repeat(cut: PassTable, motion: Motion, stock: float) -> Iterator[tuple[str, float, float, Motion]]:

@@ -179,7 +179,7 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
     others = tuple(controller.other_interpolations)
     plans: list[Plan] = []
     tried: list[Trial] = []
-    why: TurnwrightError | None = None
+    first_error: TurnwrightError | None = None
     for name in (stated, *others):
         try:
             machine = job.machine if name == stated else with_interpolation(job.machine, name)
@@ -187,13 +187,13 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
         except Stopped:
             raise
         except TurnwrightError as error:
-            why = why or error
+            first_error = first_error or error
             tried.append(Trial(interpolation=name, refused=str(error)))
             continue
         plans.append(best)
         tried.append(Trial(interpolation=name, points=best.limits.points, minutes=best.limits.cycle_time_s / 60))
-    if why is not None and not plans:
-        raise why
+    if first_error is not None and not plans:
+        raise first_error
     least = min(one.limits.cycle_time_s for one in plans)
     alike = [one for one in plans if one.limits.cycle_time_s <= least / NEAR]  # the resolution of the searches
     return replace(min(alike, key=lambda one: one.limits.points), tried=tuple(tried))
@@ -278,10 +278,10 @@ class _Search:
     def __init__(self, job: Job, across: float, roughest: float) -> None:
         self.job, self.across, self.roughest = job, across, roughest
         self.part, self.tool, machine = job.part.aimed, job.tool, job.machine
-        self.answers, self.corrected = has_servos(machine), job.program.precorrect
+        self.simulates_servos, self.corrected = has_servos(machine), job.program.precorrect
         self.varies = machine.controller.variable_speed
         self.machine = machine
-        if self.answers:
+        if self.simulates_servos:
             self.machine = replace(machine, controller=replace(machine.controller, variable_speed=False))
         self.servos: Servos | None = None
         # Cubics follow the curvature of the path, so that steps can have a constant length.
@@ -295,12 +295,12 @@ class _Search:
         """Return the fastest plan whose points and servos share the residual [mm], simulated from its program."""
         best: tuple[_Points, Motion, float] | None = None
         tell(0.0)
-        splits = POINT_SHARES if self.answers else (1.0,)
+        splits = POINT_SHARES if self.simulates_servos else (1.0,)
         for share in sorted({min(split * residual, self.roughest) for split in splits}, reverse=True):
             points = self._points(share)
             motion, tracking = points.plan.planned, residual - share
             tell(0.3)
-            if self.answers:
+            if self.simulates_servos:
                 self.servos = self.servos or Servos(
                     self.part, self.tool, self.machine, spiral=points.plan.spiral, corrected=self.corrected
                 )
@@ -312,7 +312,7 @@ class _Search:
         tell(0.5)
         points, nominal, tracking = best
         speed: float | SpeedProfile | None = None
-        if self.answers or not self.varies:
+        if self.simulates_servos or not self.varies:
             peak_rpm = check_limits(nominal, self.machine).peak_speed["C"] * (60 / TURN)  # the mean includes the ramps
             speed = round_down(peak_rpm)
             nominal = at_speed(nominal, speed / peak_rpm)

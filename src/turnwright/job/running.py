@@ -75,12 +75,9 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     passes: list[Pass] = []
     chips: dict[str, ChipMap] = {}
     for cut in line.cuts():
-        gouges = filter(None, [describe_gouge(job, cut.plan.path)])
-        remedy = 'the limit is 0 nm: place it along "z"'
-        warnings += _accepted(job, GougeError, (("gouge", f"{one}, {remedy}") for one in gouges))
-        warnings += _accepted(
-            job, LimitError, (("limits", f"pass {cut.name}: {one}") for one in cut.limits.findings[:1])
-        )
+        warnings += _accepted(job, GougeError, [("gouge", describe_gouge(job, cut.plan.path))])
+        exceeded = [("limits", f"pass {cut.name}: {one}") for one in cut.limits.findings[:1]]
+        warnings += _accepted(job, LimitError, exceeded)
         motions[cut.name] = cut.motion
         passes.append(cut.as_pass(_check_chips(cut, chips, warnings)))
     plotted_path, least = _thin(line.path), float(line.path.clearance.min())
@@ -88,8 +85,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     del cut
     line.finishing.forget("spiral", "path")
     entries = line.entries(motions)
-    beyond = (("limits", one.beyond_travel) for one in entries.values() if one.beyond_travel)
-    warnings += _accepted(job, LimitError, beyond)
+    warnings += _accepted(job, LimitError, (("limits", one.beyond_travel) for one in entries.values()))
     program = line.write(motions, entries)
     motions.clear()
     program_motion = line.program_motion
@@ -220,17 +216,15 @@ def finishing_motion(job: Job, *, progress: StageProgress | None = None) -> tupl
 
 
 def _accepted(job: Job, kind: type[InputError], findings: Iterable[tuple[str, str]]) -> list[str]:
-    """Return the sentences of findings, by what a job accepts; raise the first that it does not accept."""
-    sentences = []
-    for what, sentence in findings:
+    """Return the sentences of findings that a job accepts by name; raise the first that it does not accept."""
+    sentences = [(what, sentence) for what, sentence in findings if sentence]
+    for what, sentence in sentences:
         if what not in job.accept:
             raise kind(_or_accept(sentence, what))
-        sentences.append(sentence)
-    return sentences
+    return [sentence for _, sentence in sentences]
 
 
 def _or_accept(sentence: str, what: str) -> str:
-    """Add to a message how a job accepts the finding."""
     return f'{sentence} (or accept it in the job: accept = ["{what}"])'
 
 

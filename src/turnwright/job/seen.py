@@ -10,7 +10,7 @@ import numpy as np
 from turnwright._arrays import Floats, is_even
 from turnwright.heightmap import HeightMap
 from turnwright.instrument import Instrument
-from turnwright.job.predicted_finish import cut_by, feed_of, motion_of
+from turnwright.job.pass_plan import cut_by, feed_of, motion_of
 from turnwright.job.schema import Job
 from turnwright.metrology import filter_map
 from turnwright.pose import Pose

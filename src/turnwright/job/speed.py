@@ -197,8 +197,10 @@ class Servos:
                 speed = speed * NEAR
             else:
                 ratio = rings.worst(self.radius, self._error(command, nominal_surface), self.feed) / share
-                used = rings.utilisation(command, self.machine)
-                ratio = np.maximum(ratio, used if self.corrected else np.where(used > 1 + LIMIT_TOL, used, 0.0))
+                utilisation = rings.utilisation(command, self.machine)
+                ratio = np.maximum(
+                    ratio, utilisation if self.corrected else np.where(utilisation > 1 + LIMIT_TOL, utilisation, 0.0)
+                )
                 if profile is not None and ratio.max() <= 1 + (LIMIT_TOL if self.corrected else 0.0):
                     if best is None or nominal.time[-1] < best[1].time[-1]:
                         best = profile, nominal
@@ -261,10 +263,10 @@ class _Rings:
         """Return the lowest spindle speed in each ring, given the speed of every block of the path."""
         return np.array([speed[max(piece.start - 1, 0) : piece.stop].min() for piece in self.pieces])
 
-    def worst(self, radius: Floats, off: Floats, feed: float) -> Floats:
+    def worst(self, radius: Floats, error: Floats, feed: float) -> Floats:
         """Return the largest error within the contact radii of each ring, given the error at some radii."""
         return np.array(
-            [off[(radius >= low - feed) & (radius <= high + feed)].max(initial=0.0) for low, high in self.reach]
+            [error[(radius >= low - feed) & (radius <= high + feed)].max(initial=0.0) for low, high in self.reach]
         )
 
     def utilisation(self, motion: Motion, machine: Machine) -> Floats:

@@ -145,7 +145,6 @@ def _example_of(title: str) -> Mapping[str, Any]:
 
 
 def _references(field: Any) -> Iterator[str]:
-    """Yield the references to the tables that a field can contain."""
     if isinstance(field, dict):
         if "$ref" in field:
             yield field["$ref"]
