@@ -230,7 +230,8 @@ def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], numeric: Colle
 def _pose(measured: Measured) -> Section:
     """Return the section of the part pose."""
     registration = measured.registration
-    pose, rows = registration.pose, []
+    pose = registration.pose
+    rows = []
     values = (*pose.shift, pose.rotation, *pose.tilt)
     for name, value in zip(("x", "y", "z", "rotation", "tilt_x", "tilt_y"), values, strict=True):
         unit, scale = ("mm", 1.0) if name in ("x", "y", "z") else ("mrad", 1e3)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
 from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path as File
 from typing import Any
 
-from turnwright._io import write_whole
-from turnwright.job import ErrorBreakdown, program_shares
+from turnwright._io import json_data, write_whole
+from turnwright.job import program_shares
 from turnwright.web.made import finishing_pass, numbers_of
 
 __all__ = ["budget"]
@@ -27,15 +26,10 @@ def budget(folder: str) -> dict[str, Any]:
         return numbers
     job, file, name = finishing_pass(folder, "no error budget is available")
     contributions = program_shares(job, file, name)
-    numbers = {
-        one.name: _number(getattr(contributions, one.name)) for one in fields(ErrorBreakdown) if one.name != "error"
-    }
+    names = [one.name for one in fields(contributions) if one.name != "error"]
+    numbers = json_data({name: getattr(contributions, name) for name in names})
     numbers["rounding_nm"] = numbers_of(folder)["rounding_nm"]
     numbers["servos"] = any(one.response is not None or one.dead_time for one in job.machine.axes.values())
     with suppress(OSError):  # on a full disk the result is not cached
         write_whole(cache, json.dumps(numbers))
     return numbers
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
