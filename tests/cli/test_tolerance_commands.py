@@ -38,6 +38,9 @@ test_parts = ["concave sphere"]
 """
 
 
+COUNT = 12
+
+
 @pytest.fixture
 def job():
     return tw.Job.read(JOB)
@@ -45,7 +48,7 @@ def job():
 
 def study_of(job, **more):
     with ThreadPoolExecutor(2) as executor:
-        return tw.studies.tolerance(job, budget=ErrorBudget.read(table()), count=24, executor=executor, **more)
+        return tw.studies.tolerance(job, budget=ErrorBudget.read(table()), count=COUNT, executor=executor, **more)
 
 
 def table(**changed):
@@ -62,7 +65,7 @@ def table(**changed):
 
 def test_a_test_part_is_worth_what_it_finds(job, tmp_path):
     found = study_of(job, store=tmp_path)
-    assert found.count == 24
+    assert found.count == COUNT
     assert not found.reasons
     before, after = found.outcomes["as planned"], found.outcomes["corrected"]
     assert after.probability.value > before.probability.value + 0.5
@@ -81,7 +84,7 @@ def test_a_study_goes_on_where_it_stopped(job, tmp_path, monkeypatch):
     store = Store.open(tmp_path)
     first = study_of(job, store=store, correction=False)
     rows = len(store.keys())
-    assert rows == 25  # the cases, and what was planned
+    assert rows == COUNT + 1  # the cases, and what was planned
 
     def never(*_):
         raise AssertionError("computed twice")
@@ -102,14 +105,14 @@ def test_a_case_that_fails_is_a_reason(job, tmp_path, monkeypatch):
 
     monkeypatch.setattr(_draws.CaseContext, "measure", sometimes)
     found = study_of(job, store=tmp_path, correction=False)
-    assert 0 < len(found.reasons) < 12
-    assert found.count == 24 - len(found.reasons)
+    assert 0 < len(found.reasons) < COUNT / 2
+    assert found.count == COUNT - len(found.reasons)
     assert set(found.reasons) == {"the tool is off by too much: set it anew"}
     # They are parts out of tolerance: the best statement is the share of those that could be cut.
     kept = sum(
         all(found.columns[measure][k] <= limit for measure, limit in found.limits.items()) for k in range(found.count)
     )
-    assert found.outcomes["as planned"].probability.value == pytest.approx(kept / 24, abs=1e-12)
+    assert found.outcomes["as planned"].probability.value == pytest.approx(kept / COUNT, abs=1e-12)
 
 
 def test_a_plan_outlives_changes_of_its_files(tmp_path):
