@@ -38,17 +38,14 @@ test_parts = ["concave sphere"]
 """
 
 
-COUNT = 12
-
-
 @pytest.fixture
 def job():
     return tw.Job.read(JOB)
 
 
-def study_of(job, **more):
+def study_of(job, count=24, **more):
     with ThreadPoolExecutor(2) as executor:
-        return tw.studies.tolerance(job, budget=ErrorBudget.read(table()), count=COUNT, executor=executor, **more)
+        return tw.studies.tolerance(job, budget=ErrorBudget.read(table()), count=count, executor=executor, **more)
 
 
 def table(**changed):
@@ -65,7 +62,7 @@ def table(**changed):
 
 def test_a_test_part_is_worth_what_it_finds(job, tmp_path):
     found = study_of(job, store=tmp_path)
-    assert found.count == COUNT
+    assert found.count == 24
     assert not found.reasons
     before, after = found.outcomes["as planned"], found.outcomes["corrected"]
     assert after.probability.value > before.probability.value + 0.5
@@ -82,15 +79,15 @@ def test_a_test_part_is_worth_what_it_finds(job, tmp_path):
 
 def test_a_study_goes_on_where_it_stopped(job, tmp_path, monkeypatch):
     store = Store.open(tmp_path)
-    first = study_of(job, store=store, correction=False)
+    first = study_of(job, 10, store=store, correction=False)
     rows = len(store.keys())
-    assert rows == COUNT + 1  # the cases, and what was planned
+    assert rows == 11  # the cases, and what was planned
 
     def never(*_):
         raise AssertionError("computed twice")
 
     monkeypatch.setattr(_draws.CaseContext, "measure", never)
-    again = study_of(job, store=store, correction=False)
+    again = study_of(job, 10, store=store, correction=False)
     assert len(store.keys()) == rows
     assert np.array_equal(first.columns["form_pv_nm"], again.columns["form_pv_nm"])
 
@@ -105,14 +102,14 @@ def test_a_case_that_fails_is_a_reason(job, tmp_path, monkeypatch):
 
     monkeypatch.setattr(_draws.CaseContext, "measure", sometimes)
     found = study_of(job, store=tmp_path, correction=False)
-    assert 0 < len(found.reasons) < COUNT / 2
-    assert found.count == COUNT - len(found.reasons)
+    assert 0 < len(found.reasons) < 12
+    assert found.count == 24 - len(found.reasons)
     assert set(found.reasons) == {"the tool is off by too much: set it anew"}
     # They are parts out of tolerance: the best statement is the share of those that could be cut.
     kept = sum(
         all(found.columns[measure][k] <= limit for measure, limit in found.limits.items()) for k in range(found.count)
     )
-    assert found.outcomes["as planned"].probability.value == pytest.approx(kept / COUNT, abs=1e-12)
+    assert found.outcomes["as planned"].probability.value == pytest.approx(kept / 24, abs=1e-12)
 
 
 def test_a_plan_outlives_changes_of_its_files(tmp_path):
@@ -122,9 +119,9 @@ def test_a_plan_outlives_changes_of_its_files(tmp_path):
         edge.write_text(f"sweep [deg],deviation [um]\n-20,0\n-5,0\n5,0\n20,{rise}\n", encoding="utf-8")
         return tw.Job.read({**JOB, "actual": {"tool": {"waviness_file": "edge.csv"}}}, folder=tmp_path)
 
-    one = study_of(asked(0.1), store=tmp_path / "store", correction=False)
+    one = study_of(asked(0.1), 10, store=tmp_path / "store", correction=False)
     # Another content of the same file is another study, in the same store.
-    two = study_of(asked(0.6), store=tmp_path / "store", correction=False)
+    two = study_of(asked(0.6), 10, store=tmp_path / "store", correction=False)
     assert (one.columns["form_pv_nm"] != two.columns["form_pv_nm"]).all()
     store = Store.open(tmp_path / "store")
     plans = [row for row in map(store.row, store.keys()) if "cuts" in row]
