@@ -23,7 +23,7 @@ def test_peaks_are_those_of_the_cubics_and_limits_are_kept(number):
     assert used <= 1 + 1e-9 or not sought
 
 
-@pytest.mark.parametrize("number", [2, pytest.param(29, marks=pytest.mark.proof), 48])
+@pytest.mark.parametrize("number", [2, *(pytest.param(one, marks=pytest.mark.proof) for one in (29, 48))])
 def test_the_speed_that_is_sought_is_the_highest(number):
     """Oracle: any stated speed, by SciPy's cubics. A higher one breaks a limit or is refused, a lower one does not."""
     _, path, servo, machine, _ = pvt_oracle.setting(np.random.default_rng((8, number)))
