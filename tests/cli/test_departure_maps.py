@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+from cases import every_second
 from job_files import changed, written
 from turnwright.cli import main
 from turnwright.errors import JobError, MapError
@@ -46,8 +47,7 @@ MAPS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("shift", [0.0, 7.0])
-@pytest.mark.parametrize("kind", MAPS)
+@pytest.mark.parametrize(("kind", "shift"), every_second(MAPS, [0.0, 7.0]))
 def test_a_departure_is_the_form_that_the_heights_show(kind, shift):
     """The map lies about its origin, or counts its pixels from a corner."""
     z, keys = MAPS[kind]

@@ -62,7 +62,7 @@ clearance = "0.15 rad"
 """
 
 
-@pytest.mark.parametrize("elsewhere", [False, True])
+@pytest.mark.parametrize("elsewhere", [pytest.param(False, marks=pytest.mark.proof), True])
 def test_a_plan_keeps_what_a_person_wrote(tmp_path, elsewhere):
     """Oracle: the lines of the file, by difflib, and tomllib."""
     shop, out = tmp_path / "shop", (tmp_path / "plans" if elsewhere else tmp_path / "shop")
@@ -300,7 +300,9 @@ def test_a_corrected_plan_is_faster_and_keeps_the_limits(steady, tmp_path):
     assert np.abs(whole.tracking.z).max() * 1e6 <= 1.02 * chosen.shares.tracking_nm
 
 
-@pytest.mark.parametrize("corrected", [(), CORRECTED], ids=["commanded", "corrected"])
+@pytest.mark.parametrize(
+    "corrected", [pytest.param((), id="commanded", marks=pytest.mark.proof), pytest.param(CORRECTED, id="corrected")]
+)
 def test_a_speed_over_the_radius_lets_every_ring_use_its_share(corrected, steady, tmp_path, monkeypatch):
     """Oracles: the integral of the stated speeds by SciPy, and `run` by its own maps."""
     job = Job.load(lathe(tmp_path, *corrected, controller="variable_speed = true"))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+from cases import every_second
 from job_files import written
 from turnwright.cli import main
 from turnwright.errors import InputError
@@ -68,8 +69,7 @@ def refused_or_done(told):
     assert "encountered" not in said  # as NumPy warns
 
 
-@pytest.mark.parametrize("value", [HUGE, f"-{HUGE}", TINY, TINIEST])
-@pytest.mark.parametrize("place", FIELDS)
+@pytest.mark.parametrize(("place", "value"), every_second(FIELDS, [HUGE, f"-{HUGE}", TINY, TINIEST]))
 def test_no_size_of_a_job_is_a_defect(tmp_path, capsys, place, value):
     text = f"{value} {FIELDS[place]}"
     given = {"tool.waviness": [text], "actual.tool.offset": [text, text, text]}.get(place, text)
@@ -78,8 +78,7 @@ def test_no_size_of_a_job_is_a_defect(tmp_path, capsys, place, value):
     refused_or_done(checked(tmp_path, capsys, *more, (place, given)))
 
 
-@pytest.mark.parametrize("value", [HUGE, TINY, TINIEST])
-@pytest.mark.parametrize("family", SURFACES)
+@pytest.mark.parametrize(("family", "value"), every_second(SURFACES, [HUGE, TINY, TINIEST]))
 def test_no_size_of_a_surface_is_a_defect(tmp_path, capsys, family, value):
     surface, places = SURFACES[family]
     for place, named in places.items():

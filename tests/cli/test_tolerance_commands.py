@@ -43,9 +43,9 @@ def job():
     return tw.Job.read(JOB)
 
 
-def study_of(job, **more):
+def study_of(job, count=24, **more):
     with ThreadPoolExecutor(2) as executor:
-        return tw.studies.tolerance(job, budget=ErrorBudget.read(table()), count=24, executor=executor, **more)
+        return tw.studies.tolerance(job, budget=ErrorBudget.read(table()), count=count, executor=executor, **more)
 
 
 def table(**changed):
@@ -79,15 +79,15 @@ def test_a_test_part_is_worth_what_it_finds(job, tmp_path):
 
 def test_a_study_goes_on_where_it_stopped(job, tmp_path, monkeypatch):
     store = Store.open(tmp_path)
-    first = study_of(job, store=store, correction=False)
+    first = study_of(job, 10, store=store, correction=False)
     rows = len(store.keys())
-    assert rows == 25  # the cases, and what was planned
+    assert rows == 11  # the cases, and what was planned
 
     def never(*_):
         raise AssertionError("computed twice")
 
     monkeypatch.setattr(_draws.CaseContext, "measure", never)
-    again = study_of(job, store=store, correction=False)
+    again = study_of(job, 10, store=store, correction=False)
     assert len(store.keys()) == rows
     assert np.array_equal(first.columns["form_pv_nm"], again.columns["form_pv_nm"])
 
@@ -119,9 +119,9 @@ def test_a_plan_outlives_changes_of_its_files(tmp_path):
         edge.write_text(f"sweep [deg],deviation [um]\n-20,0\n-5,0\n5,0\n20,{rise}\n", encoding="utf-8")
         return tw.Job.read({**JOB, "actual": {"tool": {"waviness_file": "edge.csv"}}}, folder=tmp_path)
 
-    one = study_of(asked(0.1), store=tmp_path / "store", correction=False)
+    one = study_of(asked(0.1), 10, store=tmp_path / "store", correction=False)
     # Another content of the same file is another study, in the same store.
-    two = study_of(asked(0.6), store=tmp_path / "store", correction=False)
+    two = study_of(asked(0.6), 10, store=tmp_path / "store", correction=False)
     assert (one.columns["form_pv_nm"] != two.columns["form_pv_nm"]).all()
     store = Store.open(tmp_path / "store")
     plans = [row for row in map(store.row, store.keys()) if "cuts" in row]

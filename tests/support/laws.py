@@ -5,7 +5,7 @@ import os
 from hypothesis import settings
 
 SHARE = 1.0 if os.environ.get("TURNWRIGHT_LAWS") == "all" else 0.25
-LEAST = 5
+LEAST = 3
 
 
 def examples(count, **more):

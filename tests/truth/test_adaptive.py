@@ -81,7 +81,7 @@ def test_the_controller_keeps_within_the_chord_of_the_exact_path(way, chord):
     assert 0.9 * chord < worst <= chord  # and it uses the chord, so the points are no closer than they need be
 
 
-@pytest.mark.parametrize(("sense", "inside_out"), [(1, False), (-1, True)])
+@pytest.mark.parametrize(("sense", "inside_out"), [pytest.param(1, False, marks=pytest.mark.proof), (-1, True)])
 def test_either_way_round_is_within_the_chord(sense, inside_out):
     tool = Tool(nose_radius=0.1, rake=np.deg2rad(-15), waviness=(0.0, 2e-5), offset=(0.003, 0.002, 0.001))
     servo = AdaptiveToolServo(scallop=SCALLOP, chord=5e-6, interpolation="hermite", inside_out=inside_out, sense=sense)
@@ -149,7 +149,7 @@ def test_a_steady_feed_is_the_largest_that_keeps_the_scallop():
     assert np.ptp(feed[radius[1:] > 0.02]) < 1e-8
 
 
-@pytest.mark.parametrize("x_motion", ["servo", "steady"])
+@pytest.mark.parametrize("x_motion", [pytest.param("servo", marks=pytest.mark.proof), "steady"])
 def test_a_march_from_the_axis_after_a_look_at_the_rim(monkeypatch, x_motion):
     """On every lenslet the largest feed is that of a sphere, sqrt(8 R h (1 - R / bend)); R large against its cusps."""
     monkeypatch.setattr(
@@ -197,7 +197,7 @@ class Island(Surface):
         return 0.05 / 8
 
 
-@pytest.mark.parametrize("way", WAYS[:2])
+@pytest.mark.parametrize("way", [WAYS[0], pytest.param(WAYS[1], marks=pytest.mark.proof)])
 def test_where_the_density_changes_nothing_is_gouged(way):
     part = Part(surface=Island(), radius=0.3)
     servo = AdaptiveToolServo(scallop=SCALLOP, chord=2e-6, **way)

@@ -125,7 +125,7 @@ def flat_gate(critical, uncertainty=None, *, allowance=0.0, ratio=1.0, rake=None
     return check_ductile(chips, material, tool, allowance=allowance)
 
 
-def test_gate_margin_uncertainty_is_that_of_the_material():
+def test_margin_uncertainty_is_that_of_the_material():
     """Oracle: how far the chip stays below limits drawn at random, as a share of the limit that is stated."""
     critical = 2 * FLAT.thickest
     gate = flat_gate(critical, 0.02 * critical)
@@ -152,7 +152,7 @@ def test_gate_margin_uncertainty_is_that_of_the_material():
         (1e3, 0.5, "uncertain"),  # a limit that may be 0: no chip is thin enough
     ],
 )
-def test_gate_verdict_outside_the_uncertainty(times, relative, verdict):
+def test_verdict_outside_the_uncertainty(times, relative, verdict):
     critical = times * FLAT.thickest
     gate = flat_gate(critical, None if relative is None else relative * critical)
     assert gate.verdict == verdict
@@ -164,7 +164,7 @@ def test_gate_verdict_outside_the_uncertainty(times, relative, verdict):
     assert gate.share == pytest.approx(float(times < 1), abs=0.01)
 
 
-def test_gate_treats_an_uncertain_pass_as_brittle():
+def test_an_uncertain_pass_is_treated_as_brittle():
     """Oracles: the chip of the feed that is proposed; where on the nose the chip is t_c - 2u."""
     critical = 1.1 * FLAT.thickest
     gate = flat_gate(critical, 0.1 * critical)

@@ -8,13 +8,14 @@ import pytest
 
 import pvt_oracle
 import turnwright as tw
+from cases import every_second
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TURN = 2 * np.pi
 HERMITE = tw.Controller(interpolation="hermite")
 
 
-@pytest.mark.parametrize("number", range(12))
+@pytest.mark.parametrize("number", [*range(4), *(pytest.param(one, marks=pytest.mark.proof) for one in range(4, 12))])
 def test_peaks_are_those_of_the_cubics_and_limits_are_kept(number):
     _, motion, machine, sought = pvt_oracle.case(np.random.default_rng((7, number)))
     off, used = pvt_oracle.judge(motion, machine)
@@ -22,7 +23,7 @@ def test_peaks_are_those_of_the_cubics_and_limits_are_kept(number):
     assert used <= 1 + 1e-9 or not sought
 
 
-@pytest.mark.parametrize("number", [2, 29, 48])
+@pytest.mark.parametrize("number", [2, *(pytest.param(one, marks=pytest.mark.proof) for one in (29, 48))])
 def test_the_speed_that_is_sought_is_the_highest(number):
     """Oracle: any stated speed, by SciPy's cubics. A higher one breaks a limit or is refused, a lower one does not."""
     _, path, servo, machine, _ = pvt_oracle.setting(np.random.default_rng((8, number)))
@@ -76,8 +77,7 @@ def test_few_points_a_revolution_need_more_than_differences_show(points):
     assert rough > 1 + 1 / points
 
 
-@pytest.mark.parametrize("per_turn", [24, 60])
-@pytest.mark.parametrize("rpm", [50.0, 200.0, None])
+@pytest.mark.parametrize(("per_turn", "rpm"), every_second([24, 60], [50.0, 200.0, None]))
 def test_a_plunge_keeps_the_limits_too(per_turn, rpm, tmp_path):
     """Where C needs more than a turn to come to speed it fell back at every turn of the plunge, in one block.
 
