@@ -328,27 +328,21 @@ class _Revolutions:
     """Revolutions of a motion, in their order at any azimuth."""
 
     def __init__(self, motion: Motion, tool: Tool, machine: Machine | None, chip: MinimumChip) -> None:
-        machine = machine or motion.machine
-        x, z = motion.axes["X"], motion.axes["Z"]
-        z = z + machine.z_error(x) + motion.axes.get("W", 0.0)
-        x = x + motion.axes.get("U", 0.0)
+        x = motion.axes["X"]
+        self.z = motion.axes["Z"] + (machine or motion.machine).z_error(x) + motion.axes.get("W", 0.0)
+        self.x = x + motion.axes.get("U", 0.0)
         self.c = motion.axes["C"] * motion.sense
-        self.sense = motion.sense
-        self.x, self.z, self.chip = x, z, chip
-        self.edge = _edge(tool)
-        strip = tool.nose_radius * chip.thickness / motion.feed
-        self.reach = REACH_FEEDS * (motion.feed + strip)
+        self.sense, self.chip, self.edge = motion.sense, chip, _edge(tool)
+        self.reach = REACH_FEEDS * (motion.feed + tool.nose_radius * chip.thickness / motion.feed)
 
     def excess_height(self, angle: float, radii: Floats) -> Floats:
         """Return the height of material left standing along one azimuth. (n_radius,) [mm]."""
-        base = angle * self.sense
+        low, high, turn = self.c[0], self.c[-1], 2 * np.pi
         # Revolutions at this azimuth, and at the opposite one with the edge mirrored.
-        low, high = self.c[0], self.c[-1]
-        near = base + 2 * np.pi * np.arange(np.ceil((low - base) / (2 * np.pi)), (high - base) / (2 * np.pi) + 1e-12)
-        start = np.ceil((low - base - np.pi) / (2 * np.pi))
-        far = base + np.pi + 2 * np.pi * np.arange(start, (high - base - np.pi) / (2 * np.pi) + 1e-12)
-        at = np.concatenate((near, far))
-        side = np.concatenate((np.ones(near.size), -np.ones(far.size)))
+        bases = (angle * self.sense, angle * self.sense + np.pi)
+        passes = [b + turn * np.arange(np.ceil((low - b) / turn), (high - b) / turn + 1e-12) for b in bases]
+        at = np.concatenate(passes)
+        side = np.repeat([1.0, -1.0], [one.size for one in passes])
         order = np.argsort(at, kind="stable")
         at, side = at[order], side[order]
         x, z = np.interp(at, self.c, self.x) * side, np.interp(at, self.c, self.z)
