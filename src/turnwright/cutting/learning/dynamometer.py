@@ -208,7 +208,7 @@ class Dynamometer:
         explained = np.einsum("mij,mij->mi", response, across.sum(axis=0).conj()).real
         total = (np.abs(signal) ** 2).sum(axis=0)
         coherence = np.clip(explained / np.maximum(total, np.finfo(np.float64).tiny), 0, 1)
-        frequency = _even(force.shape[1], first.rate_hz / first.hammer.size)
+        frequency = first.rate_hz / first.hammer.size * np.arange(force.shape[1])
         low = _spring(frequency, response, coherence, flat_hz)
         smooth = response.copy()
         smooth[low], gain = _fit_spring(frequency[low], response[low])
@@ -268,7 +268,7 @@ class Dynamometer:
         size = next_fast_len(signal.shape[0], real=True)
         # Subtract the line between the ends, so that the record is periodic.
         line = signal[0] + np.linspace(0, 1, signal.shape[0])[:, None] * (signal[-1] - signal[0])
-        frequency = _even(size // 2 + 1, record.rate_hz / size)
+        frequency = record.rate_hz / size * np.arange(size // 2 + 1)
         passed = frequency <= STOP_RATIO * bandwidth_hz
         inverse = self._inverse(self._interpolate_response(frequency[passed], bandwidth_hz), noise_to_signal)
         inverse *= _window(frequency[passed], bandwidth_hz, STOP_RATIO * bandwidth_hz)[:, None, None]
@@ -342,11 +342,7 @@ class Dynamometer:
             )
 
     def _interpolate_response(self, frequency: Floats, bandwidth_hz: float) -> Complexes:
-        """Interpolate the responses to other frequencies, through their impulse responses.
-
-        An impulse response that decays within the tap record determines its spectrum at every frequency. Linear
-        interpolation between the measured frequencies would cut the peak of a resonance.
-        """
+        """Interpolate the responses to other frequencies through their impulse responses, which keeps resonances."""
         window = _window(self.frequency_hz, STOP_RATIO * bandwidth_hz, RESPONSE_RATIO * bandwidth_hz)
         top = int(np.argmax(window <= 0)) or window.size
         step = float(self.frequency_hz[1])
@@ -376,11 +372,6 @@ class Dynamometer:
                 f"noise_to_signal must be above 0 where the response of the channels is singular, got "
                 f"{noise_to_signal:g}: raise it, or lower the bandwidth"
             ) from error
-
-
-def _even(count: int, step: float) -> Floats:
-    """Return evenly spaced values from 0. (count,)."""
-    return np.asarray(step * np.arange(count), dtype=np.float64)
 
 
 def _isolate_stroke(hammer: Floats) -> Floats:
