@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from turnwright.job import Job, Pipeline
 from turnwright.studies.files import provide_files, relocate_paths
-from turnwright.studies.measures import Measure, evaluate, measure_of
+from turnwright.studies.measures import evaluate, measure_of
 
 if TYPE_CHECKING:
     from turnwright.studies.store import Store
@@ -23,29 +23,15 @@ SECONDS = "seconds"
 
 
 def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store | None) -> dict[str, Any]:
-    """Return the row of a case: its measures, the reason why `run` would refuse it, and its computing time.
-
-    Parameters
-    ----------
-    data
-        Data of the job, and digests of the files that it names.
-    shared
-        Names of the measures, user functions by name, and names of the job's files in the store.
-    store
-        Store with files that this machine does not have.
-    """
+    """Return the row of a case: its measures, the reason why `run` would refuse it, and its computing time."""
     start = time.perf_counter()
     with provide_files(data["files"], shared.get("files", {}), store) as places:
         job = Job.read(relocate_paths(data["job"], places))
         pipeline = Pipeline(job)
         functions = shared.get("own", {})
-        measures = [_measure(job, name, functions) for name in shared["measures"]]
+        measures = [measure_of(job, functions.get(name, name)) for name in shared["measures"]]
         row = evaluate(pipeline, measures)
     if pipeline.refused:
         row[REFUSED] = "; ".join(pipeline.refused)
     row[SECONDS] = round(time.perf_counter() - start, 4)
     return row
-
-
-def _measure(job: Job, name: str, own: Mapping[str, Any]) -> Measure:
-    return Measure(name=name, unit="", stage="place", function=own[name]) if name in own else measure_of(job, name)

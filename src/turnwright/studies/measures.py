@@ -35,30 +35,12 @@ STAGE_ORDER = ("access", "plan", "drive", "chips", "place")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measure:
-    """A quantity that a study evaluates for every case.
+    """A quantity that a study evaluates for every case."""
 
-    Parameters
-    ----------
-    name
-        Name as requested; the text after an @ is a patch or an axis.
-    unit
-        Unit of the number; empty if there is none, or if the name contains it.
-    stage
-        Stage of the job that it needs: "access", "plan" (the finishing path), "drive" (all passes, with their
-        limits), "chips", or "place" (the predicted surface of a patch or the whole part).
-    function
-        Function of a user-defined measure.
-    """
-
-    name: str
-    unit: str
-    stage: str
-    function: MeasureFunction | None = None
-
-    @property
-    def heading(self) -> str:
-        """Column heading: the name with its unit."""
-        return f"{self.name} [{self.unit}]" if self.unit else self.name
+    name: str  # name as requested; the text after an @ is a patch or an axis
+    unit: str  # empty if there is none, or if the name contains it
+    stage: str  # stage of the job that it needs, see `STAGE_ORDER`
+    function: MeasureFunction | None = None  # function of a user-defined measure
 
     @property
     def sign(self) -> str:
@@ -133,21 +115,7 @@ def _milli(force: float | None) -> float | None:
 
 
 def measure_of(job: Job, asked: str | MeasureFunction) -> Measure:
-    """Return a measure by its name, or of a user function.
-
-    Parameters
-    ----------
-    job
-        Job with the patches and axes.
-    asked
-        Such as "minutes", "sq_nm" (of the first patch), "sq_nm@axis" (of the patch called axis), "pv_nm@whole part",
-        "peak_acceleration@X"; or a function.
-
-    Raises
-    ------
-    InputError
-        If there is no such measure, naming the nearest.
-    """
+    """Return a measure by its name, such as "sq_nm@axis" (of the patch called axis), or of a user function."""
     if not isinstance(asked, str):
         if not callable(asked):
             raise InputError(f"a measure is {asked!r}, it must be a name or a function: give one of {_known()}")
@@ -189,15 +157,7 @@ def _known() -> str:
 
 
 def evaluate(pipeline: Pipeline, measures: Sequence[Measure]) -> dict[str, Value]:
-    """Return the measures of a case by name; only the stages that they need are computed.
-
-    Parameters
-    ----------
-    pipeline
-        Stages of the job of the case.
-    measures
-        Requested measures.
-    """
+    """Return the measures of a case by name; only the stages that they need are computed."""
     values: dict[str, Value] = {}
     for one in sorted(measures, key=lambda measure: STAGE_ORDER.index(measure.stage)):
         values[one.name] = _finite(_evaluate_one(pipeline, one))
@@ -229,7 +189,6 @@ def _evaluate_one(pipeline: Pipeline, one: Measure) -> Value:
 
 
 def _finite(value: Any) -> Value:
-    """Convert a NumPy scalar to a Python number."""
     plain = value.item() if isinstance(value, np.generic) else value
     if plain is not None and not isinstance(plain, int | float | str):
         raise InputError(f"a measure gives {type(plain).__name__}, it must be a number, a text or None: change it")
