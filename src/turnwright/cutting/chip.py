@@ -1,22 +1,8 @@
-r"""Uncut chip: thickness, width and area of the material that the edge removes.
+"""Uncut chip: thickness, width and area of the material that the edge removes.
 
 In the plane of the edge, the chip lies above the current position of the edge and below both the stock and the
-surface of earlier revolutions. Its thickness is measured normal to the edge. For a nose radius R that advances by f per
-revolution over a flat at the depth of cut d, with the sweep s positive toward the uncut side,
-
-.. math::
-    t(s) = \min\Bigl( R + f \sin s - \sqrt{R^2 - f^2 \cos^2 s}, \;\; R - \frac{R - d}{\cos s} \Bigr)
-
-which is thickest where the previous revolution meets the stock,
-
-.. math:: t_\max = R - \sqrt{\bigl(\sqrt{2Rd - d^2} - f\bigr)^2 + (R - d)^2}.
-
-The common approximation t = f sin s is too small by :math:`f^2 \cos^2 s / 2R` along the arc, picometres at fine feeds.
-Its maximum, at the end of the engaged arc, is too large by :math:`f^2 (R - d)^2 / 2R^3`: 2 nm of 282 nm at 2 µm/rev
-with R = 1 mm.
-
-Along a freeform path the chip is computed in the plane through the axis, from all earlier revolutions that can matter,
-including those on the other side of the axis.
+surface of earlier revolutions, including those on the other side of the axis. Its thickness is measured normal to the
+edge. Formulas: docs/theory/cutting.md.
 """
 
 from __future__ import annotations

@@ -1,15 +1,8 @@
 r"""The ductile-mode check: whether the uncut chip stays below the critical chip thickness.
 
-Every point of a pass has a maximum chip thickness t and, at its effective rake, a critical chip thickness
-:math:`t_c`; the margin is :math:`1 - t / t_c`. A negative margin means fracture, which starts on the shoulder of the
-cut, well above the surface that the pass leaves [Blackley1991]_. The pass is acceptable if its cracks end within the
-material that later passes remove.
-
-A standard uncertainty u of the critical thickness gives the margin an expanded uncertainty of :math:`2u / t_c`
-(k = 2). A pass is ductile if no chip exceeds :math:`t_c - 2u` and brittle if one exceeds :math:`t_c + 2u`. In between
-it is uncertain and is treated as brittle: the remedies below use :math:`t_c - 2u`, or 0 where that is negative.
-
-The largest ductile feed follows from the chip at each point. On a nose of radius R the chip is thickest at
+A pass is ductile if no chip exceeds :math:`t_c - 2u` and brittle if one exceeds :math:`t_c + 2u`, with the standard
+uncertainty u. In between it is uncertain and is treated as brittle. The largest ductile feed follows from the chip at
+each point: on a nose of radius R the chip is thickest at
 
 .. math:: s = \frac{R^2 + f^2 - (R - t)^2}{2 f}, \qquad f_c = s - \sqrt{s^2 - R^2 + (R - t_c)^2} .
 """

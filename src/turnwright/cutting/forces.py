@@ -1,17 +1,7 @@
 r"""Cutting forces, integrated over the elements of the edge.
 
-An element of the edge that cuts the chip area dA takes the force Kc dA against the cutting direction and Kt dA along
-its normal, in the plane of the edge. On a round nose the normal at the sweep s is inclined by s, so that
-
-.. math::
-    F_c = \int K_c\,dA, \qquad F_a = \int K_t \cos s\,dA, \qquad F_f = \int K_t \sin s\,dA, \qquad
-    dA = t\,(R - t/2)\,ds .
-
-With the approximations t = f sin s and dA = t R ds, and constant coefficients, up to :math:`\cos S = 1 - d/R`,
-
-.. math::
-    F_c = K_c f d, \qquad F_a = \tfrac12 K_t R f \sin^2 S, \qquad
-    F_f = \tfrac12 K_t R f\,(S - \sin S \cos S).
+An element that cuts the chip area :math:`dA = t\,(R - t/2)\,ds` takes the force Kc dA against the cutting direction and
+Kt dA along its normal, in the plane of the edge. On a round nose the normal at the sweep s is inclined by s.
 """
 
 from __future__ import annotations

@@ -1,17 +1,8 @@
 r"""Frequency response of a dynamometer from tap tests, and compensation of force records for it.
 
-The resonances of a dynamometer and the cross-talk between its channels are described by a matrix of frequency
-responses, :math:`m(f) = H(f)\,F(f)`, 3 by 3. Taps with an instrumented hammer give it [BendatPiersol2010]_,
-
-.. math:: H = \Bigl(\sum_i M_i F_i^*\Bigr)\Bigl(\sum_i F_i F_i^*\Bigr)^{-1},
-
-the H₁ estimator for several inputs, in which the noise of the dynamometer averages out. The coherence is the fraction
-of the power of each channel that the taps explain. The force is reconstructed as
-
-.. math:: \hat F = w(f)\,(H^* H + \lambda^2)^{-1} H^* \, m(f),
-
-which is a Wiener filter for a noise-to-signal ratio of λ, or Tikhonov regularisation with the weight λ². The window w
-is 1 up to the bandwidth and falls smoothly to 0 beyond it; it has no phase shift.
+The channels are :math:`m = H F`, 3 by 3 at each frequency. Taps give H by the H₁ estimator for several inputs; the
+force is reconstructed by a Wiener filter for a noise-to-signal ratio of λ [BendatPiersol2010]_,
+:math:`\hat F = w\,(H^* H + \lambda^2)^{-1} H^* m`, with a window w that falls to 0 beyond the bandwidth.
 """
 
 from __future__ import annotations

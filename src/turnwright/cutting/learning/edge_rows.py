@@ -1,26 +1,8 @@
-r"""Regression for chips of varying thickness along the edge: design matrix, and fit of the critical thickness.
-
-Every element of the edge contributes Kc dA along the cut and Kt dA along its normal. For constant coefficients each
-measured force component is linear in both; the factors are integrals over the chip area and the edge directions, given
-by the geometry. Only the elements beyond the critical thickness leave that line,
-
-.. math::
-    F = d(t) + K_c \int_{h \le h_c} e_c\,dA + K_t \int_{h \le h_c} e_t\,dA
-      + \int_{h > h_c} \frac{(q_0 + q_1 h)\,e_c + (p_0 + p_1 h)\,e_t}{h}\,dA ,
-
-so that every component of every cut is one equation in the same six parameters and :math:`h_c`. A nose that cuts beyond
-:math:`h_c` still has elements below it, so the forces change smoothly where the limit is crossed. The critical
-thickness is fitted like any parameter, and its interval consists of all :math:`h_c` for which
-
-.. math:: \frac{S(h_c) - S(\hat h_c)}{\tau} \le F_{1,\nu}(p),
-
-where S is the sum of squares in units of the noise of each component, estimated separately in the ductile regime and
-beyond it, and τ is the correlation time. For chips of uniform thickness the forces jump, and Hansen's limit applies as
-for straight edges. The coefficients come from rows that are ductile all along the edge for every limit in the interval.
+"""Regression for chips of varying thickness along the edge: design matrix, and fit of the critical thickness.
 
 The edge is divided into elements, each with its minimum and maximum thickness, so that the part beyond a limit changes
 smoothly with the limit. For a rotating cutter the columns are computed over its angle, filtered like the forces,
-harmonic by harmonic, and averaged over the same time intervals.
+harmonic by harmonic, and averaged over the same time intervals. Model and intervals: docs/theory/learning_forces.md.
 """
 
 from __future__ import annotations

@@ -1,23 +1,7 @@
-r"""Regression for chips of uniform thickness along the edge, with the transition out of the ductile regime.
+"""Regression for chips of uniform thickness along the edge, with the transition out of the ductile regime.
 
-In the ductile regime the forces are proportional to the uncut chip area A; beyond the critical thickness they leave
-that line,
-
-.. math:: F = d(t) + \begin{cases} K A & h \le h_c \\ (q_0 + q_1 h)\,A/h & h > h_c \end{cases}
-
-where the amplifier drift d is a polynomial in time, determined by the samples in air in the same fit, so that its
-uncertainty is included in that of K. The critical thickness :math:`h_c` is the split with the smallest sum of squares.
-The position of a jump is not normally distributed; its interval consists of all splits that the likelihood ratio does
-not reject,
-
-.. math:: \frac{S(h_c) - S(\hat h_c)}{\eta^2} \le -2 \ln\!\bigl(1 - \sqrt{p}\bigr)
-
-(7.35 for p = 95 %), where η² is the long-run variance of the noise on the side that the split would assign wrongly
-[Hansen2000]_. Rows within the interval are excluded from the fit of K. All variances include correlation in time.
-
-The forces may also grow more slowly beyond the critical thickness, without a drop. F tests choose between no
-transition, a drop and a change of slope. An edge force or a size effect, which also bends the forces, is not a
-transition.
+F tests choose between no transition, a drop of the forces [Hansen2000]_ and a change of slope. An edge force or a size
+effect, which also bends the forces, is not a transition. Model and intervals: docs/theory/learning_forces.md.
 """
 
 from __future__ import annotations
