@@ -467,7 +467,8 @@ def _fill_rows(
 ) -> None:
     """Fill ``rows`` with the chip at the given points; windows grow until they hold the chip."""
     edge = tool.cutting_edge()
-    past = earlier or _Moved(*[only_read(NOTHING)] * 3, 1, np.empty(0, dtype=np.int64))
+    empty = only_read(NOTHING)
+    past = earlier or _Moved(empty, empty, empty, 1, np.empty(0, dtype=np.int64))
     sides = _initial_windows(moved, tool, stock, at)
 
     def look(start: int, stop: int) -> None:

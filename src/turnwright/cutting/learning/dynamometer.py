@@ -199,7 +199,7 @@ class Dynamometer:
         explained = np.einsum("mij,mij->mi", response, across.sum(axis=0).conj()).real
         total = (np.abs(signal) ** 2).sum(axis=0)
         coherence = np.clip(explained / np.maximum(total, np.finfo(np.float64).tiny), 0, 1)
-        frequency = first.rate_hz / first.hammer.size * np.arange(force.shape[1])
+        frequency = np.asarray(first.rate_hz / first.hammer.size * np.arange(force.shape[1]), dtype=np.float64)
         low = _spring(frequency, response, coherence, flat_hz)
         smooth = response.copy()
         smooth[low], gain = _fit_spring(frequency[low], response[low])
@@ -259,7 +259,7 @@ class Dynamometer:
         size = next_fast_len(signal.shape[0], real=True)
         # Subtract the line between the ends, so that the record is periodic.
         line = signal[0] + np.linspace(0, 1, signal.shape[0])[:, None] * (signal[-1] - signal[0])
-        frequency = record.rate_hz / size * np.arange(size // 2 + 1)
+        frequency = np.asarray(record.rate_hz / size * np.arange(size // 2 + 1), dtype=np.float64)
         passed = frequency <= STOP_RATIO * bandwidth_hz
         inverse = self._inverse(self._interpolate_response(frequency[passed], bandwidth_hz), noise_to_signal)
         inverse *= _window(frequency[passed], bandwidth_hz, STOP_RATIO * bandwidth_hz)[:, None, None]
