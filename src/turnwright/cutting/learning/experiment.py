@@ -621,8 +621,8 @@ def _read_averages(path: Path, plan: _Plan) -> tuple[Cuts | NoseCuts, float]:
     """Read averages of cuts, and their rake."""
     straight = isinstance(plan, _Orthogonal)
     lengths, forces = (COLUMNS, FORCES) if straight else (NOSE_COLUMNS, NOSE_FORCES)
-    factors: dict[str, Mapping[str, float]] = dict.fromkeys(lengths, LENGTHS) | dict.fromkeys(forces, NEWTONS)
-    factors |= dict.fromkeys((f"{name} uncertainty" for name in forces), NEWTONS)
+    factors = dict.fromkeys(lengths, LENGTHS)
+    factors |= dict.fromkeys((*forces, *(f"{name} uncertainty" for name in forces)), NEWTONS)
     factors |= {} if straight else {"rake": {"deg": np.pi / 180, "rad": 1.0}}
     columns = _read_columns(path, factors, (*lengths, *(forces if straight else ())))
     rake = plan.rake
