@@ -1,30 +1,39 @@
-"""Measures of a case: named numbers of any stage with their units, or user functions."""
+"""Measures of a case, in a worker: named numbers of any stage with their units, or user functions."""
 
 from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from turnwright.errors import InputError, TurnwrightError
-from turnwright.job import Pipeline
+from turnwright.job import Job, Pipeline
 from turnwright.machine import ROTARY
 from turnwright.studies.digests import digest_of
+from turnwright.studies.files import provide_files, relocate_paths
 
 if TYPE_CHECKING:
-    from turnwright.job import Job
+    from turnwright.studies.store import Store
 
-__all__ = ["MEASURES", "Measure", "MeasureFunction", "Value", "evaluate", "measure_of"]
+__all__ = ["MEASURES", "REFUSED", "SECONDS", "Measure", "MeasureFunction", "Value", "carry_out", "measure_of"]
 
 Value: TypeAlias = float | int | str | None
 MeasureFunction: TypeAlias = Callable[[Pipeline], Value]
 """A user-defined measure: a function of the pipeline of a case that returns a number."""
 
 WHOLE_PART = "whole part"
+
+REFUSED = "refused"
+"""Column with the reason why `run` would refuse a job that can still be measured."""
+
+SECONDS = "seconds"
+"""Column with the computing time of a case. [s]"""
+
 NM = 1e6
 MN_PER_N = 1e3
 """Millinewtons of a newton."""
@@ -193,3 +202,18 @@ def _finite(value: Any) -> Value:
     if plain is not None and not isinstance(plain, int | float | str):
         raise InputError(f"a measure gives {type(plain).__name__}, it must be a number, a text or None: change it")
     return plain
+
+
+def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store | None) -> dict[str, Any]:
+    """Return the row of a case: its measures, the reason why `run` would refuse it, and its computing time."""
+    start = time.perf_counter()
+    with provide_files(data["files"], shared.get("files", {}), store) as places:
+        job = Job.read(relocate_paths(data["job"], places))
+        pipeline = Pipeline(job)
+        functions = shared.get("own", {})
+        measures = [measure_of(job, functions.get(name, name)) for name in shared["measures"]]
+        row = evaluate(pipeline, measures)
+    if pipeline.refused:
+        row[REFUSED] = "; ".join(pipeline.refused)
+    row[SECONDS] = round(time.perf_counter() - start, 4)
+    return row

@@ -22,11 +22,10 @@ from turnwright.errors import InputError, JobError, StudyError
 from turnwright.job import Job
 from turnwright.studies.cases import Case, case_key, run_cases
 from turnwright.studies.designs import MAX_CASES, Vary, design_cases, get_job_value, read_varied
-from turnwright.studies.evaluate import REFUSED, SECONDS, carry_out
 from turnwright.studies.executors import local
 from turnwright.studies.fields import apply_changes, get_job_data
 from turnwright.studies.files import list_files, store_files
-from turnwright.studies.measures import Measure, MeasureFunction, measure_of
+from turnwright.studies.measures import REFUSED, SECONDS, Measure, MeasureFunction, carry_out, measure_of
 from turnwright.studies.store import Store
 
 if TYPE_CHECKING:
