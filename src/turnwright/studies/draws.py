@@ -200,7 +200,7 @@ def plan_cuts(
 
         plan = plan_motion(cut_job, reach, tell)
         feed = plan.motion.feed
-        scenes = [make_lines(cut_job, feed, even=True)] if kind else make_scenes(cut_job, feed)
+        scenes = _scenes_of(cut_job, kind, feed)
         cuts[kind] = {
             "job": cut_job.to_toml(),
             "feed": feed,
@@ -209,6 +209,10 @@ def plan_cuts(
         del plan
     files = list_files(job.table())
     return {"budget": budget.table(), "cuts": cuts, "files": files, "kept": store_files(files, store)}
+
+
+def _scenes_of(job: Job, kind: str, feed: float) -> list[Scene]:
+    return [make_lines(job, feed, even=True)] if kind else make_scenes(job, feed)
 
 
 def _put(plan: PlannedMotion, scene: Scene, reach: ContactShift, store: Store) -> dict[str, Any]:
@@ -273,7 +277,7 @@ class CaseContext:
         for kind, head_of_cut in shared["cuts"].items():
             job = jobs[kind]
             feed = head_of_cut["feed"]
-            scenes = [make_lines(job, feed, even=True)] if kind else make_scenes(job, feed)
+            scenes = _scenes_of(job, kind, feed)
             views = []
             for scene, head in zip(scenes, head_of_cut["scenes"], strict=True):
                 rows = fetch_array(store, head["array"])

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
@@ -274,8 +275,8 @@ def tolerance(
             executor = stack.enter_context(local(workers))
         require_reach(place.place, executor, arrays=True)
         shared = _plan_shared(job, budget, place, correction=correction, report=report)
-        study = _CaseRunner(
-            shared=shared, executor=executor, store=place, seed=seed, correction=correction, report=report,
+        run = partial(
+            _run_draws, shared=shared, executor=executor, store=place, seed=seed, correction=correction, report=report,
             study=case_key({"shared": shared}),
         )  # fmt: skip
         inputs = {
@@ -285,7 +286,7 @@ def tolerance(
         }
         drawn = budget.draw(count, seed=seed, correction=correction)
         draws = {name: drawn[name] for name in inputs}
-        rows = study.run("cases", draws)
+        rows = run("cases", draws)
         good = [k for k, row in enumerate(rows) if "reason" not in row]
         reasons = tuple(str(row["reason"]) for row in rows if "reason" in row)
         if len(good) < MIN_CASES:
@@ -311,7 +312,7 @@ def tolerance(
         tightening = None
         kind = CORRECTED if correction else AS_PLANNED
         if confirm and outcomes[kind].explained_variance is not None:
-            tightening = _confirm(study, inputs, draws, outcomes[kind], limits, kind)
+            tightening = _confirm(run, inputs, draws, outcomes[kind], limits, kind)
     return ToleranceStudy(
         job=job, budget=budget, seed=seed, draws=MappingProxyType(used), columns=MappingProxyType(columns),
         reasons=reasons, limits=MappingProxyType(limits), outcomes=MappingProxyType(outcomes), tightening=tightening,
@@ -359,30 +360,27 @@ def _plan_shared(
     return row
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _CaseRunner:
-    shared: Mapping[str, Any]
-    executor: Executor
-    store: Store
-    seed: int
-    study: str
-    correction: bool
-    report: StageProgress
-
-    def run(self, stage: str, draws: Mapping[str, Floats]) -> list[Row]:
-        cases = []
-        for k in range(next(iter(draws.values())).size):
-            data = {
-                "draw": {name: float(values[k]) for name, values in draws.items()},
-                "seed": [self.seed, k],
-                "correction": self.correction,
-                "study": self.study,
-            }
-            cases.append(Case(key=case_key(data), data=data))
-        return run_cases(
-            carry_out, cases, shared=self.shared, executor=self.executor, store=self.store,
-            progress=lambda done, total: self.report(stage, done, total),
-        )  # fmt: skip
+def _run_draws(
+    stage: str,
+    draws: Mapping[str, Floats],
+    *,
+    shared: Mapping[str, Any],
+    executor: Executor,
+    store: Store,
+    seed: int,
+    study: str,
+    correction: bool,
+    report: StageProgress,
+) -> list[Row]:
+    """Run a case for each draw, and return their rows."""
+    cases = []
+    for k in range(next(iter(draws.values())).size):
+        draw = {name: float(values[k]) for name, values in draws.items()}
+        data = {"draw": draw, "seed": [seed, k], "correction": correction, "study": study}
+        cases.append(Case(key=case_key(data), data=data))
+    return run_cases(
+        carry_out, cases, shared=shared, executor=executor, store=store, progress=partial(report, stage)
+    )  # fmt: skip
 
 
 def _column_name(measure: str, kind: str) -> str:
@@ -559,7 +557,7 @@ class _SignatureAnalysis:
 
 
 def _confirm(
-    study: _CaseRunner,
+    run: Callable[[str, Mapping[str, Floats]], list[Row]],
     inputs: Mapping[str, Spread],
     draws: Mapping[str, Floats],
     outcome: Outcome,
@@ -571,7 +569,7 @@ def _confirm(
         name: (values + inputs[name].mean) / 2 if group_of(name) == best.group else values
         for name, values in draws.items()
     }
-    rows = study.run("confirm", tight)
+    rows = run("confirm", tight)
     good = [
         "reason" not in row and all(row[_column_name(measure, kind)] <= limit for measure, limit in limits.items())
         for row in rows
