@@ -324,7 +324,6 @@ class _Revolutions:
         self.reach = REACH_FEEDS * (motion.feed + tool.nose_radius * chip.thickness / motion.feed)
 
     def excess_height(self, angle: float, radii: Floats) -> Floats:
-        """Return the height of material left standing along one azimuth. (n_radius,) [mm]."""
         low, high, turn = self.c[0], self.c[-1], 2 * np.pi
         # Revolutions at this azimuth, and at the opposite one with the edge mirrored.
         bases = (angle * self.sense, angle * self.sense + np.pi)

@@ -128,8 +128,6 @@ def chip_forces(
 
 
 def _with_uncertainty(material: Material, axial: float, feed: float, cutting: float) -> CuttingForces:
-    """Return forces with the uncertainty due to the coefficients."""
-
     def uncertainty(coefficient: CuttingCoefficient | None, force: float) -> float | None:
         if coefficient is None or coefficient.uncertainty is None:
             return None
@@ -143,7 +141,6 @@ def _with_uncertainty(material: Material, axial: float, feed: float, cutting: fl
 
 
 def _gauss_legendre(first: float, last: float, nodes: int = EDGE_NODES) -> tuple[Floats, Floats]:
-    """Return Gauss-Legendre nodes and weights of an interval."""
     x, weight = np.polynomial.legendre.leggauss(nodes)
     half = (last - first) / 2
     return (first + last) / 2 + half * x, half * weight

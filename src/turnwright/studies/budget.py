@@ -40,8 +40,6 @@ MAX_DRAWS = 10_000_000
 
 
 class _Kind(NamedTuple):
-    """A family of distributions."""
-
     numbers: tuple[str, ...]  # names of its parameters
     rule: str  # condition on the parameters
 
@@ -253,7 +251,6 @@ class Errors(Keyed):
 
 
 def _spreads(entries: Mapping[str, Mapping[str, str]]) -> dict[str, Spread]:
-    """Parse the distributions of a budget file, each in the unit of its error."""
     spreads: dict[str, Spread] = {}
     problems: dict[tuple[str | int, ...], Exception | str] = {}
     for name, one in entries.items():

@@ -109,7 +109,7 @@ def _base_unit(field: Field) -> str:
 
 
 def _read_list(field: Field, given: list[Any]) -> Varied:
-    """Return what a list of texts or numbers says; all values get the unit of the first text that has one."""
+    """Return the values of a list; all get the unit of the first text that has one."""
     if not given:
         raise InputError(f"{field.name} is varied over 0 values: give at least 1")
     plain = [one.item() if isinstance(one, np.generic) else one for one in given]

@@ -75,7 +75,7 @@ class _TileWriter:
         return cls(ready, files, minus, ready.sides(layout.pixel[::-1]), layout.axes())
 
     def order(self, shape: tuple[int, int]) -> tuple[Tiles, Ints, Ints]:
-        """Return the tiles of the generation in a tile of this shape, and the column and row of each of its points."""
+        """Return the tiles of the generation in a tile, and the column and row of each of its points."""
         if shape not in self.orders:
             tiles = Tiles.of_grid(shape, self.sides)
             self.orders[shape] = tiles, tiles.order % shape[1], tiles.order // shape[1]

@@ -372,7 +372,6 @@ def _run_draws(
     correction: bool,
     report: StageProgress,
 ) -> list[Row]:
-    """Run a case for each draw, and return their rows."""
     cases = []
     for k in range(next(iter(draws.values())).size):
         draw = {name: float(values[k]) for name, values in draws.items()}

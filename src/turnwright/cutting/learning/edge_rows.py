@@ -97,7 +97,6 @@ class _Strips:
 
 
 def _weighted_sum(shares: Floats, each: Floats) -> Floats:
-    """Return weighted sums over the elements, of weights (states, elements) and values (states, elements, k)."""
     return np.asarray((shares[:, None, :] @ each)[:, 0])
 
 
@@ -323,7 +322,6 @@ class InterruptedRows(EdgeRows):
         self._update_thickest()
 
     def _estimate_phase(self, number: int) -> None:
-        """Estimate speed and phase of one pass from the harmonics of its forces."""
         rows = np.flatnonzero(self.cuts.cut == self.passes[number])
         time = (self.cuts.begin + self.cuts.end)[rows] / 2 - self.middle[number]
         force = self.cuts.force[rows] - self.cuts.force[rows].mean(axis=0)

@@ -307,8 +307,6 @@ class _Averages(Stated):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Plan(Stated):
-    """Contents of an experiment file; subclasses define the record and the cuts of each kind."""
-
     components: ClassVar[tuple[str, ...]] = ()
     """Force components; the first measured one is used to find the cuts."""
 
@@ -469,7 +467,6 @@ class _Reading:
         return rows
 
     def calibration(self) -> list[float] | None:
-        """Return the relative uncertainty of each component due to the dynamometer."""
         if self.sensor is None:
             return None
         of_channel = np.minimum(self.sensor.relative_uncertainty(self.steady), 1.0)

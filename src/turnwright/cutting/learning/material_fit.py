@@ -192,7 +192,6 @@ def _iterate(rows: Rows, confidence: float) -> tuple[Transition | None, Bools]:
 
 
 def _fit_coefficients(rows: Rows, used: Bools, confidence: float, split: Transition | None = None) -> Solved:
-    """Return the coefficients from the used rows, each with its edge force or exponent."""
     used, columns, count = rows.design(used, split)
     return Fit(rows, used).estimate(columns, confidence, count)
 

@@ -115,7 +115,6 @@ def read_forces(
 def _select_channels(
     path: Path, raw: _Raw, channels: Sequence[str] | None, unit: str | None, rate_hz: float | None
 ) -> ForceRecord:
-    """Return the record of the requested channels in N."""
     times = [name for name in raw.columns if _last(name).lower() in TIMES]
     wanted = (
         [_find_channel(path, raw, name) for name in channels]

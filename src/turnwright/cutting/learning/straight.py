@@ -377,7 +377,6 @@ def _find_slope_change(rows: StraightRows, confidence: float) -> _SlopeChange | 
 
 
 def _fit_bent(rows: StraightRows, fits: list[Fit], component: int, limit: float) -> tuple[Floats, float, Floats]:
-    """Return the fit of a ductile line with a different slope beyond a thickness."""
     beyond = rows.widths[:, component] * np.maximum(rows.thickest - limit, 0.0)
     return fits[component].solve(np.column_stack((rows.ductile(component, limit), beyond))[:, None])
 
