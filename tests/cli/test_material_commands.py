@@ -198,7 +198,7 @@ WRONG = {
         "samples of channel 'Fy' are at",
     ),
     "a range of no force": (("drift = 1", "drift = 1\nrange_n = 0"), "range_n"),
-    "too high a drift": (("drift = 1", "drift = 9"), "degree of the drift must be an integer, 0 to 6, got 9"),
+    "too high a drift": (("drift = 1", "drift = 9"), "the degree of the drift is 9, it must be a whole number, 0 to 6"),
     "no file": (
         ('file = "forces.csv"', 'file = "none.csv"'),
         r"cuts\[1\]: .*cannot be read \(No such file or directory\)",

@@ -181,7 +181,7 @@ def test_a_drawn_design_keeps_to_its_ranges_and_distributions(job, design):
     fields, rows = design_cases(job, varied, design=design, count=500, seed=3)
     nose, offset, sense, points, feed = (np.array(values) for values in zip(*rows, strict=True))
     assert len(rows) == 500
-    assert fields[1].heading == "actual.tool.offset[1] [um]"
+    assert (fields[1].name, fields[1].unit) == ("actual.tool.offset[1]", "um")
     assert nose.min() >= 0.2
     assert nose.max() <= 0.8
     # Kolmogorov and Smirnov as the oracle of the distributions: SciPy's.

@@ -4,7 +4,7 @@ import numpy as np
 
 from force_oracle import learned, ramp_record, tap_tests
 from turnwright.cutting import Cuts, learn_material
-from turnwright.cutting.learning.straight import least_chance
+from turnwright.cutting.learning.straight import StraightRows, _find_drop, _find_slope_change
 from turnwright.material import Material
 
 KC, KT = 1489.0, 816.0
@@ -63,7 +63,9 @@ def misled(count, seed):
     random = np.random.default_rng(seed)
     chip = np.linspace(50e-6, 1500e-6, count)
     cutting, thrust = (0.5 * k * chip + 0.01 * random.normal(size=count) for k in (KC, KT))
-    return least_chance(Cuts(thickness=chip, width=np.full(count, 0.5), cutting=cutting, thrust=thrust))
+    rows = StraightRows(Cuts(thickness=chip, width=np.full(count, 0.5), cutting=cutting, thrust=thrust))
+    drop, bend = _find_drop(rows, 0.95), _find_slope_change(rows, 0.95)
+    return min([1.0, *(one.chance for one in (bend, drop and drop.split) if one is not None)])
 
 
 CLIPPED = {

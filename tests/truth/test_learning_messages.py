@@ -63,8 +63,8 @@ WRONG = {
     "no rate": (lambda: ForceRecord(force=[[1], [2]], rate_hz=0, channels=("a",)), "rate_hz is 0 Hz"),
     "another channel": (lambda: record().channel("b"), "has no channel 'b', it has a"),
     "cut-off": (lambda: low_pass(record(), 500.0, 2), "cutoff_hz must be between 0 and 500 Hz (half the sampling rate), got 500 Hz"),
-    "order": (lambda: low_pass(record(), 100.0, 0), "order of a low-pass must be an integer, 1 to 10, got 0"),
-    "order that is no number": (lambda: low_pass(record(), 100.0, "4"), "order of a low-pass must be an integer, 1 to 10, got '4'"),
+    "order": (lambda: low_pass(record(), 100.0, 0), "the order of a low-pass is 0, it must be a whole number, 1 to 10"),
+    "order that is no number": (lambda: low_pass(record(), 100.0, "4"), "the order of a low-pass is '4', it must be a whole number, 1 to 10"),
     "one value": (lambda: correlation_time([1.0]), "at least 2 values, got 1"),
     "short average": (lambda: average_force(record(), 5, 9), "at least 8 of the 1000 samples, got 5 to 9"),
     "nothing but cut": (

@@ -5,29 +5,27 @@ from turnwright.cutting.ductile_check import DuctileCheck, check_ductile, predic
 from turnwright.cutting.finish import MinimumChip, Vibration, add_vibration, cusp_height, predict_uncut_height
 from turnwright.cutting.forces import CuttingForces, FlyCut, ForceHistory, SlotMill, chip_forces
 from turnwright.cutting.fracture import IntactShare, ri80
-from turnwright.cutting.learning import (
+from turnwright.cutting.learning.cuts import (
     Cuts,
-    Dynamometer,
-    Estimate,
-    Experiment,
-    ForceAverage,
-    ForceFit,
-    ForceRecord,
     InterruptedCuts,
-    LearnedMaterial,
     NoseCuts,
-    TapTest,
+    interrupted_cuts,
+    measured_cuts,
+    turning_cuts,
+)
+from turnwright.cutting.learning.dynamometer import Dynamometer, TapTest
+from turnwright.cutting.learning.experiment import Experiment, learn_from_file
+from turnwright.cutting.learning.learned import Estimate, ForceFit, LearnedMaterial
+from turnwright.cutting.learning.material_fit import learn_material
+from turnwright.cutting.learning.records import read_forces
+from turnwright.cutting.learning.signals import (
+    ForceAverage,
+    ForceRecord,
     average_force,
     engagements,
     in_air,
-    interrupted_cuts,
-    learn_from_file,
-    learn_material,
     low_pass,
-    measured_cuts,
-    read_forces,
     remove_drift,
-    turning_cuts,
 )
 
 __all__ = [

@@ -1,28 +1,14 @@
-r"""Uncut chip: thickness, width and area of the material that the edge removes.
+"""Uncut chip: thickness, width and area of the material that the edge removes.
 
 In the plane of the edge, the chip lies above the current position of the edge and below both the stock and the
-surface of earlier revolutions. Its thickness is measured normal to the edge. For a nose radius R that advances by f per
-revolution over a flat at the depth of cut d, with the sweep s positive toward the uncut side,
-
-.. math::
-    t(s) = \min\Bigl( R + f \sin s - \sqrt{R^2 - f^2 \cos^2 s}, \;\; R - \frac{R - d}{\cos s} \Bigr)
-
-which is thickest where the previous revolution meets the stock,
-
-.. math:: t_\max = R - \sqrt{\bigl(\sqrt{2Rd - d^2} - f\bigr)^2 + (R - d)^2}.
-
-The common approximation t = f sin s is too small by :math:`f^2 \cos^2 s / 2R` along the arc, picometres at fine feeds.
-Its maximum, at the end of the engaged arc, is too large by :math:`f^2 (R - d)^2 / 2R^3`: 2 nm of 282 nm at 2 µm/rev
-with R = 1 mm.
-
-Along a freeform path the chip is computed in the plane through the axis, from all earlier revolutions that can matter,
-including those on the other side of the axis.
+surface of earlier revolutions, including those on the other side of the axis. Its thickness is measured normal to the
+edge. Formulas: docs/theory/cutting.md.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -42,7 +28,7 @@ if TYPE_CHECKING:
     from turnwright.progress import Progress
     from turnwright.tool import Tool
 
-__all__ = ["ChipMap", "OrthogonalChip", "RoundChip", "chip_map"]
+__all__ = ["ChipMap", "OrthogonalChip", "RoundChip", "chip_map", "expected_thickest", "relative_radius"]
 
 CHUNK_POINTS = 4096
 """Points that a thread processes at a time."""
@@ -61,6 +47,9 @@ COEFFICIENT_NODES = 4001
 
 REFERENCE_THICKNESS_MM = 1e-4
 """Thickness at which the factors of rake and azimuth are evaluated; they do not depend on it."""
+
+
+NOTHING = np.empty(0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -224,11 +213,16 @@ def expected_thickest(tool: Tool, *, feed: float, depth: float, bend: ArrayLike)
     Floats
         Maximum uncut chip thickness. Shape of ``bend`` [mm]
     """
-    flat = tool.actual_radius / np.cos(tool.rake)
-    # Where the surface fits the nose, the chip is as thick as the depth of cut; a larger radius changes nothing.
-    radius = 1 / np.maximum(1 / flat - np.asarray(bend, dtype=np.float64), 1 / (1e3 * flat))
+    flat, radius = tool.actual_radius / np.cos(tool.rake), relative_radius(tool, bend)
     reach = np.sqrt(np.maximum(depth * (2 * radius - depth), 0.0))
     return np.asarray(radius - np.hypot(np.maximum(reach - feed * radius / flat, 0.0), radius - depth))
+
+
+def relative_radius(tool: Tool, bend: ArrayLike) -> Floats:
+    """Return the radius of the nose relative to a surface of some curvature. Any shape [1/mm] to [mm]."""
+    flat = tool.actual_radius / np.cos(tool.rake)
+    # Where the surface fits the nose, the chip is as thick as the depth of cut; a larger radius changes nothing.
+    return np.asarray(1 / np.maximum(1 / flat - np.asarray(bend, dtype=np.float64), 1 / (1e3 * flat)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -301,8 +295,7 @@ class ChipMap:
         return float(self.x[at]), float(self.y[at])
 
 
-@dataclass(frozen=True, slots=True)
-class _Moved:
+class _Moved(NamedTuple):
     """Axes of the tool tip, as the kernel expects them."""
 
     c: Floats
@@ -320,18 +313,11 @@ class _Moved:
                 f"{np.abs(motion.axes['Y']).max():.3g} mm: choose a strategy without Y"
             )
         c, x, z = (motion.axes[letter] for letter in "CXZ")
-        error = machine.z_error(x) if machine.squareness or machine.straightness is not None else None
-        if "U" in motion.axes:
-            x = x + motion.axes["U"]
-        if "W" in motion.axes:
-            z = z + motion.axes["W"]
         dx, _, dz = tool.offset
+        z = z + motion.axes.get("W", 0.0) + (machine.z_error(x) + dz)
+        x = x + motion.axes.get("U", 0.0) + dx
         starts = np.empty(max(int(np.ceil(abs(c[-1] - c[0]) / (2 * np.pi) - 1e-12)), 1) + 1, dtype=np.int64)
         generation_kernel.turn_starts(c, motion.sense, starts)
-        if dx:
-            x = x + dx
-        if dz or error is not None:
-            z = z + ((0.0 if error is None else error) + dz)
         return cls(only_read(c), only_read(x), only_read(z), motion.sense, starts)
 
     def slope(self, at: Ints) -> Floats:
@@ -428,30 +414,28 @@ def chip_map(
     )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class _MaterialTable:
+class _MaterialTable(NamedTuple):
     """Properties of a material at every point, as the kernel expects them; empty where none are stated."""
 
-    critical: Floats
-    safe: float  # fraction of the critical thickness that is certainly ductile
-    plateau: Floats  # remaining fraction of cutting force and thrust beyond the critical thickness; empty for none
-    ratio: float
-    cutting: Floats  # coefficients over the logarithm of the thickness
-    thrust: Floats
-    first: float
-    step: float
-    factor: Floats  # (n, 2) by rake and azimuth
+    critical: Floats = NOTHING
+    safe: float = 1.0  # fraction of the critical thickness that is certainly ductile
+    plateau: Floats = NOTHING  # remaining fraction of cutting force and thrust beyond the critical thickness
+    ratio: float = 0.0
+    cutting: Floats = NOTHING  # coefficients over the logarithm of the thickness
+    thrust: Floats = NOTHING
+    first: float = 0.0
+    step: float = 1.0
+    factor: Floats = np.empty((0, 2))  # by rake and azimuth
 
     @classmethod
     def of(cls, material: Material | None, rake: Floats, angle: Floats) -> _MaterialTable:
-        empty = np.empty(0)
         if material is None:
-            return cls(empty, 1.0, empty, 0.0, empty, empty, 0.0, 1.0, np.empty((0, 2)))
-        critical = empty if material.critical is None else material.critical.at(rake=rake, angle=angle)
+            return cls()
+        critical = NOTHING if material.critical is None else material.critical.at(rake=rake, angle=angle)
         safe = 1.0 if material.critical is None else material.critical.safe
         ratio = material.fracture_ratio or 0.0
         if material.cutting is None or material.thrust is None:
-            return cls(critical, safe, empty, ratio, empty, empty, 0.0, 1.0, np.empty((0, 2)))
+            return cls(critical=critical, safe=safe, ratio=ratio)
         coefficients = (material.cutting, material.thrust)
         constant = all(coefficient.constant for coefficient in coefficients)
         logs = np.linspace(np.log(1e-7), 0.0, 1 if constant else COEFFICIENT_NODES)
@@ -483,10 +467,8 @@ def _fill_rows(
 ) -> None:
     """Fill ``rows`` with the chip at the given points; windows grow until they hold the chip."""
     edge = tool.cutting_edge()
-    nothing = np.empty(0)
-    past = (only_read(nothing), only_read(nothing), only_read(nothing), 1, np.empty(0, dtype=np.int64))
-    if earlier is not None:
-        past = (earlier.c, earlier.x, earlier.z, earlier.sense, earlier.starts)
+    empty = only_read(NOTHING)
+    past = earlier or _Moved(empty, empty, empty, 1, np.empty(0, dtype=np.int64))
     sides = _initial_windows(moved, tool, stock, at)
 
     def look(start: int, stop: int) -> None:
@@ -494,14 +476,14 @@ def _fill_rows(
         minus, plus = sides[0][todo], sides[1][todo]
         for _ in range(MAX_WINDOWS):
             where, middle = at[todo], contact[todo]
-            table, first, step = nothing.reshape(0, 2, 0), nothing, nothing
+            table, first, step = NOTHING.reshape(0, 2, 0), NOTHING, NOTHING
             if earlier is None:
                 table, first, step = _sample_blank(part, stock, moved.c[where], middle, minus, plus)
             out = np.empty((todo.size, kernel.ROWS))
             kernel.chips(
-                moved.c, moved.x, moved.z, moved.sense, moved.starts, where, middle, minus, plus, edge,
+                *moved, where, middle, minus, plus, edge,
                 *past, table, first, step, part.radius,
-                properties.critical[todo] if properties.critical.size else nothing, properties.safe, properties.plateau,
+                properties.critical[todo] if properties.critical.size else NOTHING, properties.safe, properties.plateau,
                 properties.ratio, properties.cutting, properties.thrust, properties.first, properties.step,
                 properties.factor[todo] if properties.factor.size else properties.factor, out,
             )  # fmt: skip

@@ -1,15 +1,8 @@
 r"""The ductile-mode check: whether the uncut chip stays below the critical chip thickness.
 
-Every point of a pass has a maximum chip thickness t and, at its effective rake, a critical chip thickness
-:math:`t_c`; the margin is :math:`1 - t / t_c`. A negative margin means fracture, which starts on the shoulder of the
-cut, well above the surface that the pass leaves [Blackley1991]_. The pass is acceptable if its cracks end within the
-material that later passes remove.
-
-A standard uncertainty u of the critical thickness gives the margin an expanded uncertainty of :math:`2u / t_c`
-(k = 2). A pass is ductile if no chip exceeds :math:`t_c - 2u` and brittle if one exceeds :math:`t_c + 2u`. In between
-it is uncertain and is treated as brittle: the remedies below use :math:`t_c - 2u`, or 0 where that is negative.
-
-The largest ductile feed follows from the chip at each point. On a nose of radius R the chip is thickest at
+A pass is ductile if no chip exceeds :math:`t_c - 2u` and brittle if one exceeds :math:`t_c + 2u`, with the standard
+uncertainty u. In between it is uncertain and is treated as brittle. The largest ductile feed follows from the chip at
+each point: on a nose of radius R the chip is thickest at
 
 .. math:: s = \frac{R^2 + f^2 - (R - t)^2}{2 f}, \qquad f_c = s - \sqrt{s^2 - R^2 + (R - t_c)^2} .
 """
@@ -22,11 +15,13 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from turnwright._arrays import Bools, Floats
-from turnwright.cutting.chip import RoundChip
+from turnwright.cutting.chip import RoundChip, relative_radius
 from turnwright.errors import InputError
 from turnwright.units import say_length
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from turnwright.cutting.chip import ChipMap
     from turnwright.material import CriticalThickness, Material
     from turnwright.tool import Tool
@@ -145,7 +140,6 @@ def _feed_remedy(feed: float) -> list[str]:
 
 
 def _percent(ratio: float) -> str:
-    """Return a ratio in percent with at least two significant digits."""
     return f"{100 * ratio:.0f} %" if abs(ratio) >= 0.1 else f"{100 * ratio:.2g} %"
 
 
@@ -172,15 +166,10 @@ def check_ductile(chips: ChipMap, material: Material, tool: Tool, *, allowance: 
     -------
     [Troutman2016]_ chs. 4-5, [Blackley1991]_. Oracle of the feed: the chips at that feed.
     """
-    if material.critical is None:
-        raise InputError(
-            f"material {material.name!r} states no critical thickness, the ductile-mode check needs one: state it, or "
-            "leave the check out"
-        )
-    critical = material.critical.at(rake=chips.rake, angle=chips.angle)
+    limit = _critical_of(material)
+    critical = limit.at(rake=chips.rake, angle=chips.angle)
     margin = 1 - chips.thickness / critical
-    band = material.critical.doubt
-    inside = chips.inside
+    band, inside = limit.doubt, chips.inside
     weight = np.hypot(chips.x, chips.y) * np.abs(np.gradient(chips.angle) if chips.angle.size > 1 else np.ones(1))
     total = float(weight[inside].sum())
 
@@ -188,16 +177,20 @@ def check_ductile(chips: ChipMap, material: Material, tool: Tool, *, allowance: 
         fraction = float(weight[inside & where].sum()) / total if total > 0 else 0.0
         return max(fraction, np.finfo(float).tiny) if (inside & where).any() else 0.0
 
+    def is_ductile(turned: float) -> bool:
+        highest = limit.at(rake=chips.rake[inside] + turned, angle=chips.angle[inside]) * limit.safe
+        return bool((chips.thickness[inside] <= highest).all())
+
     fracture = None
     if material.fracture_ratio is not None:
         fracture = float(chips.fracture[inside].max(initial=0.0))
     return DuctileCheck(
         chips=chips, critical=critical, margin=margin, share=area_fraction(margin < 0),
-        uncertainty=None if material.critical.uncertainty is None else band,
+        uncertainty=None if limit.uncertainty is None else band,
         doubtful=area_fraction((margin < band) & (margin >= -band)),
         fracture=fracture, allowance=float(allowance),
-        feed=chips.feed, largest_feed=_largest_feed(chips, critical * material.critical.safe, tool),
-        rake=_helpful_rake(chips, material.critical, tool),
+        feed=chips.feed, largest_feed=_largest_feed(chips, critical * limit.safe, tool),
+        rake=_ductile_rake(limit, tool, is_ductile),
     )  # fmt: skip
 
 
@@ -214,20 +207,24 @@ def _largest_feed(chips: ChipMap, critical: Floats, tool: Tool) -> float:
     return float(feeds.min())
 
 
-def _helpful_rake(chips: ChipMap, critical: CriticalThickness, tool: Tool) -> float | None:
-    """Return the tool rake nearest to the actual one at which every chip is ductile; ``None`` if none is known."""
+def _ductile_rake(critical: CriticalThickness, tool: Tool, is_ductile: Callable[[float], bool]) -> float | None:
+    """Return the ductile tool rake nearest to the actual one, in steps of a degree; ``None`` if none is known."""
     if critical.rake is None:
         return None
     low, high = max(critical.rake[0][0], MIN_RAKE_RAD), critical.rake[0][-1]
-    inside = chips.inside
     for turned in sorted(np.deg2rad(np.arange(-45, 46)), key=abs):
-        rake = tool.rake + turned
-        if not low - 1e-9 <= rake <= high + 1e-9:
-            continue
-        limit = critical.at(rake=chips.rake[inside] + turned, angle=chips.angle[inside]) * critical.safe
-        if (chips.thickness[inside] <= limit).all():
-            return float(rake)
+        if low - 1e-9 <= tool.rake + turned <= high + 1e-9 and is_ductile(turned):
+            return float(tool.rake + turned)
     return None
+
+
+def _critical_of(material: Material) -> CriticalThickness:
+    if material.critical is None:
+        raise InputError(
+            f"material {material.name!r} states no critical thickness, the ductile-mode check needs one: state it, or "
+            "leave the check out"
+        )
+    return material.critical
 
 
 def predict_chips(
@@ -266,23 +263,17 @@ def predict_chips(
     InputError
         If the material states no critical thickness, or neighbouring revolutions do not meet below the stock.
     """
-    if material.critical is None:
-        raise InputError(
-            f"material {material.name!r} states no critical thickness, the ductile-mode check needs one: state it"
-        )
-    flat = tool.actual_radius / np.cos(tool.rake)
-    relative = 1 / flat - bend
-    # Where the surface fits the nose, the chip is as thick as the depth of cut; a larger radius changes nothing.
-    radius = 1 / max(relative, 1 / (1e3 * flat))
+    of_material = _critical_of(material)
+    radius = float(relative_radius(tool, bend))
     chip = RoundChip(nose_radius=radius, feed=feed, depth=depth)
     around = np.linspace(0, 2 * np.pi, 73)[:-1]
 
     def limit(turned: float) -> float:
         places = np.linspace(rakes[0], rakes[1], 33) + turned
-        return float(material.critical.at(rake=places[:, None], angle=around).min()) if material.critical else 0.0
+        return float(of_material.at(rake=places[:, None], angle=around).min())
 
-    critical, band = limit(0.0), material.critical.doubt
-    safe = critical * material.critical.safe
+    critical, band = limit(0.0), of_material.doubt
+    safe = critical * of_material.safe
     expected = f"the chip will be about {say_length(chip.thickest)} thick, the limit is {say_length(critical)}"
     if band:
         expected += f" +- {say_length(band * critical)}"
@@ -293,16 +284,10 @@ def predict_chips(
     if chip.thickest <= safe:
         return f"{expected}: {feeds}"
     remedies = _feed_remedy(largest)
-    if material.critical.rake is not None:
-        low, high = max(material.critical.rake[0][0], MIN_RAKE_RAD), material.critical.rake[0][-1]
-        turns = sorted(np.deg2rad(np.arange(-45, 46)), key=abs)
-        ductile_turns = [
-            turned
-            for turned in turns
-            if low <= tool.rake + turned <= high and limit(turned) * material.critical.safe >= chip.thickest
-        ]
-        remedies += [f"a rake of {np.rad2deg(tool.rake + turned):.3g} deg" for turned in ductile_turns[:1]]
-    else:
+    rake = _ductile_rake(of_material, tool, lambda turned: limit(turned) * of_material.safe >= chip.thickest)
+    if rake is not None:
+        remedies.append(f"a rake of {np.rad2deg(rake):.3g} deg")
+    elif of_material.rake is None:
         remedies.append("a more negative rake (this material does not state its effect)")
     cracks = _predict_cracks(chip, safe, material.fracture_ratio, allowance)
     certain = chip.thickest > critical * (1 + band)

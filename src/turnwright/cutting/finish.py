@@ -1,20 +1,8 @@
-r"""Contributions to surface roughness other than the tool shape, as separate published models.
+"""Contributions to surface roughness other than the tool shape, as separate published models.
 
-**Minimum chip thickness.** An edge that is not infinitely sharp does not cut a chip thinner than :math:`t_m`: it slides
-over the material, which springs back. Behind each cusp the chip begins at zero, so a strip of width
-:math:`d = R\,t_m / f` stays as the previous revolution left it, and the cusps of a flat have the height
-
-.. math:: h = \frac{f^2}{8R} + \frac{t_m}{2} \Bigl(1 + \frac{R\,t_m}{f^2}\Bigr)
-
-[Brammertz1961]_. It holds for :math:`d \le f/2`; beyond that, material stays for several revolutions.
-`predict_uncut_height` computes the effect on any surface, with the only assumption that thinner chips are not cut.
-
-**Edge radius.** For an edge of radius r and a friction angle β between tool and work
-:math:`t_m = r\,(1 - \cos(\pi/4 - \beta/2))` [Son2005]_, for ductile metals.
-
-**Vibration** between tool and work is added to the position of the tool.
-
-There are no default values: all parameters must be stated.
+An edge that is not infinitely sharp does not cut a chip thinner than :math:`t_m` [Brammertz1961]_, [Son2005]_: it
+slides over the material, which springs back. Vibration is added to the position of the tool. There are no default
+values: all parameters must be stated.
 """
 
 from __future__ import annotations
@@ -152,8 +140,8 @@ def cusp_height(feed: float, nose_radius: float, minimum_chip: float = 0.0, *, c
 
     .. math:: h = R - \sqrt{R^2 - x^2}, \quad x = \frac{f}{2} + \frac{t_m (2R - t_m)}{2f}
 
-    which is :math:`f^2/8R` to first order, and with a minimum chip thickness the formula of Brammertz (see this
-    module). On a profile of curvature κ the nose centres of neighbouring revolutions lie on an arc of radius 1/κ - R,
+    which is :math:`f^2/8R` to first order, and with a minimum chip thickness the formula of Brammertz. On
+    a profile of curvature κ the nose centres of neighbouring revolutions lie on an arc of radius 1/κ - R,
     so that without a minimum chip thickness
 
     .. math:: h = R - \sqrt{R^2 - f^2/4} + a - \mathrm{sgn}(a) \sqrt{a^2 - f^2/4}, \quad a = 1/\kappa - R
@@ -328,27 +316,20 @@ class _Revolutions:
     """Revolutions of a motion, in their order at any azimuth."""
 
     def __init__(self, motion: Motion, tool: Tool, machine: Machine | None, chip: MinimumChip) -> None:
-        machine = machine or motion.machine
-        x, z = motion.axes["X"], motion.axes["Z"]
-        z = z + machine.z_error(x) + motion.axes.get("W", 0.0)
-        x = x + motion.axes.get("U", 0.0)
+        x = motion.axes["X"]
+        self.z = motion.axes["Z"] + (machine or motion.machine).z_error(x) + motion.axes.get("W", 0.0)
+        self.x = x + motion.axes.get("U", 0.0)
         self.c = motion.axes["C"] * motion.sense
-        self.sense = motion.sense
-        self.x, self.z, self.chip = x, z, chip
-        self.edge = _edge(tool)
-        strip = tool.nose_radius * chip.thickness / motion.feed
-        self.reach = REACH_FEEDS * (motion.feed + strip)
+        self.sense, self.chip, self.edge = motion.sense, chip, _edge(tool)
+        self.reach = REACH_FEEDS * (motion.feed + tool.nose_radius * chip.thickness / motion.feed)
 
     def excess_height(self, angle: float, radii: Floats) -> Floats:
-        """Return the height of material left standing along one azimuth. (n_radius,) [mm]."""
-        base = angle * self.sense
+        low, high, turn = self.c[0], self.c[-1], 2 * np.pi
         # Revolutions at this azimuth, and at the opposite one with the edge mirrored.
-        low, high = self.c[0], self.c[-1]
-        near = base + 2 * np.pi * np.arange(np.ceil((low - base) / (2 * np.pi)), (high - base) / (2 * np.pi) + 1e-12)
-        start = np.ceil((low - base - np.pi) / (2 * np.pi))
-        far = base + np.pi + 2 * np.pi * np.arange(start, (high - base - np.pi) / (2 * np.pi) + 1e-12)
-        at = np.concatenate((near, far))
-        side = np.concatenate((np.ones(near.size), -np.ones(far.size)))
+        bases = (angle * self.sense, angle * self.sense + np.pi)
+        passes = [b + turn * np.arange(np.ceil((low - b) / turn), (high - b) / turn + 1e-12) for b in bases]
+        at = np.concatenate(passes)
+        side = np.repeat([1.0, -1.0], [one.size for one in passes])
         order = np.argsort(at, kind="stable")
         at, side = at[order], side[order]
         x, z = np.interp(at, self.c, self.x) * side, np.interp(at, self.c, self.z)

@@ -1,26 +1,15 @@
 r"""Cutting forces, integrated over the elements of the edge.
 
-An element of the edge that cuts the chip area dA takes the force Kc dA against the cutting direction and Kt dA along
-its normal, in the plane of the edge. On a round nose the normal at the sweep s is inclined by s, so that
-
-.. math::
-    F_c = \int K_c\,dA, \qquad F_a = \int K_t \cos s\,dA, \qquad F_f = \int K_t \sin s\,dA, \qquad
-    dA = t\,(R - t/2)\,ds .
-
-With the approximations t = f sin s and dA = t R ds, and constant coefficients, up to :math:`\cos S = 1 - d/R`,
-
-.. math::
-    F_c = K_c f d, \qquad F_a = \tfrac12 K_t R f \sin^2 S, \qquad
-    F_f = \tfrac12 K_t R f\,(S - \sin S \cos S).
+An element that cuts the chip area :math:`dA = t\,(R - t/2)\,ds` takes the force Kc dA against the cutting direction and
+Kt dA along its normal, in the plane of the edge. On a round nose the normal at the sweep s is inclined by s.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from abc import abstractmethod
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -32,7 +21,7 @@ from turnwright.errors import InputError
 from turnwright.units import Angle, Count, Feed, Length
 
 if TYPE_CHECKING:
-    from turnwright.material import Material
+    from turnwright.material import CuttingCoefficient, Material
 
 __all__ = ["CuttingForces", "FlyCut", "ForceHistory", "SlotMill", "chip_forces"]
 
@@ -139,21 +128,19 @@ def chip_forces(
 
 
 def _with_uncertainty(material: Material, axial: float, feed: float, cutting: float) -> CuttingForces:
-    """Return forces with the uncertainty due to the coefficients."""
-    relative = [
-        None if coefficient is None or coefficient.uncertainty is None else coefficient.uncertainty / coefficient.value
-        for coefficient in (material.thrust, material.thrust, material.cutting)
-    ]
-    values = (axial, feed, cutting)
-    uncertainty = [None if u is None else u * abs(value) for u, value in zip(relative, values, strict=True)]
+    def uncertainty(coefficient: CuttingCoefficient | None, force: float) -> float | None:
+        if coefficient is None or coefficient.uncertainty is None:
+            return None
+        return coefficient.uncertainty / coefficient.value * abs(force)
+
     return CuttingForces(
         axial=axial, feed=feed, cutting=cutting,
-        axial_uncertainty=uncertainty[0], feed_uncertainty=uncertainty[1], cutting_uncertainty=uncertainty[2],
+        axial_uncertainty=uncertainty(material.thrust, axial), feed_uncertainty=uncertainty(material.thrust, feed),
+        cutting_uncertainty=uncertainty(material.cutting, cutting),
     )  # fmt: skip
 
 
 def _gauss_legendre(first: float, last: float, nodes: int = EDGE_NODES) -> tuple[Floats, Floats]:
-    """Return Gauss-Legendre nodes and weights of an interval."""
     x, weight = np.polynomial.legendre.leggauss(nodes)
     half = (last - first) / 2
     return (first + last) / 2 + half * x, half * weight
@@ -161,23 +148,18 @@ def _gauss_legendre(first: float, last: float, nodes: int = EDGE_NODES) -> tuple
 
 def _limit_sweeps(chip: RoundChip, limit: float, nominal: bool) -> tuple[float, ...]:
     """Return the sweeps at which the chip is as thick as the limit: the forces have a slope discontinuity there."""
+    from scipy.optimize import brentq  # noqa: PLC0415 - costly to import
+
     low, high = chip.sweep
     spans = ((0.0, high),) if nominal else ((low, chip.corner), (chip.corner, high))
     at = chip.nominal if nominal else chip.thickness
-    sweeps = []
-    for first, last in spans:
-        over = [float(at(sweep)) > limit for sweep in (first + 1e-12, last - 1e-12)]
-        if over[0] == over[1]:
-            continue
-        begin, end = first, last
-        for _ in range(80):
-            middle = (begin + end) / 2
-            if (float(at(middle)) > limit) == over[0]:
-                begin = middle
-            else:
-                end = middle
-        sweeps.append((begin + end) / 2)
-    return tuple(sweeps)
+
+    def excess(sweep: float) -> float:
+        return float(at(sweep)) - limit
+
+    inside = [(first + 1e-12, last - 1e-12) for first, last in spans]
+    crossing = [ends for ends in inside if (excess(ends[0]) > 0) != (excess(ends[1]) > 0)]
+    return tuple(float(brentq(excess, *ends, xtol=1e-15, rtol=1e-15)) for ends in crossing)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -229,20 +211,44 @@ ForceColumns = tuple[Floats, Floats, Floats, Floats, Floats]
 """x, y, z, thickness and torque of a `ForceHistory`."""
 
 
-def _sample_history(
-    force_columns: Callable[[Floats], ForceColumns], spindle_rpm: float, turns: float, samples: int
-) -> ForceHistory:
-    """Return the force history at constant spindle speed, from forces over the cutter angle."""
-    speed = positive(spindle_rpm, "spindle_rpm", "rev/min") * 2 * np.pi / 60
-    turned = 2 * np.pi * np.arange(max(int(positive(turns, "turns", "rev") * samples), 1) + 1) / samples
-    x, y, z, thickness, torque = force_columns(turned)
-    return ForceHistory(
-        time=turned / speed, angle=turned, x=x, y=y, z=z, thickness=thickness, torque=torque, speed=speed
-    )
+class _InterruptedCut(Stated):
+    """Cut of a rotating tool, with the forces over its revolutions."""
+
+    __slots__ = ()
+
+    usual_samples: ClassVar[int]
+    """Samples per revolution by default."""
+
+    def forces(
+        self, material: Material, *, spindle_rpm: float, turns: float = 1.0, samples: int | None = None
+    ) -> ForceHistory:
+        """Compute the forces on the part over time.
+
+        Parameters
+        ----------
+        material
+            Material with force coefficients.
+        spindle_rpm
+            Spindle speed. [rev/min]
+        turns
+            Revolutions to compute. At time 0 the first tooth enters a full slot; a fly-cutter is opposite the part.
+        samples
+            Samples per revolution; by default 3600, or 36000 in fly-cutting.
+        """
+        speed = positive(spindle_rpm, "spindle_rpm", "rev/min") * 2 * np.pi / 60
+        samples = samples or self.usual_samples
+        angle = 2 * np.pi * np.arange(max(int(positive(turns, "turns", "rev") * samples), 1) + 1) / samples
+        x, y, z, thickness, torque = self._force_columns(material, angle)
+        return ForceHistory(
+            time=angle / speed, angle=angle, x=x, y=y, z=z, thickness=thickness, torque=torque, speed=speed
+        )
+
+    @abstractmethod
+    def _force_columns(self, material: Material, turned: Floats) -> ForceColumns: ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SlotMill(Stated):
+class SlotMill(_InterruptedCut):
     r"""Milling about an axis normal to the part: a full slot, or any arc of engagement.
 
     The cutter is fed toward +y. A tooth at the angle :math:`\varphi` from the start of a full slot has the direction
@@ -277,6 +283,8 @@ class SlotMill(Stated):
         If a length is not positive, or the arc of engagement is not within 0 to 180 deg.
     """
 
+    usual_samples: ClassVar[int] = 3600
+
     radius: Length
     feed_per_tooth: Length
     depth: Length
@@ -309,26 +317,7 @@ class SlotMill(Stated):
         t = self.feed_per_tooth * np.sin(phi) + square / (self.radius + np.sqrt(self.radius**2 - square))
         return np.where((phi >= self.entry) & (phi <= self.exit), np.maximum(t, 0.0), 0.0)
 
-    def forces(
-        self, material: Material, *, spindle_rpm: float, turns: float = 1.0, samples: int = 3600
-    ) -> ForceHistory:
-        """Compute the forces on the part over time.
-
-        Parameters
-        ----------
-        material
-            Material with force coefficients.
-        spindle_rpm
-            Spindle speed. [rev/min]
-        turns
-            Revolutions to compute; the first tooth enters a full slot at time 0.
-        samples
-            Samples per revolution.
-        """
-        return _sample_history(partial(self._force_columns, material), spindle_rpm, turns, samples)
-
     def _force_columns(self, material: Material, turned: Floats) -> ForceColumns:
-        """Return forces, chip thickness and torque at cutter angles."""
         arc = 0.0
         if self.corner_radius:
             arc = float(np.arccos(1 - min(self.depth / self.corner_radius, 1.0)))
@@ -360,7 +349,7 @@ def _edge_forces(material: Material, t: Floats, sweep: float, width: float) -> t
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FlyCut(Stated):
+class FlyCut(_InterruptedCut):
     r"""Fly-cutting (raster): a round-nose tool on a rotating arm, fed along the cut, in parallel lines.
 
     At the angle :math:`\varphi` past its lowest point the nose has risen by :math:`S (1 - \cos\varphi)`, so its depth
@@ -389,6 +378,8 @@ class FlyCut(Stated):
     InputError
         If a length is not positive, the depth is not below the swing radius, or lines do not meet below the stock.
     """
+
+    usual_samples: ClassVar[int] = 36000
 
     swing: Length
     nose_radius: Length
@@ -427,26 +418,7 @@ class FlyCut(Stated):
         thin = np.minimum(np.minimum(blank, line), turn)
         return np.where((np.abs(phi) <= self.exit) & (below > 0), np.maximum(thin, 0.0), 0.0)
 
-    def forces(
-        self, material: Material, *, spindle_rpm: float, turns: float = 1.0, samples: int = 36000
-    ) -> ForceHistory:
-        """Compute the forces on the part over time: x across the lines, y along the cut, z into the part.
-
-        Parameters
-        ----------
-        material
-            Material with force coefficients.
-        spindle_rpm
-            Spindle speed. [rev/min]
-        turns
-            Revolutions to compute; at time 0 the tool is opposite the part.
-        samples
-            Samples per revolution.
-        """
-        return _sample_history(partial(self._force_columns, material), spindle_rpm, turns, samples)
-
     def _force_columns(self, material: Material, turned: Floats) -> ForceColumns:
-        """Return forces, chip thickness and torque at swing angles."""
         phi = np.mod(turned, 2 * np.pi) - np.pi
         low = -float(np.arcsin(self.step / (2 * self.nose_radius)))
         high = RoundChip(nose_radius=self.nose_radius, feed=self.step, depth=self.depth).sweep[1]

@@ -40,8 +40,6 @@ MAX_DRAWS = 10_000_000
 
 
 class _Kind(NamedTuple):
-    """A family of distributions."""
-
     numbers: tuple[str, ...]  # names of its parameters
     rule: str  # condition on the parameters
 
@@ -148,7 +146,6 @@ class Spread:
     @classmethod
     def read(cls, text: object, unit: str, *, source: str) -> Spread:
         """Parse a text such as ``normal(0, 2) um`` into a distribution in the given unit."""
-        validate.thing(unit, str, "the unit of a distribution")
         match = _TEXT.fullmatch(text) if isinstance(text, str) else None
         if match is None:
             example = "" if unit == "1" else " um" if unit == "mm" else f" {unit}"
@@ -254,7 +251,6 @@ class Errors(Keyed):
 
 
 def _spreads(entries: Mapping[str, Mapping[str, str]]) -> dict[str, Spread]:
-    """Parse the distributions of a budget file, each in the unit of its error."""
     spreads: dict[str, Spread] = {}
     problems: dict[tuple[str | int, ...], Exception | str] = {}
     for name, one in entries.items():
@@ -328,7 +324,6 @@ class ErrorBudget(Stated):
             raise InputError(f"the noise is {self.noise:g} mm, it must be at least 0 mm: give its standard deviation")
         if self.settling is not None:
             positive(self.settling, "settling", "s")
-        validate.thing(self.name, str, "the name of a budget")
         named = [str(one) for one in self.test_parts] if isinstance(self.test_parts, list | tuple) else []
         if not named or sorted(named) != sorted(one for one in TEST_PARTS if one in named):
             raise InputError(
@@ -387,7 +382,6 @@ class ErrorBudget(Stated):
 
     def inputs(self, *, correction: bool) -> dict[str, Spread]:
         """Return all random inputs of a case; with a correction, also those of each test part."""
-        validate.thing(correction, bool, "whether there is a correction")
         part = {name: spread for name, spread in self.errors.items() if group_of(name) != "instrument"}
         if not correction:
             return part
@@ -410,5 +404,4 @@ class ErrorBudget(Stated):
 
     def largest(self, *names: str) -> float:
         """Return the sum of `Spread.largest` over the errors whose names begin with one of ``names``."""
-        begins = tuple(validate.thing(name, str, "what an error begins with") for name in names)
-        return sum(spread.largest for name, spread in self.errors.items() if name.startswith(begins))
+        return sum(spread.largest for name, spread in self.errors.items() if name.startswith(names))

@@ -10,14 +10,13 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Se
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 from importlib.metadata import version as version_of
 from os import environ
 from pathlib import Path
 from typing import Any, Generic, TypeAlias, TypeVar
 
 from turnwright import _validate as validate
-from turnwright._io import read_toml
 from turnwright.errors import InputError, Stopped, StudyError, TurnwrightError
 from turnwright.progress import THREADS, Progress, at_most, cores
 from turnwright.studies.executors import (
@@ -29,6 +28,7 @@ from turnwright.studies.executors import (
     local,
     require_reach,
 )
+from turnwright.studies.files import list_files, relocate_paths
 from turnwright.studies.store import DISK_FULL, Store
 
 __all__ = ["Case", "Row", "Work", "case_key", "iter_finished", "join_lines", "program_version", "run_cases"]
@@ -84,38 +84,12 @@ def case_key(data: Mapping[str, Any]) -> str:
     True
     """
     try:
-        text = json.dumps([_resolve_files(data), program_version()], sort_keys=True, separators=(",", ":"))
+        files = list_files(data)
+        contents = [relocate_paths(data, files), sorted(files.values()), program_version()]
+        text = json.dumps(contents, sort_keys=True, separators=(",", ":"))
     except (TypeError, ValueError) as error:
         raise InputError(f"a case must be plain data ({error}): use numbers, texts, lists and mappings") from None
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _resolve_files(value: Any, folder: Path | None = None, above: frozenset[Path] = frozenset()) -> Any:
-    """Return data with file names replaced by digests of the files."""
-    if isinstance(value, Mapping):
-        return {key: _resolve_files(one, folder, above) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_resolve_files(one, folder, above) for one in value]
-    if not isinstance(value, str) or not (folder or value.startswith(("/", "\\")) or value[1:2] == ":"):
-        return value
-    file = Path(value) if folder is None else folder / value
-    try:
-        if not file.is_file() or file in above:
-            return value
-        state = file.stat()
-        content: Any = _digest(file, state.st_mtime_ns, state.st_size)
-    except (OSError, ValueError):  # no path after all
-        return value
-    if file.suffix == ".toml":
-        with suppress(OSError, InputError):  # no TOML: its bytes are all there is
-            table = read_toml(file.read_bytes(), f"the file {str(file)!r}")
-            content = [content, _resolve_files(table, file.parent, above | {file})]
-    return {"file": content}
-
-
-@lru_cache(maxsize=1024)
-def _digest(file: Path, _changed_ns: int, _size: int) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 @cache
@@ -173,7 +147,6 @@ def run_cases(
     StudyError
         If the store is full or the executor broken. Finished cases are kept.
     """
-    _check_types(work, cases, shared, executor, store)
     validate.listener(progress)
     if executor is None:
         workers = min(count_workers(), max(1, len(cases)))
@@ -213,27 +186,9 @@ def run_cases(
 
 
 def _read_finished(cases: Sequence[Case], store: Store) -> dict[str, Row]:
-    """Return the rows of cases that are finished."""
     there = store.keys()
     rows = {case.key: store.row(case.key) for case in cases if case.key in there}
     return {key: row for key, row in rows.items() if row is not None}
-
-
-def _check_types(work: object, cases: object, shared: object, executor: object, store: object) -> None:
-    """Raise if an argument of `run_cases` has the wrong type."""
-    if not callable(work):
-        raise InputError(f"the work is a {type(work).__name__}, it must be a function of a module: give one")
-    if not isinstance(cases, Sequence) or not all(isinstance(one, Case) for one in cases):
-        raise InputError(f"the cases are a {type(cases).__name__}, they must be a list of Case: make it so")
-    for one in cases:
-        if not isinstance(one.key, str) or not isinstance(one.data, Mapping):
-            raise InputError(f"a case has the key {one.key!r}, it must be a text, and its data a mapping: use case_key")
-    if shared is not None:
-        validate.thing(shared, Mapping, "what the cases share")
-    if executor is not None:
-        validate.thing(executor, Executor, "the executor")
-    if store is not None:
-        validate.thing(store, Store, "the store")
 
 
 def iter_finished(
@@ -247,20 +202,8 @@ def iter_finished(
     """Yield each task when it is done, with its future and, if it was given up, its number of worker deaths (else 0).
 
     Few tasks are in flight at a time, so that a stop takes effect soon and a cluster's scheduler is not flooded. A task
-    whose worker dies is sent again; after `MAX_DEATHS` deaths it is run alone when all others are done.
-
-    Parameters
-    ----------
-    submit
-        Sends a task to the executor.
-    tasks
-        Tasks to run.
-    executor
-        Executor that runs them.
-    lost
-        Makes the error to raise from the exception of a broken executor.
-    listen
-        Called at least twice a second; an exception that it raises stops the work.
+    whose worker dies is sent again; after `MAX_DEATHS` deaths it is run alone when all others are done. ``lost`` makes
+    the error to raise from that of a broken executor; ``listen`` is called at least twice a second.
     """
     waiting = _Waiting(enumerate(tasks))
     running: dict[Future[_Answer], tuple[int, _Task]] = {}
@@ -315,7 +258,6 @@ class _Waiting(Generic[_Task]):
 
 
 def _count_deaths(future: Future[Any], lost: Callable[[BaseException], StudyError]) -> int:
-    """Return how many workers died with a task; raise if the executor is broken."""
     if future.cancelled():
         raise lost(ConnectionError("its cases were cancelled, as when a scheduler is gone"))
     error = future.exception()
@@ -327,7 +269,6 @@ def _count_deaths(future: Future[Any], lost: Callable[[BaseException], StudyErro
 
 
 def _read_row(future: Future[tuple[Row, bool]], deaths: int) -> tuple[Row, bool]:
-    """Return the row of a case, and whether it is reproducible."""
     try:
         return future.result()
     except (StudyError, Stopped):
@@ -353,7 +294,6 @@ def _carry_out(
     version: str | None,
     threads: int | None,
 ) -> tuple[Row, bool]:
-    """Run a case in a worker; return its row, and whether it is reproducible."""
     if version is not None and version != program_version():
         raise StudyError(
             f"a worker runs turnwright {program_version()}, this is {version}: install the same on all machines"
@@ -409,7 +349,6 @@ def join_lines(error: BaseException) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Convert a NumPy scalar to a Python number."""
     if hasattr(value, "item") and getattr(value, "ndim", 1) == 0:
         return value.item()
     raise TypeError(f"a row holds numbers, texts and None, not {type(value).__name__}")

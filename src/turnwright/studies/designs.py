@@ -14,7 +14,7 @@ import numpy as np
 
 from turnwright import _validate as validate
 from turnwright.errors import InputError, UnitError
-from turnwright.studies.fields import Field, Token, apply_changes, find_field, get_job_data
+from turnwright.studies.fields import Field, Token, apply_changes, entry_at, find_field, get_job_data
 from turnwright.units import convert, parse
 
 if TYPE_CHECKING:
@@ -44,39 +44,20 @@ ONE = re.compile(rf"({NUMBER})\s*(.*)")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Varied:
-    """A varied field and its values.
+    """A varied field and its values."""
 
-    Parameters
-    ----------
-    field
-        The field.
-    unit
-        Unit of the values; empty if there is none.
-    values
-        Values of a list, or of a range with a count; empty for a range without a count or a distribution.
-    low, high, log
-        Ends of a range, ``None`` without one; whether the values are spaced logarithmically.
-    drawn
-        Distribution with ``ppf``, in the unit of the values.
-    """
-
-    field: Field
-    unit: str = ""
-    values: tuple[Token, ...] = ()
-    low: float | None = None
+    field: Field  # the field
+    unit: str = ""  # unit of the values; empty if there is none
+    values: tuple[Token, ...] = ()  # of a list or a counted range; empty for a range without a count or a distribution
+    low: float | None = None  # ends of a range, ``None`` without one
     high: float | None = None
     log: bool = False
-    drawn: Any = None
+    drawn: Any = None  # distribution with ``ppf``, in the unit of the values
 
     @property
     def name(self) -> str:
         """The field's dotted name."""
         return self.field.name
-
-    @property
-    def heading(self) -> str:
-        """Column heading: the name with its unit."""
-        return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     def at(self, share: Floats) -> list[Token]:
         """Return the values at cumulative probabilities between 0 and 1. (n,)."""
@@ -98,22 +79,7 @@ class Varied:
 
 
 def read_varied(job: Job, name: str, given: Vary) -> Varied:
-    """Parse the values of a varied field.
-
-    Parameters
-    ----------
-    job
-        Job with the field.
-    name
-        Name of the field, see `find_field`.
-    given
-        See `Vary`. Numbers in a list, and distributions, are in base units (mm, rad, mm/rev, rpm).
-
-    Raises
-    ------
-    InputError
-        If the field does not exist, or a value is not allowed.
-    """
+    """Parse the values of a varied field; plain numbers and distributions are in base units (mm, rad, mm/rev, rpm)."""
     field = find_field(job, name)
     varied = _read(field, given)
     tokens: list[Token] = [one for one in (varied.low, varied.high) if one is not None]
@@ -143,7 +109,7 @@ def _base_unit(field: Field) -> str:
 
 
 def _read_list(field: Field, given: list[Any]) -> Varied:
-    """Return what a list of texts or numbers says; all values get the unit of the first text that has one."""
+    """Return the values of a list; all get the unit of the first text that has one."""
     if not given:
         raise InputError(f"{field.name} is varied over 0 values: give at least 1")
     plain = [one.item() if isinstance(one, np.generic) else one for one in given]
@@ -171,7 +137,6 @@ def _flag(field: Field, one: Any) -> Token:
 
 
 def _read_text(field: Field, text: str) -> Varied:
-    """Return what a text says: a range, a distribution, or values parted by commas."""
     if field.kind in ("text", "flag"):
         return _read_list(field, text.split(","))
     drawn = DRAWN.fullmatch(text.strip())
@@ -217,7 +182,6 @@ def _in_one_unit(field: Field, texts: list[str]) -> Varied:
 
 
 def _number(field: Field, digits: str) -> Token:
-    """Return a number as its field takes it."""
     if field.kind == "whole":
         if re.fullmatch(r"[+-]?[0-9]+", digits) is None:
             raise InputError(f"{field.name} cannot be {digits}: it takes whole numbers, give one")
@@ -311,25 +275,9 @@ def design_cases(
     count: int | None = None,
     seed: int | None = None,
 ) -> tuple[tuple[Varied, ...], list[tuple[Token, ...]]]:
-    """Return the cases of a study: for each a value of every field, in the fields' order.
+    """Return the varied fields, and the cases of a study: for each a value of every field, in the fields' order.
 
-    Parameters
-    ----------
-    job
-        The job.
-    varied
-        Varied fields; empty for a list of cases, which names its fields itself.
-    design
-        "grid" for every value with every other, the last field fastest; "random", "sobol", "halton" (both scrambled) or
-        "latin hypercube" for ``count`` cases drawn from ranges and distributions; or the cases themselves, a mapping
-        for each.
-    count, seed
-        Number of cases and seed of a random design.
-
-    Raises
-    ------
-    InputError
-        If the design does not fit the varied fields.
+    A grid has every value with every other, the last field fastest. A list of cases names its fields itself.
     """
     if not isinstance(design, str):
         if varied:
@@ -400,7 +348,6 @@ def _draw_unit_points(design: str, width: int, count: int, seed: int | None) -> 
 
 
 def _read_cases(job: Job, design: Sequence[Mapping[str, Any]]) -> tuple[tuple[Varied, ...], list[tuple[Token, ...]]]:
-    """Return the cases of a list."""
     if not design:
         raise InputError("the list of cases is empty: give at least 1")
     for number, case in enumerate(design, 1):
@@ -420,10 +367,7 @@ def get_job_value(job: Job, varied: Varied) -> Token | None:
     """Return the value of a field in the job, in the unit in which it is varied; ``None`` if the job states none."""
     data: Any = job.table(whole=True)
     for step in varied.field.place:
-        if isinstance(data, dict):
-            data = next((one for key, one in data.items() if str(key) == str(step)), None)
-        else:
-            data = data[step] if isinstance(data, list) and isinstance(step, int) and step < len(data) else None
+        data = entry_at(data, step)
     if varied.field.kind != "quantity" or data is None:
         return data if isinstance(data, int | float | str) else None
     if not isinstance(data, str):  # a coefficient of a series, which is in the base unit after parsing

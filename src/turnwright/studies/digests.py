@@ -90,7 +90,6 @@ def _(value: FunctionType) -> Iterator[Any]:
 
 
 def _names(code: CodeType) -> Iterator[str]:
-    """Yield the global names that a function and its inner functions use."""
     yield from code.co_names
     for one in code.co_consts:
         if isinstance(one, CodeType):

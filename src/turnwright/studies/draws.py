@@ -82,17 +82,7 @@ class ActualSetup(NamedTuple):
 
 
 def apply_draw(tool: Tool, machine: Machine, draw: Mapping[str, float], cut: str = "") -> ActualSetup:
-    """Return the actual set-up with the errors of a draw.
-
-    Parameters
-    ----------
-    tool, machine
-        Actual tool and machine without the drawn errors.
-    draw
-        Value of each error. [mm, rad]
-    cut
-        Test part that is cut; by default the part.
-    """
+    """Return the actual set-up with the errors of a draw [mm, rad], in the cut of a test part or of the part."""
 
     def one(name: str, *, per_cut: bool = False) -> float:
         return draw.get(f"{cut}: {name}" if per_cut and cut else name, 0.0)
@@ -197,13 +187,7 @@ def test_part_job(job: Job, kind: str) -> Job:
 def plan_cuts(
     job: Job, budget: ErrorBudget, store: Store, *, correction: bool, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Plan the part and its test parts once, and write the motions that the cases need to a store.
-
-    Returns
-    -------
-    dict
-        Input shared by all cases, as JSON data.
-    """
+    """Plan the part and its test parts once, store the motions that the cases need, and return what all cases share."""
     report = progress or (lambda _done, _total: None)
     reach = bound_shift(budget, job)
     kinds = budget.test_parts if correction else ()
@@ -216,15 +200,19 @@ def plan_cuts(
 
         plan = plan_motion(cut_job, reach, tell)
         feed = plan.motion.feed
-        scenes = [make_lines(cut_job, feed, even=True)] if kind else make_scenes(cut_job, feed)
+        scenes = _scenes_of(cut_job, kind, feed)
         cuts[kind] = {
             "job": cut_job.to_toml(),
             "feed": feed,
             "scenes": [_put(plan, scene, reach, store) for scene in scenes],
         }
         del plan
-    files = list_files(job)
+    files = list_files(job.table())
     return {"budget": budget.table(), "cuts": cuts, "files": files, "kept": store_files(files, store)}
+
+
+def _scenes_of(job: Job, kind: str, feed: float) -> list[Scene]:
+    return [make_lines(job, feed, even=True)] if kind else make_scenes(job, feed)
 
 
 def _put(plan: PlannedMotion, scene: Scene, reach: ContactShift, store: Store) -> dict[str, Any]:
@@ -235,8 +223,6 @@ def _put(plan: PlannedMotion, scene: Scene, reach: ContactShift, store: Store) -
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _View:
-    """A sampling grid and the motion over it."""
-
     scene: Scene
     head: Mapping[str, Any]
     rows: Floats
@@ -245,8 +231,6 @@ class _View:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Cut:
-    """A planned part or test part."""
-
     job: Job
     feed: float
     views: tuple[_View, ...]
@@ -293,7 +277,7 @@ class CaseContext:
         for kind, head_of_cut in shared["cuts"].items():
             job = jobs[kind]
             feed = head_of_cut["feed"]
-            scenes = [make_lines(job, feed, even=True)] if kind else make_scenes(job, feed)
+            scenes = _scenes_of(job, kind, feed)
             views = []
             for scene, head in zip(scenes, head_of_cut["scenes"], strict=True):
                 rows = fetch_array(store, head["array"])
@@ -392,17 +376,7 @@ def form_error(job: Job, cut: CutSurface, error: Floats) -> Floats:
 
 
 def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store | None) -> Row:
-    """Return the row of one case; the work function of `turnwright.studies.run_cases`.
-
-    Parameters
-    ----------
-    data
-        The ``draw``, its ``seed`` for the noise, whether there is a ``correction``, and the key of its ``study``.
-    shared
-        Result of `plan_cuts`.
-    store
-        Store with the motions, to which the form errors are written.
-    """
+    """Return the row of one case, and write its form errors to the store; the work function of `run_cases`."""
     assert store is not None  # noqa: S101 - a study of tolerances always has one
     bench = _benches.get(data["study"])
     if bench is None:

@@ -57,13 +57,7 @@ _T = TypeVar("_T")
 
 
 class WorkerDied(Exception):  # noqa: N818 - the case is not necessarily at fault
-    """The worker process that ran a case has died.
-
-    Parameters
-    ----------
-    exitcode
-        Negative number of the signal that ended it, or its exit code.
-    """
+    """The worker process that ran a case has died, with this exit code or minus the number of a signal."""
 
     def __init__(self, exitcode: int | None) -> None:
         super().__init__(exitcode)
@@ -78,15 +72,7 @@ class WorkerDied(Exception):  # noqa: N818 - the case is not necessarily at faul
 
 
 class LocalPool(Executor):
-    """Processes of this machine, each started when it is first needed and restarted when it dies.
-
-    Parameters
-    ----------
-    workers
-        Number of processes.
-    threads
-        Number of threads of each process.
-    """
+    """Processes of this machine, each started when it is first needed and restarted when it dies."""
 
     def __init__(self, *, workers: int, threads: int) -> None:
         self.workers = workers
@@ -122,7 +108,6 @@ class LocalPool(Executor):
         self.shutdown()
 
     def _carry_out(self, call: Callable[[], _T]) -> _T:
-        """Run a call in the worker of this thread."""
         worker: _Worker | None = getattr(self._lane, "worker", None)
         if worker is None or not worker.process.is_alive():  # killed while idle, not by a case
             worker = self._lane.worker = self._start(worker)
@@ -171,7 +156,6 @@ class _Worker(SpawnContext):
         return self.process
 
     def exitcode(self) -> int | None:
-        """Return the exit code of a process that has ended."""
         self.executor.shutdown()  # it waits for the process
         return self.process.exitcode
 
@@ -185,13 +169,11 @@ def _start_error(error: Exception) -> StudyError:
 
 
 def _start_worker() -> None:
-    """Initialise a worker process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the driver process too, which ends its workers
     threading.Thread(target=_end_with_driver, daemon=True).start()
 
 
 def _end_with_driver() -> None:
-    """End this process when its parent process has ended for any reason."""
     driver = multiprocessing.parent_process()
     if driver is None:
         return
@@ -202,13 +184,7 @@ def _end_with_driver() -> None:
 
 
 class Cluster(Executor):
-    """The workers of a Dask scheduler.
-
-    Parameters
-    ----------
-    client
-        Client that is connected to it.
-    """
+    """The workers of a Dask scheduler, to which ``client`` is connected."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
@@ -276,20 +252,8 @@ def local(
 def require_reach(place: str, executor: Executor, *, arrays: bool = False) -> None:
     """Raise if a store is in the memory of this process and the workers are other processes.
 
-    Parameters
-    ----------
-    place
-        Place of the store.
-    executor
-        Executor of the workers.
-    arrays
-        Whether the workers must read arrays that this process has written. Rows from a cluster or a foreign executor
-        are returned to this process, but arrays are not sent to the workers.
-
-    Raises
-    ------
-    InputError
-        If the workers cannot reach the store.
+    Rows from a cluster or a foreign executor are returned to this process; ``arrays`` that it has written are not sent
+    to the workers.
     """
     processes = isinstance(executor, LocalPool | ProcessPoolExecutor)
     apart = not isinstance(executor, ThreadPoolExecutor) if arrays else processes
@@ -333,8 +297,6 @@ def cluster(address: str) -> Iterator[Cluster]:
         raise InputError(
             "a cluster needs distributed, which is not installed: pip install 'turnwright[cluster]'"
         ) from None
-    if not isinstance(address, str):
-        raise InputError(f"{address!r} is no address of a Dask scheduler: write tcp://host:port, or tls://host:port")
     _require_scheduler(address)
     # These loggers print tracebacks when a scheduler is lost; Turnwright raises an error instead.
     with _silence("distributed"), _silence("distributed.client"):
@@ -352,7 +314,7 @@ def cluster(address: str) -> Iterator[Cluster]:
 def _require_scheduler(address: str) -> None:
     """Raise unless a scheduler answers: Dask's client hangs if another server listens at the address."""
     try:
-        parts = urlsplit(address)
+        parts = urlsplit(str(address))
         host, port = parts.hostname, parts.port
     except ValueError as error:
         raise _no_scheduler(address, error) from None
@@ -388,7 +350,6 @@ def _no_scheduler(address: str, error: Exception) -> StudyError:
 
 @contextmanager
 def _silence(name: str) -> Iterator[None]:
-    """Silence a logger."""
     talker = logging.getLogger(name)
     level = talker.level
     talker.setLevel(logging.CRITICAL)

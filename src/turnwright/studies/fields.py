@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import copy
 import difflib
 import re
 from collections import abc
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from types import NoneType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, get_args, get_origin
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, Union, get_args, get_origin
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
     from turnwright.job import Job
 
-__all__ = ["Data", "Field", "Token", "apply_changes", "find_field", "get_job_data"]
+__all__ = ["Data", "Field", "Token", "apply_changes", "entry_at", "find_field", "get_job_data"]
 
 Token: TypeAlias = float | int | str | bool
 """A value of a field: a number in the field's unit, a whole or plain number, a text or a flag."""
@@ -46,30 +47,14 @@ TOUCHED: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Field:
-    """A field of a job.
+    """A field of a job."""
 
-    Parameters
-    ----------
-    name
-        Name as requested, such as ``passes.finish.feed``.
-    place
-        Keys in the data of the job.
-    units
-        Allowed units, the base unit first; empty if there is none.
-    kind
-        "quantity", "number", "whole", "flag" or "text".
-    annotation
-        Type annotation of the field.
-    among
-        Length of the list that it is an entry of; 0 if any length is allowed.
-    """
-
-    name: str
-    place: tuple[str | int, ...]
-    units: tuple[str, ...]
-    kind: Literal["quantity", "number", "whole", "flag", "text"]
-    annotation: Any
-    among: int = 0
+    name: str  # name as requested, such as ``passes.finish.feed``
+    place: tuple[str | int, ...]  # keys in the data of the job
+    units: tuple[str, ...]  # allowed units, the base unit first; empty if there is none
+    kind: Literal["quantity", "number", "whole", "flag", "text"]  # what it holds
+    annotation: Any  # type annotation of the field
+    among: int = 0  # length of the list that it is an entry of; 0 if any length is allowed
 
     @property
     def is_feed(self) -> bool:
@@ -101,13 +86,7 @@ class Field:
         return text
 
     def check(self, token: Token, units: str) -> None:
-        """Raise if the field does not accept a value, regardless of other fields.
-
-        Raises
-        ------
-        InputError
-            Naming the field, the value and the remedy.
-        """
+        """Raise if the field does not accept a value, regardless of other fields."""
         if self.over_time(units):
             if not float(token) > 0:
                 raise InputError(f"{self.name}: {token!r} {units} is not above 0 {units}: give a larger value")
@@ -131,23 +110,9 @@ def get_job_data(job: Job) -> Data:
 
 
 def find_field(job: Job, name: str) -> Field:
-    """Return a field of a job by its dotted name, as in the job file.
+    """Return a field of a job by its dotted name, as in the job file, such as ``simulation.patches[1].pixel``.
 
-    Entries of a list are identified by name or by an index from 1 in brackets, as in the messages of a job. The job
-    need not state a value of the field.
-
-    Parameters
-    ----------
-    job
-        Job with the field.
-    name
-        Such as ``tool.nose_radius``, ``passes.finish.feed``, ``simulation.patches[1].pixel`` or
-        ``actual.tool.offset[1]``.
-
-    Raises
-    ------
-    InputError
-        If the field does not exist; the message suggests the nearest.
+    Entries of a list are identified by name or by an index from 1 in brackets. The job need not state a value.
     """
     if not isinstance(name, str):
         raise InputError(f"{name!r} is no name of a field: write it as in the job file, such as 'tool.nose_radius'")
@@ -189,7 +154,6 @@ def find_field(job: Job, name: str) -> Field:
 
 
 def _leaf(name: str, place: tuple[str | int, ...], annotation: Any, units: tuple[str, ...] | None) -> Field:
-    """Return the field at the end of a name."""
     reader = _unit_in(annotation)
     if units is not None:
         return Field(name=name, place=place, units=units, kind="quantity", annotation=Any)
@@ -218,20 +182,12 @@ def _unit_of_entry(value: Any, step: str, rest: list[str]) -> tuple[str, ...] | 
 def _alternatives(annotation: Any) -> list[Any]:
     """Return the alternatives of a type, without ``None``."""
     bare = _bare(annotation)
-    if _is_union(bare):
+    if get_origin(bare) in (UnionType, Union):
         return [one for part in get_args(bare) if part is not NoneType for one in _alternatives(part)]
     return [annotation]
 
 
-def _is_union(annotation: Any) -> bool:
-    import types  # noqa: PLC0415 - for this one name
-    from typing import Union  # noqa: PLC0415
-
-    return get_origin(annotation) in (types.UnionType, Union)
-
-
 def _bare(annotation: Any) -> Any:
-    """Return a type without its annotations."""
     while get_origin(annotation) is Annotated:
         annotation = get_args(annotation)[0]
     return annotation
@@ -274,7 +230,6 @@ def _element(annotation: Any, index: int) -> Any:
 
 
 def _joined(steps: list[str]) -> str:
-    """Return keys and indices as a dotted name."""
     return ".".join(filter(None, steps)).replace(".[", "[")
 
 
@@ -304,7 +259,6 @@ def _length(value: Any, annotation: Any) -> int:
 
 
 def _unknown(name: str, before: str, step: str, known: list[str]) -> str:
-    """Return the message for an unknown field, with the nearest known one."""
     close = difflib.get_close_matches(step.lower(), known, n=1, cutoff=0.5)
     remedy = (
         f"did you mean {_joined([before, close[0]])}?"
@@ -328,7 +282,6 @@ def _some(value: Any, annotation: Any) -> str:
 
 
 def _unit_in(annotation: Any) -> unit | None:
-    """Return the unit annotation of a field; ``None`` without a unit."""
     if isinstance(annotation, unit):
         return annotation
     for inner in get_args(annotation):
@@ -339,23 +292,10 @@ def _unit_in(annotation: Any) -> unit | None:
 
 
 def apply_changes(base: Data, changes: list[tuple[Field, str, Token]]) -> dict[str, Any]:
-    """Return the data of a job with some fields changed.
+    """Return the data of a job with some fields changed, each to a value in a unit.
 
-    Parameters
-    ----------
-    base
-        The data of the job.
-    changes
-        Fields, the units of their values, and the values. A feed per time is divided by the spindle speed of the same
-        case, with one rounding.
-
-    Raises
-    ------
-    InputError
-        If a feed per time is given without a spindle speed.
+    A feed per time is divided by the spindle speed of the same case, with one rounding.
     """
-    import copy  # noqa: PLC0415 - for this one call
-
     data: dict[str, Any] = copy.deepcopy(base.stated)
     for field, units, token in sorted(changes, key=lambda one: one[0].over_time(one[1])):
         value = field.written(token, units)
@@ -366,7 +306,6 @@ def apply_changes(base: Data, changes: list[tuple[Field, str, Token]]) -> dict[s
 
 
 def _per_turn(field: Field, token: float, units: str, data: Mapping[str, Any]) -> float:
-    """Convert a feed per time to a feed per revolution. [mm/rev]."""
     tables = [data["strategy"]]
     if field.place[0] == "passes":
         tables.insert(0, data["passes"][field.place[1]])
@@ -387,7 +326,7 @@ def _put(complete: Any, data: dict[str, Any], field: Field, value: Token) -> Non
     node: Any = data
     for number, step in enumerate(field.place):
         last = number == len(field.place) - 1
-        complete = _below(complete, step)
+        complete = entry_at(complete, step)
         if isinstance(step, int):
             while len(node) <= max(step, field.among - 1 if last else 0):
                 node.append(_nothing(field, len(node)))
@@ -406,14 +345,14 @@ def _put(complete: Any, data: dict[str, Any], field: Field, value: Token) -> Non
         node = node[key]
 
 
-def _below(whole: Any, step: str | int) -> Any:
+def entry_at(whole: Any, step: str | int) -> Any:
+    """Return an entry of a table or a list; ``None`` if there is none."""
     if isinstance(whole, dict):
         return next((one for key, one in whole.items() if str(key) == str(step)), None)
     return whole[step] if isinstance(whole, list) and isinstance(step, int) and step < len(whole) else None
 
 
 def _stated(whole: Any) -> Any:
-    """Return data without ``None``."""
     if isinstance(whole, dict):
         return {key: _stated(one) for key, one in whole.items() if one is not None}
     return [_stated(one) for one in whole] if isinstance(whole, list) else whole

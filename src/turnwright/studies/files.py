@@ -7,6 +7,7 @@ import os
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,40 +17,46 @@ from turnwright._io import read_toml
 from turnwright.errors import InputError, StudyError
 
 if TYPE_CHECKING:
-    from turnwright.job import Job
     from turnwright.studies.store import Store
 
 __all__ = ["fetch_array", "list_files", "provide_files", "relocate_paths", "store_files"]
 
 
-def list_files(job: Job) -> dict[str, str]:
-    """Return the files that a job names, and the files named in those: absolute path to digest of the content."""
-    paths: set[str] = set()
-    for text in _texts(job.table()):
-        if Path(text).is_absolute() and os.path.isfile(text):  # noqa: PTH113 - false of a name that no system takes, too
-            _add_file(Path(text), paths)
-    return {path: hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in sorted(paths)}
+def list_files(data: Any) -> dict[str, str]:
+    """Return the files that data names by absolute paths, and the files named in those: path to digest of content."""
+    digests: dict[str, str] = {}
+    for text in _texts(data):
+        if os.path.isabs(text) and os.path.isfile(text):  # noqa: PTH113, PTH117 - false of a name that no system takes
+            _add_file(Path(text), digests)
+    return dict(sorted(digests.items()))
 
 
-def _add_file(file: Path, found: set[str]) -> None:
+def _add_file(file: Path, digests: dict[str, str]) -> None:
     """Add a file and, if it is TOML, the files that it names, such as the base of a machine file."""
-    if str(file) in found:
+    if str(file) in digests:
         return
-    found.add(str(file))
+    state = file.stat()
+    digests[str(file)] = _digest(file, state.st_mtime_ns, state.st_size)
     if file.suffix != ".toml":
         return
-    for text in _texts(read_toml(file.read_bytes(), f"the file {str(file)!r}")):
-        with suppress(OSError, ValueError):  # not a file name
-            other = Path(os.path.normpath(file.parent / text))
-            if other.is_file():
-                _add_file(other, found)
+    with suppress(InputError):  # no TOML: it names no files
+        for text in _texts(read_toml(file.read_bytes(), f"the file {str(file)!r}")):
+            with suppress(OSError, ValueError):  # not a file name
+                other = Path(os.path.normpath(file.parent / text))
+                if other.is_file():
+                    _add_file(other, digests)
+
+
+@lru_cache(maxsize=1024)
+def _digest(file: Path, _changed_ns: int, _size: int) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def _texts(value: Any) -> Iterator[str]:
     if isinstance(value, str):
         yield value
-    elif isinstance(value, dict | list):
-        for one in value.values() if isinstance(value, dict) else value:
+    elif isinstance(value, Mapping | list | tuple):
+        for one in value.values() if isinstance(value, Mapping) else value:
             yield from _texts(one)
 
 
@@ -63,11 +70,7 @@ def store_files(files: Mapping[str, str], store: Store | None) -> dict[str, str]
 def fetch_array(store: Store, name: str) -> np.ndarray:
     """Return an array that the driver process has written to a store.
 
-    Raises
-    ------
-    StudyError
-        If a worker does not find it, as in a folder of another machine. This stops the study: as the reason of a case
-        it would be stored.
+    If a worker does not find it, the study stops: as the reason of a case it would be stored.
     """
     try:
         return store.array(name)
@@ -82,21 +85,8 @@ def fetch_array(store: Store, name: str) -> np.ndarray:
 def provide_files(files: Mapping[str, str], kept: Mapping[str, str], store: Store | None) -> Iterator[dict[str, str]]:
     """Yield the local paths of the files of a job, by their paths in the job; empty if all are in place.
 
-    If a file is missing or differs, all files are copied to a temporary folder with the same relative paths.
-
-    Parameters
-    ----------
-    files
-        Absolute path to digest of the content.
-    kept
-        Absolute path to name in the store.
-    store
-        Store with the files.
-
-    Raises
-    ------
-    StudyError
-        If files are missing both on this machine and in the store.
+    If a file is missing or differs, all are copied from the store to a temporary folder with the same relative paths.
+    ``files`` gives the digest of each, ``kept`` its name in the store.
     """
     missing = [path for path, digest in files.items() if not _is_there(path, digest)]
     if not missing:
@@ -134,4 +124,4 @@ def relocate_paths(value: Any, places: Mapping[str, str]) -> Any:
         return places.get(value, value)
     if isinstance(value, Mapping):
         return {key: relocate_paths(one, places) for key, one in value.items()}
-    return [relocate_paths(one, places) for one in value] if isinstance(value, list) else value
+    return [relocate_paths(one, places) for one in value] if isinstance(value, list | tuple) else value

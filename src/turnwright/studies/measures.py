@@ -1,30 +1,39 @@
-"""Measures of a case: named numbers of any stage with their units, or user functions."""
+"""Measures of a case, in a worker: named numbers of any stage with their units, or user functions."""
 
 from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from turnwright.errors import InputError, TurnwrightError
-from turnwright.job import Pipeline
+from turnwright.job import Job, Pipeline
 from turnwright.machine import ROTARY
 from turnwright.studies.digests import digest_of
+from turnwright.studies.files import provide_files, relocate_paths
 
 if TYPE_CHECKING:
-    from turnwright.job import Job
+    from turnwright.studies.store import Store
 
-__all__ = ["MEASURES", "Measure", "MeasureFunction", "Value", "evaluate", "measure_of"]
+__all__ = ["MEASURES", "REFUSED", "SECONDS", "Measure", "MeasureFunction", "Value", "carry_out", "measure_of"]
 
 Value: TypeAlias = float | int | str | None
 MeasureFunction: TypeAlias = Callable[[Pipeline], Value]
 """A user-defined measure: a function of the pipeline of a case that returns a number."""
 
 WHOLE_PART = "whole part"
+
+REFUSED = "refused"
+"""Column with the reason why `run` would refuse a job that can still be measured."""
+
+SECONDS = "seconds"
+"""Column with the computing time of a case. [s]"""
+
 NM = 1e6
 MN_PER_N = 1e3
 """Millinewtons of a newton."""
@@ -35,30 +44,12 @@ STAGE_ORDER = ("access", "plan", "drive", "chips", "place")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measure:
-    """A quantity that a study evaluates for every case.
+    """A quantity that a study evaluates for every case."""
 
-    Parameters
-    ----------
-    name
-        Name as requested; the text after an @ is a patch or an axis.
-    unit
-        Unit of the number; empty if there is none, or if the name contains it.
-    stage
-        Stage of the job that it needs: "access", "plan" (the finishing path), "drive" (all passes, with their
-        limits), "chips", or "place" (the predicted surface of a patch or the whole part).
-    function
-        Function of a user-defined measure.
-    """
-
-    name: str
-    unit: str
-    stage: str
-    function: MeasureFunction | None = None
-
-    @property
-    def heading(self) -> str:
-        """Column heading: the name with its unit."""
-        return f"{self.name} [{self.unit}]" if self.unit else self.name
+    name: str  # name as requested; the text after an @ is a patch or an axis
+    unit: str  # empty if there is none, or if the name contains it
+    stage: str  # stage of the job that it needs, see `STAGE_ORDER`
+    function: MeasureFunction | None = None  # function of a user-defined measure
 
     @property
     def sign(self) -> str:
@@ -133,21 +124,7 @@ def _milli(force: float | None) -> float | None:
 
 
 def measure_of(job: Job, asked: str | MeasureFunction) -> Measure:
-    """Return a measure by its name, or of a user function.
-
-    Parameters
-    ----------
-    job
-        Job with the patches and axes.
-    asked
-        Such as "minutes", "sq_nm" (of the first patch), "sq_nm@axis" (of the patch called axis), "pv_nm@whole part",
-        "peak_acceleration@X"; or a function.
-
-    Raises
-    ------
-    InputError
-        If there is no such measure, naming the nearest.
-    """
+    """Return a measure by its name, such as "sq_nm@axis" (of the patch called axis), or of a user function."""
     if not isinstance(asked, str):
         if not callable(asked):
             raise InputError(f"a measure is {asked!r}, it must be a name or a function: give one of {_known()}")
@@ -189,15 +166,7 @@ def _known() -> str:
 
 
 def evaluate(pipeline: Pipeline, measures: Sequence[Measure]) -> dict[str, Value]:
-    """Return the measures of a case by name; only the stages that they need are computed.
-
-    Parameters
-    ----------
-    pipeline
-        Stages of the job of the case.
-    measures
-        Requested measures.
-    """
+    """Return the measures of a case by name; only the stages that they need are computed."""
     values: dict[str, Value] = {}
     for one in sorted(measures, key=lambda measure: STAGE_ORDER.index(measure.stage)):
         values[one.name] = _finite(_evaluate_one(pipeline, one))
@@ -229,8 +198,22 @@ def _evaluate_one(pipeline: Pipeline, one: Measure) -> Value:
 
 
 def _finite(value: Any) -> Value:
-    """Convert a NumPy scalar to a Python number."""
     plain = value.item() if isinstance(value, np.generic) else value
     if plain is not None and not isinstance(plain, int | float | str):
         raise InputError(f"a measure gives {type(plain).__name__}, it must be a number, a text or None: change it")
     return plain
+
+
+def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store | None) -> dict[str, Any]:
+    """Return the row of a case: its measures, the reason why `run` would refuse it, and its computing time."""
+    start = time.perf_counter()
+    with provide_files(data["files"], shared.get("files", {}), store) as places:
+        job = Job.read(relocate_paths(data["job"], places))
+        pipeline = Pipeline(job)
+        functions = shared.get("own", {})
+        measures = [measure_of(job, functions.get(name, name)) for name in shared["measures"]]
+        row = evaluate(pipeline, measures)
+    if pipeline.refused:
+        row[REFUSED] = "; ".join(pipeline.refused)
+    row[SECONDS] = round(time.perf_counter() - start, 4)
+    return row

@@ -95,21 +95,11 @@ SERVO_NODES = 5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContactShift:
-    """Largest shift of the contact by drawn errors.
+    """Largest shift of the contact by drawn errors."""
 
-    Parameters
-    ----------
-    along
-        Along the radius. [mm]
-    across
-        Around the axis. [mm]
-    servos
-        Largest relative deviation of the natural frequency of each axis, by letter.
-    """
-
-    along: float
-    across: float
-    servos: Mapping[str, float]
+    along: float  # along the radius. [mm]
+    across: float  # around the axis. [mm]
+    servos: Mapping[str, float]  # largest relative deviation of the natural frequency of each axis, by letter
 
 
 class CutSurface(NamedTuple):
@@ -139,18 +129,9 @@ class Scene(NamedTuple):
     def generated(self, motion: Motion, tool: Tool, machine: Machine, near: float) -> CutSurface:
         """Return the surface that a motion generates on the grid.
 
-        Parameters
-        ----------
-        motion, tool, machine
-            Motion, tool and machine of the cut.
-        near
-            Distance from the axis within which cuts from the other side of it matter. [mm]
-
-        Returns
-        -------
-        CutSurface
-            Lines end at the uncut core that a tool height error leaves; heights within it are nan. The last place
-            inside its edge is moved to the edge, so that results change continuously with the core.
+        Within ``near`` [mm] of the axis, cuts from its other side matter. Lines end at the uncut core that a tool
+        height error leaves; heights within it are nan. The last place inside its edge is moved to the edge, so that
+        results change continuously with the core.
         """
         if not self.polar:
             made = generate(motion, tool, x=self.columns, y=self.rows, machine=machine)
@@ -203,7 +184,6 @@ class Scene(NamedTuple):
 
     @staticmethod
     def _inner(motion: Motion, near: float) -> Motion:
-        """Return the motion near the axis."""
         at = np.flatnonzero(np.abs(motion.axes["X"]) <= 3 * near)
         near_axis = slice(max(int(at[0]) - 1, 0), int(at[-1]) + 2)
         axes = {letter: values[near_axis] for letter, values in motion.axes.items()}
@@ -222,16 +202,8 @@ def make_lines(job: Job, feed: float, *, even: bool = False) -> Scene:
     """Return radial lines over the whole part, with a density that depends on its features.
 
     They include the axis, the ring of the highest central cusp and the rim, where most errors are largest. These
-    places have no area weight; the others share the whole area.
-
-    Parameters
-    ----------
-    job
-        Job of the part.
-    feed
-        Feed of the finishing pass. [mm]
-    even
-        Whether all places have the same area, as in a map of an instrument; then axis, ring and rim are left out.
+    places have no area weight; the others share the whole area. ``even`` lines have places of the same area only, as a
+    map of an instrument.
     """
     part = job.part
     places = PLACES_PER_FEATURE * part.radius / part.surface.feature_size
@@ -291,37 +263,16 @@ def make_scenes(job: Job, feed: float) -> list[Scene]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlannedMotion:
-    """Motion of the axes in the finishing pass, and its contact points.
+    """Motion of the axes in the finishing pass, and its contact points."""
 
-    Parameters
-    ----------
-    motion
-        Actual motion: the plan, or the response of the servos to it.
-    contact
-        Distance of the contact from the axis at each point. (n,) [mm]
-    across
-        Planned lateral distance of the edge from the plane through the axis. [mm]
-    edge
-        Distance from the tip within which the nose is used. [mm]
-    blend
-        Distance between points of the nose that cut the same place of the part. [mm]
-    core
-        Distance from the axis of the revolutions whose raked edge reaches it, per square root of the tool height
-        error. [mm^0.5]
-    upright
-        Whether the edge stays in one plane, as without rake and Y.
-    servos
-        Relative deviations of the natural frequency, and the positions of the axis at each, by letter. (k,), (k, n)
-    """
-
-    motion: Motion
-    contact: Floats
-    across: float
-    edge: float
-    blend: float
-    core: float
-    upright: bool
-    servos: Mapping[str, tuple[Floats, Floats]]
+    motion: Motion  # actual motion: the plan, or the response of the servos to it
+    contact: Floats  # distance of the contact from the axis at each point. (n,) [mm]
+    across: float  # planned lateral distance of the edge from the plane through the axis. [mm]
+    edge: float  # distance from the tip within which the nose is used. [mm]
+    blend: float  # distance between points of the nose that cut the same place of the part. [mm]
+    core: float  # distance of the revolutions whose raked edge reaches the axis, per root of the height error. [mm^0.5]
+    upright: bool  # whether the edge stays in one plane, as without rake and Y
+    servos: Mapping[str, tuple[Floats, Floats]]  # frequency deviations (k,) of each axis, its positions (k, n)
 
     def near(self, reach: ContactShift) -> float:
         """Return the distance from the axis within which cuts from its other side matter. [mm].
@@ -373,13 +324,11 @@ def plan_motion(job: Job, reach: ContactShift, progress: Progress | None = None)
 
 
 def _fits(job: Job) -> bool:
-    """Return whether the nose reaches the whole surface."""
     access = check_access(job.part.aimed, job.tool, sense=job.strategy.sense)
     return all(one.ok for one in access.findings if one.name in {"nose radius", "valley", "step"})
 
 
 def _raise_frequency(machine: Machine, letter: str, share: float) -> Machine:
-    """Return a machine with the natural frequency of one axis raised by a relative amount."""
     axis = machine.axes[letter]
     assert axis.response is not None  # noqa: S101 - checked by the caller
     quick = replace(axis, response=axis.response.slower(1 / (1 + share)))

@@ -50,11 +50,8 @@ class Interval(NamedTuple):
 def binomial_interval(successes: int, trials: int) -> Interval:
     """Return the estimated probability of success with the exact interval of Clopper and Pearson.
 
-    Its coverage is at least 95 %, also with no successes and with all.
-
-    Sources
-    -------
-    [Clopper1934]_. Oracle: ``scipy.stats.binomtest``.
+    Its coverage is at least 95 %, also with no successes and with all [Clopper1934]_. Oracle:
+    ``scipy.stats.binomtest``.
 
     >>> [round(one, 4) for one in binomial_interval(190, 200)]
     [0.95, 0.91, 0.9758]
@@ -72,13 +69,9 @@ def binomial_interval(successes: int, trials: int) -> Interval:
 
 
 def percentile(values: Floats, share: float) -> Interval:
-    """Estimate a percentile from draws, with its confidence interval by order statistics.
+    """Estimate a percentile from draws, with its confidence interval by order statistics [Conover1999]_.
 
     An end of the interval for which there are too few draws is infinite.
-
-    Sources
-    -------
-    The number of draws below a percentile is binomial, whatever the distribution [Conover1999]_.
     """
     from scipy.special import bdtr  # noqa: PLC0415 - costly to import
 
@@ -114,17 +107,7 @@ def sobol_indices(
 ) -> Indices:
     """Return first-order and total indices of groups of inputs, by the design of Saltelli.
 
-    Parameters
-    ----------
-    function
-        Function of the inputs. (n, d) to (n,)
-    groups
-        Numbers of the inputs in each group.
-    a, b
-        Independent draws of all inputs, preferably the two halves of one sequence. Each (n, d)
-
-    Sources
-    -------
+    ``a`` and ``b`` (n, d) are independent draws of all inputs, preferably the two halves of one sequence.
     [Saltelli2010]_, Table 2: (b) for the first order, that of Jansen (f) for the total. Oracle:
     ``scipy.stats.sobol_indices`` and closed forms.
     """
@@ -146,22 +129,10 @@ def sobol_indices(
 def neighbour_indices(inputs: Floats, result: Floats, groups: Sequence[Sequence[int]]) -> Floats:
     """Estimate first-order indices of groups of inputs from independent cases.
 
-    Two cases that are nearest neighbours in the inputs of a group differ by the effect of the other inputs. For one
-    input this is Chatterjee's rank correlation with the result in place of its ranks. The standard error is about 1
-    over the square root of the number of cases.
-
-    Parameters
-    ----------
-    inputs
-        Inputs in units of their standard deviations. (n, d)
-    result
-        Result of each case. (n,)
-    groups
-        Numbers of the inputs in each group.
-
-    Sources
-    -------
-    [Gamboa2022]_ for one input, [Broto2020]_ for groups.
+    Two cases that are nearest neighbours in the inputs (n, d), in units of their standard deviations, differ by the
+    effect of the other inputs. For one input this is Chatterjee's rank correlation with the result in place of its
+    ranks [Gamboa2022]_, for groups see [Broto2020]_. The standard error is about 1 over the root of the number of
+    cases.
     """
     from scipy.spatial import KDTree  # noqa: PLC0415 - costly to import
 
@@ -190,42 +161,17 @@ class MapModel:
 
     Small errors superpose: each changes every height in proportion, with a small quadratic term. Some hundred cases
     therefore determine the map of any draw, so that the peak to valley of a million draws needs no further cases.
-
-    Parameters
-    ----------
-    share
-        Signatures: coefficient of each height for a constant, the inputs and their squares. (1 + d or 1 + 2d, m) [nm]
-    weight
-        Weight of each height. (m,)
-    leverage
-        Leverage of each case in the fit. (n,)
-    left
-        Residual of each case. (n, m) [nm]
-    maps
-        Fitted maps. (n, m) [nm]
     """
 
-    share: Floats
-    weight: Floats
-    leverage: Floats
-    left: Floats
-    maps: Floats
+    share: Floats  # coefficient of each height for a constant, the inputs and their squares. (1 + d or 1 + 2d, m) [nm]
+    weight: Floats  # weight of each height. (m,)
+    leverage: Floats  # leverage of each case in the fit. (n,)
+    left: Floats  # residual of each case. (n, m) [nm]
+    maps: Floats  # fitted maps. (n, m) [nm]
 
     @classmethod
     def fit(cls, inputs: Floats, maps: Floats, weight: Floats, chosen: Ints | None = None) -> MapModel | None:
-        """Fit the model to cases; ``None`` if they are too few.
-
-        Parameters
-        ----------
-        inputs
-            Draws in units of their standard deviations, about their means. (n, d)
-        maps
-            Error maps. (n, m) [nm]
-        weight
-            Weight of each height. (m,)
-        chosen
-            Cases to fit, possibly repeated; by default all.
-        """
+        """Fit the model to scaled draws (n, d) and maps (n, m) [nm], by default all; ``None`` if they are too few."""
         columns = cls.columns(inputs, squares=inputs.shape[0] >= 4 * (2 * inputs.shape[1] + 1))
         if inputs.shape[0] < cls.min_cases(inputs.shape[1]):
             return None

@@ -17,14 +17,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Self
+from typing import IO, Any, Self
 from uuid import uuid4
+
+import numpy as np
 
 from turnwright import _validate as validate
 from turnwright.errors import InputError, StudyError
-
-if TYPE_CHECKING:
-    import numpy as np
 
 __all__ = ["Store"]
 
@@ -139,8 +138,6 @@ class Store:
         StudyError
             If the store is full or cannot be written.
         """
-        import numpy as np  # noqa: PLC0415 - a worker that has no arrays starts without
-
         array = np.ascontiguousarray(array)
         if array.dtype.hasobject:
             raise InputError(f"the array {name!r} holds objects, which no file takes: give plain numbers")
@@ -164,8 +161,6 @@ class Store:
         InputError
             If there is none of that name.
         """
-        import numpy as np  # noqa: PLC0415
-
         file = f"{_check_name(name)}.npy"
         try:
             if not self._remote:
@@ -180,7 +175,6 @@ class Store:
         return array
 
     def _files(self) -> tuple[Any, str]:
-        """Return the file system of a URL and the path in it."""
         try:
             from fsspec.core import url_to_fs  # noqa: PLC0415 - of an extra
         except ImportError:

@@ -58,37 +58,17 @@ EDGE_START = PLANE_SUMS + 1
 
 @dataclass(frozen=True, slots=True)
 class Files:
-    """The arrays of a tiled map.
+    """The arrays of a tiled map."""
 
-    Parameters
-    ----------
-    place
-        Folder or URL.
-    about
-        Attributes of the group.
-    layout
-        Grid of the map.
-    levels
-        Heights of the map and of its overviews.
-    records
-        One row of numbers for each tile. (tile rows, tile columns, numbers)
-    """
-
-    place: str
-    about: dict[str, Any]
-    layout: Layout
-    levels: tuple[zarr.Array[Any], ...]
-    records: zarr.Array[Any]
+    place: str  # folder or URL
+    about: dict[str, Any]  # attributes of the group
+    layout: Layout  # grid of the map
+    levels: tuple[zarr.Array[Any], ...]  # heights of the map and of its overviews
+    records: zarr.Array[Any]  # numbers of each tile. (tile rows, tile columns, numbers)
 
     @classmethod
     def open(cls, place: str, *, write: bool = False) -> Self:
-        """Open a map, complete or not.
-
-        Raises
-        ------
-        InputError
-            If there is none.
-        """
+        """Open a map, complete or not."""
         group = _group(place, mode="r+" if write else "r")
         about = _read_attributes(group)
         if group is None or about is None or about.get("format") != FORMAT:
@@ -104,13 +84,7 @@ class Files:
 
     @classmethod
     def begin(cls, place: str, layout: Layout, about: dict[str, Any]) -> Self:
-        """Create the arrays of a map, or open an incomplete one.
-
-        Raises
-        ------
-        InputError
-            If the place holds something else.
-        """
+        """Create the arrays of a map, or open an incomplete one."""
         import zarr  # noqa: PLC0415 - costly, and only for whole parts
 
         require_same_map(place, layout)
@@ -148,13 +122,7 @@ class Files:
 
 
 def require_same_map(place: str, layout: Layout) -> None:
-    """Raise if a place holds anything but a map on the same grid, with any tile size.
-
-    Raises
-    ------
-    InputError
-        If the place holds something else.
-    """
+    """Raise if a place holds anything but a map on the same grid, with any tile size."""
     if "://" not in place and not os.path.lexists(place):
         return
     group = _group(place)
@@ -211,7 +179,6 @@ def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
 
 
 def _create_level(group: zarr.Group, layout: Layout, level: int) -> None:
-    """Create the missing arrays of an overview."""
     within = group.require_group(f"level_{level}")
     for name, axis in zip("xy", layout.axes(level), strict=True):
         if name not in within:
@@ -248,13 +215,7 @@ def remove_motion(place: str) -> None:
 
 
 def require_room(place: str, layout: Layout) -> None:
-    """Raise if the disk has too little space for a new map.
-
-    Raises
-    ------
-    InputError
-        If the space is too small.
-    """
+    """Raise if the disk has too little space for a new map."""
     if "://" in place or (Path(place) / "zarr.json").exists():
         return
     folder = Path(place).absolute()

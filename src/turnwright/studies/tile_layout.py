@@ -14,7 +14,7 @@ from turnwright._arrays import Bools, Floats
 from turnwright._validate import positive
 from turnwright.errors import InputError
 
-__all__ = ["DEFAULT_TILE_PIXELS", "TILE_LEVELS", "Layout", "Tile", "require_tile", "tile_sides"]
+__all__ = ["DEFAULT_TILE_PIXELS", "MAX_TILE_PIXELS", "MIN_TILE_PIXELS", "TILE_LEVELS", "Layout", "Tile", "tile_sides"]
 
 TILE_LEVELS = 3
 """Number of overviews computed with each tile; coarser ones are computed from these when all tiles are finished."""
@@ -46,27 +46,13 @@ class Tile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """A grid of equal pixels in tiles.
+    """A grid of equal pixels in tiles."""
 
-    Parameters
-    ----------
-    pixel
-        Pixel size along x and y. [mm]
-    origin
-        Position of the first column and row. [mm]
-    shape
-        Rows and columns.
-    tile
-        Rows and columns of a tile.
-    radius
-        Semi-diameter within which there are heights; ``None`` for the whole grid. [mm]
-    """
-
-    pixel: tuple[float, float]
-    origin: tuple[float, float]
-    shape: tuple[int, int]
-    tile: tuple[int, int]
-    radius: float | None
+    pixel: tuple[float, float]  # pixel size along x and y. [mm]
+    origin: tuple[float, float]  # position of the first column and row. [mm]
+    shape: tuple[int, int]  # rows and columns
+    tile: tuple[int, int]  # rows and columns of a tile
+    radius: float | None  # semi-diameter within which there are heights; ``None`` for the whole grid. [mm]
 
     @classmethod
     def of(
@@ -187,11 +173,6 @@ class Layout:
         axes = [np.abs(axis) for axis in self.axes()]
         low, high = (float(np.hypot(*(pick(axis) for axis in axes))) for pick in (np.min, np.max))
         return low, high if self.radius is None else min(high, self.radius * (1 + 1e-9))
-
-
-def require_tile(asked: object) -> None:
-    """Raise if a tile width is not allowed."""
-    validate.whole(asked, "the width of a tile in pixels", MIN_TILE_PIXELS, MAX_TILE_PIXELS)
 
 
 def tile_sides(requested: int, sides: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:

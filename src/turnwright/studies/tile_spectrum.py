@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -13,16 +13,15 @@ from turnwright import _validate as validate
 from turnwright._arrays import Floats, frozen
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import FEWEST, AreaSpectrum, Spectrum, Window, area_psd, line_psd
+from turnwright.metrology import FEWEST, AreaSpectrum, Spectrum
 from turnwright.studies.bands import map_in_order
 
 if TYPE_CHECKING:
-    from turnwright.metrology import Form
     from turnwright.progress import Progress
     from turnwright.studies.tile_files import Files
     from turnwright.studies.tile_layout import Layout
 
-__all__ = ["SEGMENT", "tiled_area_psd", "tiled_line_psd"]
+__all__ = ["SEGMENT", "mean_spectrum"]
 
 SEGMENT = 512
 """Pixels along a segment: about 0.5 mm at a pixel of 1 um, fifty cusps or more."""
@@ -30,33 +29,10 @@ SEGMENT = 512
 AnySpectrum = TypeVar("AnySpectrum", AreaSpectrum, Spectrum)
 
 
-def tiled_area_psd(
-    files: Files, segment: int | None, form: Form, window: Window, progress: Progress | None
-) -> AreaSpectrum:
-    """Return the mean of the spectra of all complete segments."""
-
-    def work(heights: HeightMap) -> AreaSpectrum:
-        return area_psd(heights, form=form, window=window)
-
-    return _mean(files, segment, work, progress)
-
-
-def tiled_line_psd(
-    files: Files, along: Literal["x", "y"], segment: int | None, form: Form, window: Window, progress: Progress | None
-) -> Spectrum:
-    """Return the mean of the line spectra of all complete segments."""
-    if not isinstance(along, str) or along not in ("x", "y"):
-        raise InputError(f'along is {along!r}, the lines of a map in tiles run along "x" or "y": choose')
-
-    def work(heights: HeightMap) -> Spectrum:
-        return line_psd(heights, along=along, form=form, window=window)
-
-    return _mean(files, segment, work, progress)
-
-
-def _mean(
+def mean_spectrum(
     files: Files, asked: int | None, work: Callable[[HeightMap], AnySpectrum], progress: Progress | None
 ) -> AnySpectrum:
+    """Return the mean of the spectra of all complete segments."""
     layout = files.layout
     segment = _segment(layout, asked)
     rows, columns = (size // segment for size in layout.shape)

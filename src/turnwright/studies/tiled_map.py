@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -12,11 +13,11 @@ from turnwright import _validate as validate
 from turnwright._arrays import Floats
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import AreaSpectrum, Roughness, Spectrum, Window
+from turnwright.metrology import AreaSpectrum, Roughness, Spectrum, Window, area_psd, line_psd
 from turnwright.progress import Progress
 from turnwright.studies.tile_files import PART_PIXELS, Files, resolve_place
 from turnwright.studies.tile_roughness import tiled_roughness
-from turnwright.studies.tile_spectrum import tiled_area_psd, tiled_line_psd
+from turnwright.studies.tile_spectrum import mean_spectrum
 
 __all__ = ["TiledMap"]
 
@@ -207,7 +208,8 @@ class TiledMap:
         [Welch1967]_. Oracle: SciPy's periodogram of each segment, averaged.
         """
         validate.listener(progress)
-        return tiled_area_psd(self.files, segment, form, window, progress)
+        work = partial(area_psd, form=form, window=window)
+        return mean_spectrum(self.files, segment, work, progress)
 
     def line_psd(
         self,
@@ -233,7 +235,10 @@ class TiledMap:
             If no segment is whole, or a choice is unknown.
         """
         validate.listener(progress)
-        return tiled_line_psd(self.files, along, segment, form, window, progress)
+        if not isinstance(along, str) or along not in ("x", "y"):
+            raise InputError(f'along is {along!r}, the lines of a map in tiles run along "x" or "y": choose')
+        work = partial(line_psd, along=along, form=form, window=window)
+        return mean_spectrum(self.files, segment, work, progress)
 
     def _read(self, level: int, rows: slice, columns: slice) -> HeightMap:
         x, y = self.files.layout.axes(level)

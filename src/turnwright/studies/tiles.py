@@ -36,7 +36,15 @@ from turnwright.studies.tile_files import (
     resolve_place,
     translate_disk_errors,
 )
-from turnwright.studies.tile_layout import DEFAULT_TILE_PIXELS, TILE_LEVELS, Layout, Tile, require_tile, tile_sides
+from turnwright.studies.tile_layout import (
+    DEFAULT_TILE_PIXELS,
+    MAX_TILE_PIXELS,
+    MIN_TILE_PIXELS,
+    TILE_LEVELS,
+    Layout,
+    Tile,
+    tile_sides,
+)
 from turnwright.studies.tiled_map import TiledMap
 from turnwright.tool import Tool
 
@@ -62,13 +70,12 @@ class _TileWriter:
     def of(
         cls, motion: Motion, tool: Tool, machine: Machine | None, minus: Surface | None, files: Files
     ) -> _TileWriter:
-        """Prepare what all tiles share."""
         layout = files.layout
         ready = _ready(motion, tool, machine, layout)
         return cls(ready, files, minus, ready.sides(layout.pixel[::-1]), layout.axes())
 
     def order(self, shape: tuple[int, int]) -> tuple[Tiles, Ints, Ints]:
-        """Return the tiles of the generation in a tile of this shape, and the column and row of each of its points."""
+        """Return the tiles of the generation in a tile, and the column and row of each of its points."""
         if shape not in self.orders:
             tiles = Tiles.of_grid(shape, self.sides)
             self.orders[shape] = tiles, tiles.order % shape[1], tiles.order // shape[1]
@@ -239,7 +246,7 @@ def plan_tiles(
 ) -> Layout:
     """Return the grid of a map, after a check that it can be started or continued there; see `generate_tiled`."""
     layout = Layout.of(pixel, radius=radius, x=x, y=y)
-    require_tile(tile)
+    validate.whole(tile, "the width of a tile in pixels", MIN_TILE_PIXELS, MAX_TILE_PIXELS)
     place = resolve_place(store)
     with translate_disk_errors(place, 0, 0):
         require_same_map(place, layout)
@@ -255,7 +262,6 @@ def _run_tiles(
     total: int,
     progress: Progress | None,
 ) -> None:
-    """Compute the missing tiles, of ``total`` tiles."""
     tell = progress or (lambda _done, _total: None)
     done = total - len(missing)
 
@@ -315,7 +321,6 @@ _latest: dict[str, _TileWriter] = {}
 
 
 def _paint(task: _Task, j: int, i: int) -> None:
-    """Compute a tile in a worker."""
     at = f"{task.place} {task.key}"
     if at not in _latest:
         painter = task.painter()
@@ -340,7 +345,6 @@ def _write_overviews(files: Files) -> None:
 
 
 def _key(ready: Prepared, layout: Layout, minus: Surface | None) -> str:
-    """Return a digest of all inputs of the heights."""
     heights = None
     if minus is not None:  # samples of the heights identify also a user's own surface
         x, y = (axis[:: max(1, axis.size // 64)] for axis in layout.axes())

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
@@ -260,8 +261,6 @@ def tolerance(
     validate.thing(job, Job, "the job")
     validate.listener(progress)
     report = progress or (lambda _stage, _done, _total: None)
-    validate.thing(correction, bool, "whether there is a correction")
-    validate.thing(confirm, bool, "whether the advice is confirmed")
     limits = _limits(job)
     count, seed = validate.whole(count, "the number of cases", 0, MAX_DRAWS), validate.whole(seed, "the seed", 0)
     if count < MIN_CASES:
@@ -276,8 +275,8 @@ def tolerance(
             executor = stack.enter_context(local(workers))
         require_reach(place.place, executor, arrays=True)
         shared = _plan_shared(job, budget, place, correction=correction, report=report)
-        study = _CaseRunner(
-            shared=shared, executor=executor, store=place, seed=seed, correction=correction, report=report,
+        run = partial(
+            _run_draws, shared=shared, executor=executor, store=place, seed=seed, correction=correction, report=report,
             study=case_key({"shared": shared}),
         )  # fmt: skip
         inputs = {
@@ -287,7 +286,7 @@ def tolerance(
         }
         drawn = budget.draw(count, seed=seed, correction=correction)
         draws = {name: drawn[name] for name in inputs}
-        rows = study.run("cases", draws)
+        rows = run("cases", draws)
         good = [k for k, row in enumerate(rows) if "reason" not in row]
         reasons = tuple(str(row["reason"]) for row in rows if "reason" in row)
         if len(good) < MIN_CASES:
@@ -313,7 +312,7 @@ def tolerance(
         tightening = None
         kind = CORRECTED if correction else AS_PLANNED
         if confirm and outcomes[kind].explained_variance is not None:
-            tightening = _confirm(study, inputs, draws, outcomes[kind], limits, kind)
+            tightening = _confirm(run, inputs, draws, outcomes[kind], limits, kind)
     return ToleranceStudy(
         job=job, budget=budget, seed=seed, draws=MappingProxyType(used), columns=MappingProxyType(columns),
         reasons=reasons, limits=MappingProxyType(limits), outcomes=MappingProxyType(outcomes), tightening=tightening,
@@ -349,8 +348,7 @@ def _limits(job: Job) -> dict[str, float]:
 def _plan_shared(
     job: Job, budget: ErrorBudget, store: Store, *, correction: bool, report: StageProgress
 ) -> dict[str, Any]:
-    """Return the input shared by all cases, planned now or read from the store."""
-    planned = {"job": job.to_toml(), "files": list_files(job)}
+    planned = {"job": job.to_toml(), "files": list_files(job.table())}
     key = case_key({"planned": planned, "budget": budget.table(), "correction": correction})
     row = store.row(key)
     if row is None:
@@ -362,33 +360,26 @@ def _plan_shared(
     return row
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _CaseRunner:
-    """Set-up for running the cases of a study."""
-
-    shared: Mapping[str, Any]
-    executor: Executor
-    store: Store
-    seed: int
-    study: str
-    correction: bool
-    report: StageProgress
-
-    def run(self, stage: str, draws: Mapping[str, Floats]) -> list[Row]:
-        """Run a case for each draw, and return their rows."""
-        cases = []
-        for k in range(next(iter(draws.values())).size):
-            data = {
-                "draw": {name: float(values[k]) for name, values in draws.items()},
-                "seed": [self.seed, k],
-                "correction": self.correction,
-                "study": self.study,
-            }
-            cases.append(Case(key=case_key(data), data=data))
-        return run_cases(
-            carry_out, cases, shared=self.shared, executor=self.executor, store=self.store,
-            progress=lambda done, total: self.report(stage, done, total),
-        )  # fmt: skip
+def _run_draws(
+    stage: str,
+    draws: Mapping[str, Floats],
+    *,
+    shared: Mapping[str, Any],
+    executor: Executor,
+    store: Store,
+    seed: int,
+    study: str,
+    correction: bool,
+    report: StageProgress,
+) -> list[Row]:
+    cases = []
+    for k in range(next(iter(draws.values())).size):
+        draw = {name: float(values[k]) for name, values in draws.items()}
+        data = {"draw": draw, "seed": [seed, k], "correction": correction, "study": study}
+        cases.append(Case(key=case_key(data), data=data))
+    return run_cases(
+        carry_out, cases, shared=shared, executor=executor, store=store, progress=partial(report, stage)
+    )  # fmt: skip
 
 
 def _column_name(measure: str, kind: str) -> str:
@@ -413,7 +404,6 @@ def _evaluate(
     failed: int,
     feed: float,
 ) -> Outcome:
-    """Evaluate the cases, as planned or corrected; failed cases are out of tolerance."""
     keeps = _meet_tolerances(columns, limits, kind)
     every = np.logical_and.reduce(list(keeps.values()))
     probability = binomial_interval(int(every.sum()), every.size + failed)
@@ -431,21 +421,18 @@ def _evaluate(
     maps = maps * float(np.mean(pv) / np.mean(np.ptp(maps, axis=1)))
     model = MapModel.fit(scaled, maps, weight)
     study = _SignatureAnalysis(inputs=inputs, groups=groups, scaled=scaled, maps=maps, weight=weight, pv=pv, seed=seed)
+    effects: list[tuple[Any, ...]] = [(None,) * 4] * len(groups)
+    if model is not None:
+        finish = [one for name, one in keeps.items() if name != "form_pv_nm"]
+        fine = np.logical_and.reduce([*finish, np.ones(every.size, dtype=np.bool_)])
+        halves = study.halved(model, limits.get("form_pv_nm"), draws, fine, probability.value)
+        effects = [(*index, *half) for *index, half in zip(*study.indices(model), halves, strict=True)]
     sensitivities = [
         Sensitivity(
-            group=group, first=None, total=None, neighbour_index=float(share), probability=None, percentile_nm=None
+            group=group, first=first, total=total, neighbour_index=float(share), probability=better, percentile_nm=pv95
         )
-        for group, share in zip(groups, neighbour, strict=True)
+        for group, share, (first, total, better, pv95) in zip(groups, neighbour, effects, strict=True)
     ]
-    if model is not None:
-        first, total = study.indices(model)
-        finish = {name: one for name, one in keeps.items() if name != "form_pv_nm"}
-        fine = np.logical_and.reduce([*finish.values(), np.ones(every.size, dtype=np.bool_)])
-        halves = study.halved(model, limits.get("form_pv_nm"), draws, fine, probability.value)
-        sensitivities = [
-            replace(one, first=first[k], total=total[k], probability=halves[k][0], percentile_nm=halves[k][1])
-            for k, one in enumerate(sensitivities)
-        ]
     sensitivities.sort(key=lambda one: -_importance(one))
     return Outcome(
         probability=probability,
@@ -454,16 +441,7 @@ def _evaluate(
         ),
         sensitivities=tuple(sensitivities),
         explained_variance=None if model is None else model.explained_variance(),
-        advice=_qualify_advice(
-            _write_advice(
-                sensitivities,
-                probability.value,
-                float(np.quantile(pv, 0.95)),
-                cases=every.size,
-                fewest=MapModel.min_cases(len(inputs)),
-            ),
-            model,
-        ),
+        advice=_write_advice(sensitivities, probability.value, pv, model, fewest=MapModel.min_cases(len(inputs))),
     )
 
 
@@ -483,50 +461,32 @@ def _select_group(sensitivities: Sequence[Sensitivity], before: float) -> Sensit
 
 
 def _write_advice(
-    sensitivities: Sequence[Sensitivity], before: float, percentile_nm: float, *, cases: int, fewest: int
+    sensitivities: Sequence[Sensitivity], before: float, pv: Floats, model: MapModel | None, *, fewest: int
 ) -> str:
+    if model is None:
+        return f"{pv.size} cases are too few to determine what to tighten first: draw at least {fewest}"
     best = _select_group(sensitivities, before)
-    if best.probability is None or best.percentile_nm is None:
-        return f"{cases} cases are too few to determine what to tighten first: draw at least {fewest}"
-    return (
+    advice = (
         f"tighten {best.group} first: with half its spread the probability goes from {before:.1%} to about "
         f"{best.probability:.1%}, and 95 of 100 parts keep {best.percentile_nm:.3g} nm PV in place of "
-        f"{percentile_nm:.3g} nm"
+        f"{np.quantile(pv, 0.95):.3g} nm"
     )
-
-
-def _qualify_advice(advice: str, model: MapModel | None) -> str:
-    """Return the advice, marked as a rough estimate if the model is poor."""
-    if model is None or (share := model.explained_variance()[0]) >= POOR_VARIANCE:
+    if (share := model.explained_variance()[0]) >= POOR_VARIANCE:
         return advice
     return f"{advice}; a rough estimate: the linear model explains only {max(share, 0.0):.0%} of the variance"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _SignatureAnalysis:
-    """Sensitivity analysis with a model of maps as sums of signatures.
+    """Sensitivity analysis with a model of maps as sums of signatures."""
 
-    Parameters
-    ----------
-    inputs, groups
-        Distributions, and the numbers of those in each group.
-    scaled
-        Draws in units of their standard deviations. (n, d)
-    maps, weight
-        Form errors of the cases (n, m) [nm], and the area of each height. (m,)
-    pv
-        Peak to valley of the whole maps. (n,) [nm]
-    seed
-        Seed of all draws.
-    """
-
-    inputs: Mapping[str, Spread]
+    inputs: Mapping[str, Spread]  # distributions, and the numbers of those in each group
     groups: Mapping[str, list[int]]
-    scaled: Floats
-    maps: Floats
+    scaled: Floats  # draws in units of their standard deviations. (n, d)
+    maps: Floats  # form errors of the cases (n, m) [nm], and the area of each height. (m,)
     weight: Floats
-    pv: Floats
-    seed: int
+    pv: Floats  # peak to valley of the whole maps. (n,) [nm]
+    seed: int  # seed of all draws
 
     def points(self, unit: Floats) -> Floats:
         """Return scaled draws of points in the unit cube. (n, d)."""
@@ -596,20 +556,19 @@ class _SignatureAnalysis:
 
 
 def _confirm(
-    study: _CaseRunner,
+    run: Callable[[str, Mapping[str, Floats]], list[Row]],
     inputs: Mapping[str, Spread],
     draws: Mapping[str, Floats],
     outcome: Outcome,
     limits: Mapping[str, float],
     kind: str,
 ) -> Tightening:
-    """Repeat the cases with half the spread of the group to reduce first."""
     best = _select_group(outcome.sensitivities, outcome.probability.value)
     tight = {
         name: (values + inputs[name].mean) / 2 if group_of(name) == best.group else values
         for name, values in draws.items()
     }
-    rows = study.run("confirm", tight)
+    rows = run("confirm", tight)
     good = [
         "reason" not in row and all(row[_column_name(measure, kind)] <= limit for measure, limit in limits.items())
         for row in rows

@@ -22,11 +22,10 @@ from turnwright.errors import InputError, JobError, StudyError
 from turnwright.job import Job
 from turnwright.studies.cases import Case, case_key, run_cases
 from turnwright.studies.designs import MAX_CASES, Vary, design_cases, get_job_value, read_varied
-from turnwright.studies.evaluate import REFUSED, SECONDS, carry_out
 from turnwright.studies.executors import local
 from turnwright.studies.fields import apply_changes, get_job_data
 from turnwright.studies.files import list_files, store_files
-from turnwright.studies.measures import Measure, MeasureFunction, measure_of
+from turnwright.studies.measures import REFUSED, SECONDS, Measure, MeasureFunction, carry_out, measure_of
 from turnwright.studies.store import Store
 
 if TYPE_CHECKING:
@@ -196,7 +195,6 @@ class Study:
             Whether larger values are better.
         """
         count = validate.whole(count, "the number of cases", 0)
-        validate.thing(largest, bool, "whether more is better")
         values = self.column(measure).values
         if values.dtype.kind not in "fi":
             raise InputError(f"{measure} is no number, so no case is best: name another measure")
@@ -226,8 +224,6 @@ class Study:
             over = self.fields[0].name, self.fields[1].name
         if not isinstance(over, tuple | list) or len(over) != 2:
             raise InputError(f"a map is over {over!r}, it must be over 2 fields: name them")
-        if at is not None:
-            validate.thing(at, Mapping, "where the other fields stand")
         selected = np.ones(len(self), dtype=np.bool_)
         for name, value in (at or {}).items():
             column = self.column(name).values
@@ -258,14 +254,11 @@ class Study:
         cells = int(np.prod([one.different.size for one in self.fields], dtype=np.int64))
         return bool(cells == len(self) == np.unique(places, axis=1).shape[1])
 
-    def _rows(self) -> Iterator[list[Any]]:
-        for number in range(len(self)):
-            yield [
-                number + 1,
-                *(one.values[number].item() for one in self.columns),
-                float(self.seconds[number]),
-                self.reasons[number],
-            ]
+    @property
+    def _written(self) -> list[NDArray[Any]]:
+        """Columns of the written table, see `headings`."""
+        numbers = np.arange(1, len(self) + 1)
+        return [numbers, *(one.values for one in self.columns), self.seconds, np.array(self.reasons, dtype=np.str_)]
 
     @property
     def headings(self) -> list[str]:
@@ -277,7 +270,8 @@ class Study:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self.headings)
-        writer.writerows([_cell(one) for one in row] for row in self._rows())
+        for row in zip(*(values.tolist() for values in self._written), strict=True):
+            writer.writerow([_cell(one) for one in row])
         write_whole(Path(validate.path(path, "the table")), text.getvalue())
 
     def to_parquet(self, path: str | PathLike[str]) -> None:
@@ -295,13 +289,7 @@ class Study:
             raise InputError(
                 "Parquet needs pyarrow, which is not installed: pip install 'turnwright[parquet]', or write CSV"
             ) from None
-        columns = [
-            np.arange(1, len(self) + 1),
-            *(one.values for one in self.columns),
-            self.seconds,
-            np.array(self.reasons),
-        ]
-        table = pa.table({name: pa.array(values) for name, values in zip(self.headings, columns, strict=True)})
+        table = pa.table(dict(zip(self.headings, map(pa.array, self._written), strict=True)))
         table = table.replace_schema_metadata({"turnwright.job": self.job.to_toml(), "turnwright.design": self.design})
         sink = io.BytesIO()
         parquet.write_table(table, sink)
@@ -359,7 +347,6 @@ class Study:
 
 
 def _cells(file: Path, count: int) -> dict[str, tuple[str, ...]]:
-    """Return the columns of a table that has so many rows."""
     with file.open(encoding="utf-8", newline="") as lines:
         head, *rows = csv.reader(lines)
     if len(rows) != count:
@@ -368,7 +355,6 @@ def _cells(file: Path, count: int) -> dict[str, tuple[str, ...]]:
 
 
 def _column(header: Mapping[str, Any], cells: Mapping[str, Sequence[str]]) -> Column:
-    """Return a column as it was saved."""
     name, unit = header["name"], header["unit"]
     values = _array(header["kind"], cells[f"{name} [{unit}]" if unit else name])
     return Column(name=name, unit=unit, values=values, job_value=header.get("own"))
@@ -392,7 +378,6 @@ def _array(kind: str, values: Sequence[Any]) -> NDArray[Any]:
 
 
 def _kind(values: Sequence[Any]) -> Kind:
-    """Return what kind of column values make."""
     numbers = [value for value in values if value is not None]
     if any(isinstance(value, str) for value in numbers):
         return "text"
@@ -490,7 +475,7 @@ def study(
     measures = [measure_of(job, one) for one in requested]
     _check_measures(measures)
     place = Store.open(store) if store is not None and not isinstance(store, Store) else store
-    files = list_files(job)
+    files = list_files(job.table())
     shared = {
         "measures": [one.name for one in measures],
         "own": {one.name: one.function for one in measures if one.function is not None},
@@ -500,7 +485,7 @@ def study(
         Column(
             name=one.name,
             unit=one.unit,
-            values=_array(_field_kind(one.field.kind), values),
+            values=_array("number" if one.field.kind == "quantity" else one.field.kind, values),
             job_value=get_job_value(job, one),
         )
         for one, values in zip(fields, zip(*rows, strict=True), strict=True)
@@ -524,18 +509,12 @@ def study(
     )
 
 
-def _field_kind(kind: str) -> Kind:
-    kinds: dict[str, Kind] = {"quantity": "number", "number": "number", "whole": "whole", "flag": "flag"}
-    return kinds.get(kind, "text")
-
-
 def _measured(one: Measure, found: Sequence[Mapping[str, Any]]) -> Column:
     values = [row.get(one.name) for row in found]
     return Column(name=one.name, unit=one.unit, values=_array(_kind(values), values))
 
 
 def _check_measures(measures: Sequence[Measure]) -> None:
-    """Raise unless there are measures, each once."""
     if not measures:
         raise InputError("nothing is measured: name at least 1 measure, such as minutes")
     names = [one.name for one in measures]

@@ -11,7 +11,7 @@ import numpy as np
 from turnwright._arrays import Complexes, Floats, Ints, freeze, frozen, same_length
 from turnwright._validate import between, check_numbers, positive
 from turnwright.cutting.forces import FlyCut, SlotMill
-from turnwright.cutting.learning.signals import ForceRecord, in_air
+from turnwright.cutting.learning.signals import ForceRecord, find_runs, in_air
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -290,9 +290,8 @@ def divide_record(record: ForceRecord, cuts: ArrayLike, *, block: float, guard: 
     margin = max(0, round(between(guard, "guard", 0.0, np.inf, "s") * record.rate_hz))
     pairs = np.asarray(cuts, dtype=np.int64).reshape(-1, 2)
     air = in_air(record.samples, pairs, guard=margin)
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], air, [False])).astype(np.int8))).reshape(-1, 2)
     spans = [(first + margin, last - margin, number) for number, (first, last) in enumerate(pairs)]
-    spans += [(first, last, -1) for first, last in edges]
+    spans += [(first, last, -1) for first, last in find_runs(air)]
     starts, which = [], []
     for first, last, number in spans:
         count = max((last - first) // step, 0)
@@ -456,6 +455,11 @@ def _estimate_turn(record: ForceRecord, passes: ArrayLike, stated: float) -> flo
     time = step / record.rate_hz * (np.arange(count) - count / 2)
     order = np.arange(1, SPEED_HARMONICS + 1)
     many = int(np.ceil(SPINDLE_SPEED_TOL * count * step / record.rate_hz / stated * SPEED_HARMONICS * 16))
-    speeds = 2 * np.pi / stated * (1 + SPINDLE_SPEED_TOL * np.linspace(-1, 1, 2 * many + 1))
+    return 2 * np.pi / find_speed(force, time, order, 2 * np.pi / stated, many)
+
+
+def find_speed(force: Floats, time: Floats, order: Ints, nominal: float, count: int) -> float:
+    """Return the speed near the nominal one at which the forces have the most power in harmonics. [rad/s]."""
+    speeds = nominal * (1 + SPINDLE_SPEED_TOL * np.linspace(-1, 1, 2 * count + 1))
     power = [float((np.abs(np.exp(-1j * speed * np.outer(order, time)) @ force) ** 2).sum()) for speed in speeds]
-    return float(2 * np.pi / speeds[int(np.argmax(power))])
+    return float(speeds[int(np.argmax(power))])

@@ -1,17 +1,8 @@
 r"""Frequency response of a dynamometer from tap tests, and compensation of force records for it.
 
-The resonances of a dynamometer and the cross-talk between its channels are described by a matrix of frequency
-responses, :math:`m(f) = H(f)\,F(f)`, 3 by 3. Taps with an instrumented hammer give it [BendatPiersol2010]_,
-
-.. math:: H = \Bigl(\sum_i M_i F_i^*\Bigr)\Bigl(\sum_i F_i F_i^*\Bigr)^{-1},
-
-the H₁ estimator for several inputs, in which the noise of the dynamometer averages out. The coherence is the fraction
-of the power of each channel that the taps explain. The force is reconstructed as
-
-.. math:: \hat F = w(f)\,(H^* H + \lambda^2)^{-1} H^* \, m(f),
-
-which is a Wiener filter for a noise-to-signal ratio of λ, or Tikhonov regularisation with the weight λ². The window w
-is 1 up to the bandwidth and falls smoothly to 0 beyond it; it has no phase shift.
+The channels are :math:`m = H F`, 3 by 3 at each frequency. Taps give H by the H₁ estimator for several inputs; the
+force is reconstructed by a Wiener filter for a noise-to-signal ratio of λ [BendatPiersol2010]_,
+:math:`\hat F = w\,(H^* H + \lambda^2)^{-1} H^* m`, with a window w that falls to 0 beyond the bandwidth.
 """
 
 from __future__ import annotations
@@ -208,7 +199,7 @@ class Dynamometer:
         explained = np.einsum("mij,mij->mi", response, across.sum(axis=0).conj()).real
         total = (np.abs(signal) ** 2).sum(axis=0)
         coherence = np.clip(explained / np.maximum(total, np.finfo(np.float64).tiny), 0, 1)
-        frequency = _even(force.shape[1], first.rate_hz / first.hammer.size)
+        frequency = np.asarray(first.rate_hz / first.hammer.size * np.arange(force.shape[1]), dtype=np.float64)
         low = _spring(frequency, response, coherence, flat_hz)
         smooth = response.copy()
         smooth[low], gain = _fit_spring(frequency[low], response[low])
@@ -268,7 +259,7 @@ class Dynamometer:
         size = next_fast_len(signal.shape[0], real=True)
         # Subtract the line between the ends, so that the record is periodic.
         line = signal[0] + np.linspace(0, 1, signal.shape[0])[:, None] * (signal[-1] - signal[0])
-        frequency = _even(size // 2 + 1, record.rate_hz / size)
+        frequency = np.asarray(record.rate_hz / size * np.arange(size // 2 + 1), dtype=np.float64)
         passed = frequency <= STOP_RATIO * bandwidth_hz
         inverse = self._inverse(self._interpolate_response(frequency[passed], bandwidth_hz), noise_to_signal)
         inverse *= _window(frequency[passed], bandwidth_hz, STOP_RATIO * bandwidth_hz)[:, None, None]
@@ -342,11 +333,7 @@ class Dynamometer:
             )
 
     def _interpolate_response(self, frequency: Floats, bandwidth_hz: float) -> Complexes:
-        """Interpolate the responses to other frequencies, through their impulse responses.
-
-        An impulse response that decays within the tap record determines its spectrum at every frequency. Linear
-        interpolation between the measured frequencies would cut the peak of a resonance.
-        """
+        """Interpolate the responses to other frequencies through their impulse responses, which keeps resonances."""
         window = _window(self.frequency_hz, STOP_RATIO * bandwidth_hz, RESPONSE_RATIO * bandwidth_hz)
         top = int(np.argmax(window <= 0)) or window.size
         step = float(self.frequency_hz[1])
@@ -376,11 +363,6 @@ class Dynamometer:
                 f"noise_to_signal must be above 0 where the response of the channels is singular, got "
                 f"{noise_to_signal:g}: raise it, or lower the bandwidth"
             ) from error
-
-
-def _even(count: int, step: float) -> Floats:
-    """Return evenly spaced values from 0. (count,)."""
-    return np.asarray(step * np.arange(count), dtype=np.float64)
 
 
 def _isolate_stroke(hammer: Floats) -> Floats:

@@ -1,41 +1,22 @@
-r"""Regression for chips of varying thickness along the edge: design matrix, and fit of the critical thickness.
-
-Every element of the edge contributes Kc dA along the cut and Kt dA along its normal. For constant coefficients each
-measured force component is linear in both; the factors are integrals over the chip area and the edge directions, given
-by the geometry. Only the elements beyond the critical thickness leave that line,
-
-.. math::
-    F = d(t) + K_c \int_{h \le h_c} e_c\,dA + K_t \int_{h \le h_c} e_t\,dA
-      + \int_{h > h_c} \frac{(q_0 + q_1 h)\,e_c + (p_0 + p_1 h)\,e_t}{h}\,dA ,
-
-so that every component of every cut is one equation in the same six parameters and :math:`h_c`. A nose that cuts beyond
-:math:`h_c` still has elements below it, so the forces change smoothly where the limit is crossed. The critical
-thickness is fitted like any parameter, and its interval consists of all :math:`h_c` for which
-
-.. math:: \frac{S(h_c) - S(\hat h_c)}{\tau} \le F_{1,\nu}(p),
-
-where S is the sum of squares in units of the noise of each component, estimated separately in the ductile regime and
-beyond it, and τ is the correlation time. For chips of uniform thickness the forces jump, and Hansen's limit applies as
-for straight edges. The coefficients come from rows that are ductile all along the edge for every limit in the interval.
+"""Regression for chips of varying thickness along the edge: design matrix, and fit of the critical thickness.
 
 The edge is divided into elements, each with its minimum and maximum thickness, so that the part beyond a limit changes
 smoothly with the limit. For a rotating cutter the columns are computed over its angle, filtered like the forces,
-harmonic by harmonic, and averaged over the same time intervals.
+harmonic by harmonic, and averaged over the same time intervals. Model and intervals: docs/theory/learning_forces.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from turnwright._arrays import Bools, Complexes, Floats
 from turnwright.cutting.chip import RoundChip
 from turnwright.cutting.forces import FlyCut, SlotMill
-from turnwright.cutting.learning.cuts import MILLED, SPINDLE_SPEED_TOL, TURNED, InterruptedCuts, NoseCuts
-from turnwright.cutting.learning.fit import MAX_CHANCE, TINY, Fit, hansen, interval
+from turnwright.cutting.learning.cuts import MILLED, SPINDLE_SPEED_TOL, TURNED, InterruptedCuts, NoseCuts, find_speed
 from turnwright.cutting.learning.learned import FORCE_NAMES, Transition
-from turnwright.cutting.learning.rows import MIN_ROWS, Rows
+from turnwright.cutting.learning.regression import MAX_CHANCE, MIN_ROWS, TINY, Fit, Rows, hansen, interval
 from turnwright.errors import InputError
 
 __all__ = ["InterruptedRows", "TurningRows"]
@@ -76,7 +57,6 @@ class _Strips:
         normal: Floats,
         components: Sequence[int],
     ) -> None:
-        """Take minimum, central and maximum thickness, areas, and the directions of cut and normal (..., 3)."""
         self.least, self.middle, self.most = thickness
         self.area = area
         self.directions = (along[..., components], normal[..., components])
@@ -99,7 +79,6 @@ class _Strips:
         return columns.transpose(0, 2, 1)
 
     def _ductile(self, edge: bool, power: Sequence[float] | None, reference: float) -> Floats:
-        """Return the contribution of each ductile element to the columns of both coefficients."""
         key = (edge, None if power is None else tuple(power), reference)
         if self.cache is None or self.cache[0] != key:
             if power is not None:
@@ -118,7 +97,6 @@ class _Strips:
 
 
 def _weighted_sum(shares: Floats, each: Floats) -> Floats:
-    """Return weighted sums over the elements, of weights (states, elements) and values (states, elements, k)."""
     return np.asarray((shares[:, None, :] @ each)[:, 0])
 
 
@@ -344,7 +322,6 @@ class InterruptedRows(EdgeRows):
         self._update_thickest()
 
     def _estimate_phase(self, number: int) -> None:
-        """Estimate speed and phase of one pass from the harmonics of its forces."""
         rows = np.flatnonzero(self.cuts.cut == self.passes[number])
         time = (self.cuts.begin + self.cuts.end)[rows] / 2 - self.middle[number]
         force = self.cuts.force[rows] - self.cuts.force[rows].mean(axis=0)
@@ -361,14 +338,8 @@ class InterruptedRows(EdgeRows):
         count = int(np.ceil(SPINDLE_SPEED_TOL * nominal * reach * most / 0.5))
         if count > 40_000:
             order, count = order[:4], int(np.ceil(SPINDLE_SPEED_TOL * nominal * reach * 8))
-        speeds = nominal * (1 + SPINDLE_SPEED_TOL * np.linspace(-1, 1, 2 * count + 1))
-
-        def harmonics(speed: float) -> Complexes:
-            return np.asarray(np.exp(-1j * speed * np.outer(order, time)) @ force / rows.size)
-
-        power = np.array([(np.abs(harmonics(speed)) ** 2).sum() for speed in speeds])
-        speed = float(speeds[int(np.argmax(power))])
-        measured = harmonics(speed)
+        speed = find_speed(force, time, order, nominal, count)
+        measured = np.exp(-1j * speed * np.outer(order, time)) @ force / rows.size
         # Harmonics of both coefficients, averaged over the intervals.
         tables = self._tables(np.inf)[self.of[number]]
         model = (
@@ -418,26 +389,13 @@ def _mean_thickness(strips: Sequence[_Strips]) -> float:
     return float(np.exp((area[chip > 0] @ np.log(chip[chip > 0])) / area[chip > 0].sum()))
 
 
-class _Harmonics:
-    """Transform from forces at the angles of a tooth to the harmonics of a revolution."""
+def _harmonics(borders: Floats, number: int, cuts: InterruptedCuts) -> tuple[Callable[[Floats], Complexes], Complexes]:
+    """Return the transform of the forces of a tooth to harmonics, and the transfer matrix of the filters.
 
-    def __init__(self, borders: Floats, factor: Complexes) -> None:
-        """Take the borders of the angles, and a factor for each harmonic."""
-        from scipy.signal import ZoomFFT  # noqa: PLC0415 - costly to import
+    (angles, components, k) to (harmonics, components, k).
+    """
+    from scipy.signal import ZoomFFT  # noqa: PLC0415 - costly to import
 
-        wide, count = float(borders[1] - borders[0]), factor.size
-        # The angles do not divide a revolution evenly, so a plain FFT does not give its harmonics.
-        self.transform = ZoomFFT(borders.size - 1, [0, count], count, fs=2 * np.pi / wide)
-        order, first = np.arange(count), float(borders[0] + borders[1]) / 2
-        self.factor = factor * np.exp(-1j * order * first) * np.sinc(order * wide / (2 * np.pi)) * wide / (2 * np.pi)
-
-    def __call__(self, each: Floats) -> Complexes:
-        """Return the harmonics of columns. (angles, components, k) to (harmonics, components, k)."""
-        return np.asarray(self.factor[:, None, None] * self.transform(each, axis=0))
-
-
-def _harmonics(borders: Floats, number: int, cuts: InterruptedCuts) -> tuple[_Harmonics, Complexes]:
-    """Return the transform to the harmonics of a revolution, and the transfer matrix of the filters."""
     geometry, speed = cuts.geometry[number], cuts.spindle_rpm[number] * 2 * np.pi / 60
     teeth = geometry.teeth if isinstance(geometry, SlotMill) else 1
     turn = 2 * np.pi / speed
@@ -453,7 +411,11 @@ def _harmonics(borders: Floats, number: int, cuts: InterruptedCuts) -> tuple[_Ha
         order, half, transfer = order[:last], half[:last], transfer[:last]
     # Correction for the mean of samples against the mean over time.
     factor = np.where(order % teeth == 0, teeth, 0) / np.sinc(half / np.pi)
-    return _Harmonics(borders, factor.astype(np.complex128)), transfer
+    wide, first = float(borders[1] - borders[0]), float(borders[0] + borders[1]) / 2
+    factor = factor * np.exp(-1j * order * first) * np.sinc(order * wide / (2 * np.pi)) * wide / (2 * np.pi)
+    # The angles do not divide a revolution evenly, so a plain FFT does not give its harmonics.
+    zoom = ZoomFFT(borders.size - 1, [0, order.size], order.size, fs=2 * np.pi / wide)
+    return lambda each: np.asarray(factor[:, None, None] * zoom(each, axis=0)), transfer
 
 
 def _interpolate_periodic(table: Floats, turns: Floats, per_turn: Floats | None = None) -> Floats:
@@ -536,10 +498,7 @@ def _transition(rows: EdgeRows, confidence: float) -> Transition | None:
 
 
 def _variance_ratio(fit: Fit, columns: Floats, answer: Floats, residual: Floats, limit: float) -> float:
-    """Return the noise variance of the score for the limit, over that of independent components.
-
-    The components of a row may be correlated, since fracture affects all of them.
-    """
+    """Return the noise variance of the score for the limit, over that of independent components of a row."""
     rows, step = fit.rows, 0.01 * limit
     slope = (rows.columns(limit + step) - rows.columns(limit - step)) @ answer
     target, table = fit.table(slope[:, :, None]).reshape(-1), fit.table(columns).reshape(-1, columns.shape[2])

@@ -30,7 +30,7 @@ from turnwright.cutting.learning.cuts import (
     turning_cuts,
 )
 from turnwright.cutting.learning.dynamometer import STOP_RATIO, Dynamometer, TapTest
-from turnwright.cutting.learning.learned import LearnedMaterial
+from turnwright.cutting.learning.learned import Estimate, LearnedMaterial
 from turnwright.cutting.learning.material_fit import learn_material
 from turnwright.cutting.learning.records import NEWTONS, read_forces, read_table
 from turnwright.cutting.learning.signals import ForceRecord, engagements, in_air, low_pass, remove_drift
@@ -50,10 +50,9 @@ RAKE_TOL_RAD = np.deg2rad(0.5)
 
 LENGTHS = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "nm": 1e-6}
 
-COLUMNS = ("thickness", "width", "cutting", "thrust")
+COLUMNS = {"thickness": "thickness", "width": "width"}
+FORCES = {"cutting": "cutting", "thrust": "thrust"}
 """Columns of a CSV of averaged orthogonal cuts, each with its unit, such as ``thickness [nm]``."""
-
-UNCERTAINTIES = ("cutting uncertainty", "thrust uncertainty")
 
 NOSE_COLUMNS = {"nose radius": "nose_radius", "depth": "depth", "feed": "feed"}
 NOSE_FORCES = {"axial force": "axial", "feed force": "feed_force", "cutting force": "cutting"}
@@ -88,15 +87,20 @@ class Experiment:
         """Return the material as the tables of a file that `Material.load` reads."""
         learned = self.learned
         at = f"; the tool's rake was {np.rad2deg(self.rake):g} deg" if self.rake else ""
-        interval = f"{learned.confidence:.0%} interval"
+
+        def interval(estimate: Estimate, scale: float = 1.0, unit: str = "", digits: int = 5) -> str:
+            low, high = (f"{end * scale:.{digits}g}" for end in (estimate.low, estimate.high))
+            return f"{self.source}: {learned.confidence:.0%} interval {low} to {high}{unit}{at}"
+
         table: dict[str, Any] = {
             "name": self.name,
             "brittle_plateau": learned.critical is not None,
             "notes": ". ".join(f"{sentence[0].upper()}{sentence[1:]}" for sentence in learned.sentences) + f"{at}.",
         }
         sources: dict[str, Any] = {}
-        for key, estimate, sigma in zip(
-            ("cutting", "thrust"), (learned.cutting, learned.thrust), learned.uncertainty, strict=True
+        exponents = learned.exponents or (None, None)
+        for key, estimate, sigma, exponent in zip(
+            ("cutting", "thrust"), (learned.cutting, learned.thrust), learned.uncertainty, exponents, strict=True
         ):
             if estimate is None or sigma is None:
                 raise InputError(
@@ -110,23 +114,21 @@ class Experiment:
                 )
             table[key] = {"n_per_mm2": _rounded(estimate.value), "uncertainty_n_per_mm2": _rounded(sigma)}
             sources[key] = {
-                "value": f"{self.source}: {interval} {estimate.low:.5g} to {estimate.high:.5g} N/mm2{at}",
+                "value": interval(estimate, unit=" N/mm2"),
                 "uncertainty": f"{self.source}: standard uncertainty",
             }
-        if learned.exponents is not None and learned.reference_thickness is not None:
-            for key, exponent in zip(("cutting", "thrust"), learned.exponents, strict=True):
-                assert exponent is not None  # noqa: S101 - both coefficients are determined
+            if exponent is not None and learned.reference_thickness is not None:
                 table[key]["exponent"] = _rounded(exponent.value)
                 table[key]["reference_thickness"] = f"{_rounded(learned.reference_thickness * 1e6)} nm"
-                sources[key]["exponent"] = f"{self.source}: {interval} {exponent.low:.4g} to {exponent.high:.4g}{at}"
+                sources[key]["exponent"] = interval(exponent, digits=4)
         if learned.critical is not None:
-            low, high = learned.critical.low * 1e6, learned.critical.high * 1e6
+            critical = learned.critical
             table["critical"] = {
-                "value": f"{_rounded(learned.critical.value * 1e6)} nm",
-                "uncertainty": f"{_rounded((high - low) / 4)} nm",
+                "value": f"{_rounded(critical.value * 1e6)} nm",
+                "uncertainty": f"{_rounded((critical.high * 1e6 - critical.low * 1e6) / 4)} nm",
             }
             sources["critical"] = {
-                "value": f"{self.source}: {interval} {low:.5g} to {high:.5g} nm{at}",
+                "value": interval(critical, 1e6, " nm"),
                 "uncertainty": f"{self.source}: a quarter of the interval",
             }
             sources["brittle_plateau"] = "assumed: forces are constant beyond the critical thickness"
@@ -174,8 +176,6 @@ Named: TypeAlias = Annotated[str, plain(1)]
 
 @dataclass(frozen=True, kw_only=True)
 class _Cut(Stated):
-    """Record with its cuts."""
-
     __slots__ = ()
     file: Named
     rake: Angle | None = None
@@ -213,7 +213,6 @@ class _Turned(_Cut):
                 raise InputError(f"either {key} or {key}s (one for each cut) must be stated, got {stated}")
 
     def of_each(self, key: str, count: int) -> Sequence[float]:
-        """Return the depth or the feed of each cut of the record."""
         each = getattr(self, key)
         return _of_each(getattr(self, f"{key}s"), f"{key}s", count) if each is None else [each] * count
 
@@ -243,8 +242,6 @@ class _LowPass(Stated):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Record(Stated):
-    """Settings for reading and processing the records."""
-
     found_by: Named | None = None
     channels: tuple[Text, ...] | None = None
     unit: Named | None = None
@@ -310,8 +307,6 @@ class _Averages(Stated):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Plan(Stated):
-    """Contents of an experiment file; subclasses define the record and the cuts of each kind."""
-
     components: ClassVar[tuple[str, ...]] = ()
     """Force components; the first measured one is used to find the cuts."""
 
@@ -348,7 +343,6 @@ class _Plan(Stated):
 
     @property
     def named(self) -> dict[str, str]:
-        """Channels of the measured components."""
         return {
             component: channel
             for component in self.components
@@ -396,7 +390,6 @@ COMPONENTS = (*TURNED, "thrust", *MILLED)
 
 
 def _estimate(plan: _Plan, folder: Path) -> Experiment:
-    """Estimate the material of an experiment."""
     rake = plan.rake
     drift: int | None = None
     calibration: list[float] | None = None
@@ -404,10 +397,8 @@ def _estimate(plan: _Plan, folder: Path) -> Experiment:
     if plan.averages is None:
         reading = _Reading(plan, folder)
         rows, drift, calibration = reading.rows(), reading.record.drift, reading.calibration()
-    elif isinstance(plan, _Orthogonal):
-        rows = _read_averages(folder / plan.averages.file)
     else:
-        rows, rake = _read_nose_averages(folder / plan.averages.file, rake)
+        rows, rake = _read_averages(folder / plan.averages.file, plan)
     learned = learn_material(
         rows, drift=drift, edge_force=plan.edge_force, size_effect=plan.size_effect, calibration=calibration,
         area_uncertainty=plan.area_uncertainty, thickness_uncertainty=plan.thickness_uncertainty,
@@ -420,7 +411,6 @@ class _Reading:
     """Reader of the records of an experiment: compensates the dynamometer, filters and averages."""
 
     def __init__(self, plan: _Plan, folder: Path) -> None:
-        """Take the contents of the experiment file and its folder."""
         self.record: _Record = plan.record
         self.cuts, self.folder, self.named = plan.cuts, folder, plan.named
         self.by = self.record.found_by or next(iter(self.named.values()))
@@ -434,7 +424,6 @@ class _Reading:
         self.steady = np.zeros(len(self.channels))
 
     def _tap(self, keys: _Sensor) -> None:
-        """Estimate the frequency response of the dynamometer from its taps."""
         if len(self.channels) != 3:
             raise InputError(f"record must name 3 channels with a dynamometer, got {len(self.channels)}")
         taps = []
@@ -449,7 +438,6 @@ class _Reading:
         self.filter = {"bandwidth_hz": keys.bandwidth, "noise_to_signal": keys.noise_to_signal}
 
     def rows(self) -> Cuts | NoseCuts | InterruptedCuts:
-        """Return the averages of all records."""
         parts = []
         for i, cut in enumerate(self.cuts):
             try:
@@ -459,7 +447,6 @@ class _Reading:
         return _join_records(parts)
 
     def _rows_of(self, cut: _Cut) -> Cuts | NoseCuts | InterruptedCuts:
-        """Return the averages of one record, and add its mean force to the total."""
         settings = self.record
         record = read_forces(
             self.folder / cut.file,
@@ -480,7 +467,6 @@ class _Reading:
         return rows
 
     def calibration(self) -> list[float] | None:
-        """Return the relative uncertainty of each component due to the dynamometer."""
         if self.sensor is None:
             return None
         of_channel = np.minimum(self.sensor.relative_uncertainty(self.steady), 1.0)
@@ -529,7 +515,6 @@ class _Reading:
     def _averaged(
         self, cut: _Cut, record: ForceRecord, spans: Ints, passed: Passband | None
     ) -> Cuts | NoseCuts | InterruptedCuts:
-        """Return the averages of one record."""
         block, guard = self.record.block, self.record.guard
         if isinstance(cut, _SlotPass | _FlyCutPass):
             return interrupted_cuts(
@@ -569,8 +554,6 @@ def _of_each(values: Sequence[float], name: str, count: int) -> Sequence[float]:
 
 
 def _join_records(parts: Sequence[Cuts | NoseCuts | InterruptedCuts]) -> Cuts | NoseCuts | InterruptedCuts:
-    """Return the rows of all records as one set."""
-
     def joined(keys: Sequence[str]) -> dict[str, Any]:
         return {key: np.concatenate([getattr(part, key) for part in parts]) for key in keys}
 
@@ -631,36 +614,24 @@ def _read_columns(path: Path, factors: Mapping[str, Mapping[str, float]], needed
     return {name: column * factors[name][units[name]] for name, column in columns.items()}
 
 
-def _read_averages(path: Path) -> Cuts:
-    """Read averages of orthogonal cuts."""
-    factors = {name: LENGTHS if name in COLUMNS[:2] else NEWTONS for name in (*COLUMNS, *UNCERTAINTIES)}
-    columns = _read_columns(path, factors, COLUMNS)
-    rows = Cuts(**{name: columns[name] for name in COLUMNS})
-    if any(name in columns for name in UNCERTAINTIES):
-        rows = replace(rows, uncertainty=_stated(path, columns, UNCERTAINTIES))
-    return rows
-
-
-def _stated(path: Path, columns: Mapping[str, Floats], names: Sequence[str]) -> Floats:
-    """Return the stated uncertainties of all components."""
-    missing = [name for name in names if name not in columns]
-    if missing:
-        raise InputError(f"{path} lacks {', '.join(missing)}: add it with its unit, such as '{missing[0]} [mN]'")
-    return np.column_stack([columns[name] for name in names])
-
-
-def _read_nose_averages(path: Path, rake: float) -> tuple[NoseCuts, float]:
-    """Read averages of cuts with a round nose, and their rake."""
-    uncertainties = [f"{name} uncertainty" for name in NOSE_FORCES]
-    factors: dict[str, Mapping[str, float]] = dict.fromkeys(NOSE_COLUMNS, LENGTHS)
-    factors |= dict.fromkeys((*NOSE_FORCES, *uncertainties), NEWTONS) | {"rake": {"deg": np.pi / 180, "rad": 1.0}}
-    columns = _read_columns(path, factors, tuple(NOSE_COLUMNS))
+def _read_averages(path: Path, plan: _Plan) -> tuple[Cuts | NoseCuts, float]:
+    """Read averages of cuts, and their rake."""
+    straight = isinstance(plan, _Orthogonal)
+    lengths, forces = (COLUMNS, FORCES) if straight else (NOSE_COLUMNS, NOSE_FORCES)
+    factors = dict.fromkeys(lengths, LENGTHS)
+    factors |= dict.fromkeys((*forces, *(f"{name} uncertainty" for name in forces)), NEWTONS)
+    factors |= {} if straight else {"rake": {"deg": np.pi / 180, "rad": 1.0}}
+    columns = _read_columns(path, factors, (*lengths, *(forces if straight else ())))
+    rake = plan.rake
     if "rake" in columns:
-        for i, cut_rake in enumerate(columns["rake"]):
-            _require_rake(float(cut_rake), float(columns["rake"][0]), f"{path}, cut {i + 1},")
         rake = float(columns["rake"][0])
-    rows = NoseCuts(**{key: columns[name] for name, key in {**NOSE_COLUMNS, **NOSE_FORCES}.items() if name in columns})
-    if any(name in columns for name in uncertainties):
-        names = [f"{name} uncertainty" for name in NOSE_FORCES if name in columns]
-        rows = replace(rows, uncertainty=_stated(path, columns, names))
-    return rows, rake
+        for i, cut_rake in enumerate(columns["rake"]):
+            _require_rake(float(cut_rake), rake, f"{path}, cut {i + 1},")
+    values = {key: columns[name] for name, key in (lengths | forces).items() if name in columns}
+    if any(f"{name} uncertainty" in columns for name in forces):
+        names = [f"{name} uncertainty" for name in forces if name in columns]
+        missing = [name for name in names if name not in columns]
+        if missing:
+            raise InputError(f"{path} lacks {', '.join(missing)}: add it with its unit, such as '{missing[0]} [mN]'")
+        values["uncertainty"] = np.column_stack([columns[name] for name in names])
+    return (Cuts if straight else NoseCuts)(**values), rake

@@ -14,7 +14,6 @@ from turnwright._arrays import Bools, frozen
 from turnwright._validate import between
 from turnwright.cutting.learning.cuts import Cuts, NoseCuts
 from turnwright.cutting.learning.edge_rows import InterruptedRows, TurningRows
-from turnwright.cutting.learning.fit import TINY, WARNING_CONFIDENCE, Fit, Solved
 from turnwright.cutting.learning.learned import (
     FORCE_NAMES,
     Estimate,
@@ -23,8 +22,8 @@ from turnwright.cutting.learning.learned import (
     Transition,
     report_estimates,
 )
-from turnwright.cutting.learning.rows import MIN_ROWS, Rows
-from turnwright.cutting.learning.saturation import MIN_FILL, find_clipped, find_saturated
+from turnwright.cutting.learning.regression import MIN_ROWS, TINY, WARNING_CONFIDENCE, Fit, Rows, Solved
+from turnwright.cutting.learning.signals import MIN_FILL, find_clipped, find_saturated
 from turnwright.cutting.learning.straight import StraightRows
 from turnwright.errors import InputError
 
@@ -193,13 +192,11 @@ def _iterate(rows: Rows, confidence: float) -> tuple[Transition | None, Bools]:
 
 
 def _fit_coefficients(rows: Rows, used: Bools, confidence: float, split: Transition | None = None) -> Solved:
-    """Return the coefficients from the used rows, each with its edge force or exponent."""
     used, columns, count = rows.design(used, split)
     return Fit(rows, used).estimate(columns, confidence, count)
 
 
 def _compare_forces(rows: Rows, limit: float) -> ForceFit:
-    """Return the measured forces of the cuts without drift, and the fitted forces."""
     columns = rows.columns(limit)
     fitted = columns @ Fit(rows).solve(columns)[0]
     measured = rows.force.copy()
@@ -228,7 +225,15 @@ def _find_misfits(rows: Rows, ductile: Bools, fitted: ForceFit) -> list[str]:
             )
         if not rows.turns:
             component = int(np.argmax((np.abs(fitted.fitted).max(axis=0) / air)[rows.judged]))
-            warnings += _check_weakest_cut(float(np.abs(fitted.fitted[:, component]).min()), float(air[component]))
+            weakest = float(np.abs(fitted.fitted[:, component]).min())
+            limit = DETECTION_SIGMA * float(air[component])
+            if weakest < limit:
+                warnings.append(
+                    f"the weakest cuts have {weakest * 1e3:.3g} mN, reliable detection needs {limit * 1e3:.3g} mN "
+                    f"({DETECTION_SIGMA:g} times the noise in air): thinner cuts may have been taken for air, and the "
+                    "intervals do not hold; remove the thinnest chips, cut wider, lower the low-pass, or state begin "
+                    "and end of the cuts"
+                )
     if rows.edge or rows.power is not None or np.unique(rows.thickest[ductile]).size < MIN_ROWS:
         return warnings
     rows.edge = True
@@ -251,21 +256,7 @@ def _find_misfits(rows: Rows, ductile: Bools, fitted: ForceFit) -> list[str]:
     return warnings
 
 
-def _check_weakest_cut(weakest: float, scatter: float) -> list[str]:
-    """Return a warning if the weakest cuts are not clearly above the noise in air."""
-    limit = DETECTION_SIGMA * scatter
-    if weakest >= limit:
-        return []
-    warning = (
-        f"the weakest cuts have {weakest * 1e3:.3g} mN, reliable detection needs {limit * 1e3:.3g} mN "
-        f"({DETECTION_SIGMA:g} times the noise in air): thinner cuts may have been taken for air, and the intervals do "
-        "not hold; remove the thinnest chips, cut wider, lower the low-pass, or state begin and end of the cuts"
-    )
-    return [warning]
-
-
 def _require_plausible(rows: Rows) -> None:
-    """Raise for implausible chip thicknesses, and for channels that are all zero or saturated."""
     thickness, forces = rows.thickest, dict(zip(rows.labels, rows.force.T, strict=True))
     thickest = float(thickness.max(initial=0.0))
     if thickest > MAX_THICKNESS_MM:
@@ -297,7 +288,6 @@ def _require_plausible(rows: Rows) -> None:
 
 
 def _require_material(name: str, value: float, high: float) -> None:
-    """Raise for a force coefficient outside the range of materials."""
     if not value > 0 and (name == "cutting" or high < 0):
         raise InputError(
             f"the {name} coefficient is {value:.4g} N/mm^2, it must be above 0: check the signs of both channels"

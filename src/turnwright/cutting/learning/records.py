@@ -21,8 +21,7 @@ import numpy as np
 from turnwright._arrays import Floats, rows_of_numbers
 from turnwright._io import answer_parent, bytes_of, read_isolated
 from turnwright._validate import positive
-from turnwright.cutting.learning.saturation import require_unsaturated
-from turnwright.cutting.learning.signals import ForceRecord
+from turnwright.cutting.learning.signals import ForceRecord, require_unsaturated
 from turnwright.errors import InputError
 
 __all__ = ["NEWTONS", "read_forces", "read_table"]
@@ -57,8 +56,6 @@ TDMS = b"TDSm"
 
 @dataclass(frozen=True, slots=True)
 class _Raw:
-    """Columns of a file, as stored."""
-
     columns: Mapping[str, Floats]
     units: Mapping[str, str]
     rate_hz: float | None
@@ -118,7 +115,6 @@ def read_forces(
 def _select_channels(
     path: Path, raw: _Raw, channels: Sequence[str] | None, unit: str | None, rate_hz: float | None
 ) -> ForceRecord:
-    """Return the record of the requested channels in N."""
     times = [name for name in raw.columns if _last(name).lower() in TIMES]
     wanted = (
         [_find_channel(path, raw, name) for name in channels]
@@ -221,7 +217,6 @@ def read_table(path: Path, data: bytes, row: str) -> tuple[dict[str, Floats], di
 
 
 def _read_tdms(path: Path, data: bytes, channels: Sequence[str] | None) -> _Raw:
-    """Read TDMS, the format of LabVIEW."""
     try:
         from nptdms import TdmsFile  # noqa: PLC0415 - an optional extra
     except ImportError as error:
@@ -254,7 +249,6 @@ def _read_tdms(path: Path, data: bytes, channels: Sequence[str] | None) -> _Raw:
 
 
 def _require_bytes(path: Path, samples: int, size: int) -> None:
-    """Raise if a file states more samples than it has bytes."""
     if samples > size:
         raise InputError(f"{path} is corrupt: it states {samples} samples and has {size} bytes")
 
@@ -264,7 +258,6 @@ def _first(attributes: Mapping[str, Any], names: Sequence[str]) -> Any:
 
 
 def _rate_from_attribute(path: Path, rate: Any, step: Any) -> float:
-    """Return the sampling rate from an attribute for the rate, or for the time step. [Hz]."""
     attribute = step if rate is None else rate
     try:
         value = float(attribute)

@@ -1,4 +1,4 @@
-r"""Processing of force records: drift, low-pass, detection of cuts, and averages with their uncertainty.
+r"""Processing of force records: drift, low-pass, saturation, detection of cuts, and averages with their uncertainty.
 
 Neighbouring samples of a force are correlated. Every uncertainty here counts n samples as n/τ independent ones, where
 τ is the integrated correlation time
@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, frozen, robust_scatter
-from turnwright._validate import between, check_numbers, positive
-from turnwright.cutting.learning.saturation import find_saturated, require_unsaturated
+from turnwright._validate import between, check_numbers, positive, whole
 from turnwright.errors import InputError
 from turnwright.units import MOST
 
@@ -30,9 +29,13 @@ __all__ = [
     "average_force",
     "correlation_time",
     "engagements",
+    "find_clipped",
+    "find_runs",
+    "find_saturated",
     "in_air",
     "low_pass",
     "remove_drift",
+    "require_unsaturated",
 ]
 
 SUM_WINDOW = 5.0
@@ -51,6 +54,27 @@ MAX_AIR_RESIDUAL_SIGMA = 2.0
 
 ABOVE_WEIGHT = 1e-3
 """Weight of samples above the level in air, relative to those below, in its first estimate."""
+
+MIN_RUN = 5
+"""Length of a run of equal extreme values that counts as saturated."""
+
+NOISELESS_TOL = 1e-9
+"""Scatter over force below which forces have no noise except rounding."""
+
+MIN_LEVELS = 6
+"""Number of different values that a channel needs to be judged."""
+
+TRIAL_COUNTS = 400
+"""Number of trial sizes of a saturated group."""
+
+SIGNIFICANCE = 1e-6
+"""Probability below which a group of close extreme values is not explained by noise."""
+
+MIN_FILL = 0.9
+"""Fraction of the values between the first and the last saturated one that must be saturated."""
+
+MIN_RUN_RATIO = 2
+"""Ratio of the longest run at the extreme to the longest elsewhere; forces without noise have long runs everywhere."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -156,8 +180,7 @@ def low_pass(record: ForceRecord, cutoff_hz: float, order: int) -> ForceRecord:
     half = record.rate_hz / 2
     if not 0 < cutoff_hz < half:
         raise InputError(f"cutoff_hz must be between 0 and {half:g} Hz (half the sampling rate), got {cutoff_hz:g} Hz")
-    if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= MAX_FILTER_ORDER:
-        raise InputError(f"the order of a low-pass must be an integer, 1 to {MAX_FILTER_ORDER}, got {order!r}")
+    order = whole(order, "the order of a low-pass", 1, MAX_FILTER_ORDER)
     # The ends are extended by odd reflection over the impulse response of the filter.
     pad = min(record.samples - 1, int(np.ceil(4 * order * record.rate_hz / cutoff_hz)))
     sections = butter(order, cutoff_hz, fs=record.rate_hz, output="sos")
@@ -250,7 +273,7 @@ def average_force(record: ForceRecord, start: int, stop: int) -> ForceAverage:
     )
 
 
-def _find_runs(mask: Bools) -> Ints:
+def find_runs(mask: Bools) -> Ints:
     """Return the intervals of true values. (m, 2)."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
     return edges.reshape(-1, 2).astype(np.int64)
@@ -309,9 +332,8 @@ def engagements(record: ForceRecord, channel: str, *, shortest: float, drift: in
             f"{record.samples} samples"
         )
     means = force[: count * block].reshape(count, block).mean(axis=1)
-    basis = np.asarray(
-        np.polynomial.legendre.legvander(np.linspace(-1, 1, count), _checked_degree(drift)), dtype=np.float64
-    )
+    degree = whole(drift, "the degree of the drift", 0, MAX_DRIFT_DEGREE)
+    basis = np.asarray(np.polynomial.legendre.legvander(np.linspace(-1, 1, count), degree), dtype=np.float64)
     # Differences of neighbours give the noise independent of the level.
     noise = robust_scatter(np.diff(means)) / np.sqrt(2)
     noise = max(noise, 1e-9 * float(np.ptp(means)), 1e-12 * float(np.abs(means).max()), np.finfo(np.float64).tiny)
@@ -339,7 +361,7 @@ def engagements(record: ForceRecord, channel: str, *, shortest: float, drift: in
     shape = max(1, least // block)
     # Gaps are closed first: a weak cut may fall below the limit in places.
     cut = _drop_short_runs(~_drop_short_runs(air, shape), shape)
-    runs = _find_runs(cut)
+    runs = find_runs(cut)
     if not runs.size or np.count_nonzero(~cut) < 8:
         state = "is always in air" if not runs.size else "is never in air"
         raise InputError(
@@ -351,15 +373,9 @@ def engagements(record: ForceRecord, channel: str, *, shortest: float, drift: in
     return np.array([span for span in spans if span[1] - span[0] >= least // 2], dtype=np.int64).reshape(-1, 2)
 
 
-def _checked_degree(drift: int) -> int:
-    if isinstance(drift, bool) or not isinstance(drift, int) or not 0 <= drift <= MAX_DRIFT_DEGREE:
-        raise InputError(f"the degree of the drift must be an integer, 0 to {MAX_DRIFT_DEGREE}, got {drift!r}")
-    return drift
-
-
 def _drop_short_runs(mask: Bools, least: int) -> Bools:
     long_runs = mask.copy()
-    for first, last in _find_runs(mask):
+    for first, last in find_runs(mask):
         if last - first < least:
             long_runs[first:last] = False
     return long_runs
@@ -409,7 +425,7 @@ def remove_drift(record: ForceRecord, air: Bools, *, degree: int | None) -> Forc
     if air.shape != (record.samples,):
         raise InputError(f"air must have the shape ({record.samples},) of the samples, got {air.shape}")
     if degree is None:
-        intervals = _find_runs(air)
+        intervals = find_runs(air)
         if not intervals.size:
             raise InputError(
                 "at least 1 interval in air is needed, got 0 samples: record air before and after the cuts"
@@ -419,7 +435,8 @@ def remove_drift(record: ForceRecord, air: Bools, *, degree: int | None) -> Forc
         every = np.arange(record.samples)
         level = np.column_stack([np.interp(every, middle, column) for column in means.T])
     else:
-        if np.count_nonzero(air) <= _checked_degree(degree) + 1:
+        degree = whole(degree, "the degree of the drift", 0, MAX_DRIFT_DEGREE)
+        if np.count_nonzero(air) <= degree + 1:
             raise InputError(
                 f"a drift of degree {degree} needs more than {degree + 1} samples in air, got {np.count_nonzero(air)}: "
                 "record air before and after the cuts"
@@ -427,3 +444,82 @@ def remove_drift(record: ForceRecord, air: Bools, *, degree: int | None) -> Forc
         basis = np.polynomial.legendre.legvander(np.linspace(-1, 1, record.samples), degree)
         level = basis @ np.linalg.lstsq(basis[air], record.force[air], rcond=None)[0]
     return replace(record, force=record.force - level)
+
+
+def find_saturated(values: Floats) -> Ints:
+    """Return the indices of saturated values: long runs of exactly the largest or the smallest value. (k,).
+
+    Noise makes neighbours differ, so a run at an extreme that is longer than any other run is the end of the range.
+    The value 0 is not taken as an end.
+    """
+    borders = np.concatenate(([0], np.flatnonzero(np.diff(values)) + 1, [values.size]))
+    length, level = np.diff(borders), values[borders[:-1]]
+    for end in (values.max(initial=0.0), values.min(initial=0.0)):
+        inside = level == end
+        if end == 0 or inside.all() or not inside.any():
+            continue
+        longest = int(length[inside].max())
+        if longest < MIN_RUN or longest <= MIN_RUN_RATIO * int(length[~inside].max()):
+            continue
+        if np.unique(level).size >= MIN_LEVELS:
+            return np.flatnonzero(values == end)
+    return np.zeros(0, dtype=np.int64)
+
+
+def find_clipped(load: Floats, values: Floats) -> Ints:
+    """Return the indices of averages at the end of the measuring range while the load still increases. (k,).
+
+    They are the largest averages, have the largest loads, and are closer together than noise allows: the probability
+    that k of n values lie within w standard deviations is at most n k (w / sqrt(2 pi))^(k - 1). Forces that are
+    constant beyond a transition keep their noise and are not taken.
+    """
+    if values.size < 2 * MIN_RUN:
+        return np.zeros(0, dtype=np.int64)
+    from scipy.special import gammaln  # noqa: PLC0415 - costly to import
+
+    order = np.argsort(load, kind="stable")
+    load, forces = load[order], values[order] * (1.0 if np.median(values) >= 0 else -1.0)
+    down = np.lexsort((-np.arange(forces.size), -forces))  # of equal values the last comes first
+    first, last = np.minimum.accumulate(down), np.maximum.accumulate(down)
+    count, least = 0, np.log(SIGNIFICANCE)
+    for k in np.unique(np.geomspace(MIN_RUN, values.size - MIN_RUN, TRIAL_COUNTS).astype(np.int64)):
+        span = int(last[k - 1] - first[k - 1]) + 1
+        if k < MIN_FILL * span or last[k - 1] < MIN_FILL * values.size:
+            continue
+        noise = _noise(load, forces, int(first[k - 1]))
+        if noise <= NOISELESS_TOL * abs(forces[down[0]]):
+            continue
+        near = max(forces[down[0]] - forces[down[k - 1]], _step(forces[: first[k - 1]]), NOISELESS_TOL * noise) / noise
+        ways = gammaln(span + 1) - gammaln(k + 1) - gammaln(span - k + 1)
+        chance = np.log(values.size * k) + ways + (k - 1) * np.log(near / np.sqrt(2 * np.pi))
+        if chance < least:
+            count, least = int(k), chance
+    return np.sort(order[down[:count]])
+
+
+def _step(values: Floats) -> float:
+    """Return the quantisation step if values repeat, else 0."""
+    levels = np.unique(values)
+    return float(np.diff(levels).min(initial=np.inf)) if levels.size < values.size else 0.0
+
+
+def _noise(load: Floats, forces: Floats, before: int) -> float:
+    """Return the scatter of forces about linear interpolation of their neighbours, before a row."""
+    load, forces = load[:before], forces[:before]
+    if before < MIN_RUN + 1:
+        return 0.0
+    span = load[2:] - load[:-2]
+    part = np.divide(load[1:-1] - load[:-2], span, out=np.full(span.size, 0.5), where=span > 0)
+    off = forces[1:-1] - (1 - part) * forces[:-2] - part * forces[2:]
+    off = np.abs(off) / np.sqrt(1 + part**2 + (1 - part) ** 2)
+    return robust_scatter(off) or float(np.sqrt((off**2).mean()))
+
+
+def require_unsaturated(label: str, channel: str, values: Floats, at: Ints, rate_hz: float) -> None:
+    """Raise if samples of a channel of a record are saturated."""
+    if at.size:
+        raise InputError(
+            f"{label} is saturated: {at.size} of {values.size} samples of channel {channel!r} are at "
+            f"{values[at[0]]:.6g} N, between {at[0] / rate_hz:.4g} and {at[-1] / rate_hz:.4g} s: record with a larger "
+            "range, or remove that part"
+        )

@@ -1,41 +1,35 @@
-r"""Regression for chips of uniform thickness along the edge, with the transition out of the ductile regime.
+"""Regression for chips of uniform thickness along the edge, with the transition out of the ductile regime.
 
-In the ductile regime the forces are proportional to the uncut chip area A; beyond the critical thickness they leave
-that line,
-
-.. math:: F = d(t) + \begin{cases} K A & h \le h_c \\ (q_0 + q_1 h)\,A/h & h > h_c \end{cases}
-
-where the amplifier drift d is a polynomial in time, determined by the samples in air in the same fit, so that its
-uncertainty is included in that of K. The critical thickness :math:`h_c` is the split with the smallest sum of squares.
-The position of a jump is not normally distributed; its interval consists of all splits that the likelihood ratio does
-not reject,
-
-.. math:: \frac{S(h_c) - S(\hat h_c)}{\eta^2} \le -2 \ln\!\bigl(1 - \sqrt{p}\bigr)
-
-(7.35 for p = 95 %), where η² is the long-run variance of the noise on the side that the split would assign wrongly
-[Hansen2000]_. Rows within the interval are excluded from the fit of K. All variances include correlation in time.
-
-The forces may also grow more slowly beyond the critical thickness, without a drop. F tests choose between no
-transition, a drop and a change of slope. An edge force or a size effect, which also bends the forces, is not a
-transition.
+F tests choose between no transition, a drop of the forces [Hansen2000]_ and a change of slope. An edge force or a size
+effect, which also bends the forces, is not a transition. Model and intervals: docs/theory/learning_forces.md.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints
 from turnwright.cutting.learning.cuts import Cuts
-from turnwright.cutting.learning.fit import MAX_CHANCE, TINY, WARNING_CONFIDENCE, Fit, hansen
 from turnwright.cutting.learning.learned import FORCE_NAMES, Transition
-from turnwright.cutting.learning.rows import MIN_ROWS
-from turnwright.cutting.learning.slope_change import ROUNDING_VARIANCE, SlopeChange, bound_chance, find_slope_change
-from turnwright.cutting.learning.uniform_rows import COMPONENTS, UniformRows
+from turnwright.cutting.learning.regression import (
+    MAX_CHANCE,
+    MIN_ROWS,
+    TINY,
+    WARNING_CONFIDENCE,
+    Fit,
+    Rows,
+    hansen,
+    interval,
+)
 from turnwright.errors import InputError
 
-__all__ = ["StraightRows", "least_chance"]
+__all__ = ["StraightRows"]
+
+COMPONENTS = 2
+"""Cutting force and thrust."""
 
 SLOPE_SIGMA = 3.0
 """Coverage factor for the slope of the forces beyond a transition."""
@@ -46,9 +40,96 @@ SLOPE_TOL = 0.05
 MAX_SLOPE_UNCERTAINTY = 0.3
 """Largest expanded uncertainty of a slope, relative to the ductile slope, for a decision."""
 
+ROUNDING_VARIANCE = 1e-18
+"""Variance of forces without noise, relative to their mean square."""
 
-class StraightRows(UniformRows):
-    """Rows of chips of uniform thickness, with the transition that they show."""
+EXTRA_COLUMNS = 2
+"""Columns that a transition adds: a force per width beyond it, and one proportional to the thickness."""
+
+TRIAL_THICKNESSES = 60
+"""Trial thicknesses of a change of slope, before refinement."""
+
+BISECTIONS = 16
+"""Bisections for each end of the interval."""
+
+MAX_EXPONENT = 0.7
+"""Largest exponent of a size effect that is tried as an alternative; those of metals are 0.1 to 0.5."""
+
+MIN_NOISE = 0.5
+"""Lower bound of the variance of the noisier side, relative to that of all rows."""
+
+
+class StraightRows(Rows):
+    """Rows of chips of uniform thickness along the edge: each component determines one coefficient."""
+
+    judged = slice(0, 1)
+
+    def __init__(self, cuts: Cuts, drift: int | None = None) -> None:
+        """Take the cuts and the degree of their drift."""
+        force, engaged = np.column_stack((cuts.cutting, cuts.thrust)), cuts.thickness > 0
+        super().__init__(
+            force, tuple(FORCE_NAMES), engaged, cuts.thickness,
+            time=cuts.time, record=cuts.record, drift=drift, uncertainty=cuts.uncertainty,
+        )  # fmt: skip
+        area = cuts.thickness * cuts.width if cuts.area is None else cuts.area
+        self.areas = np.column_stack((area, area if cuts.thrust_area is None else cuts.thrust_area))
+        self.widths = np.divide(
+            self.areas, cuts.thickness[:, None], out=np.zeros_like(self.areas), where=engaged[:, None]
+        )
+        self.spread = np.zeros_like(cuts.thickness) if cuts.spread is None else cuts.spread
+        self.reference = float(np.exp(np.log(cuts.thickness[engaged]).mean()))
+        self.load, self.labels = self.areas[:, 0], tuple(FORCE_NAMES.values())
+        self.selected = np.arange(COMPONENTS)
+
+    def ductile(self, component: int, limit: float = np.inf) -> Floats:
+        """Return the columns of a coefficient and of its edge force or exponent. (n, 1 or 2).
+
+        Beyond ``limit`` [mm] they are constant per width.
+        """
+        width, thickness = self.widths[:, component], np.minimum(self.thickest, limit)
+        area = width * thickness if limit < np.inf else self.areas[:, component]
+        if self.power is not None:
+            ratio = np.where(self.engaged, thickness / self.reference, 1.0)
+            falls = area * ratio ** -self.power[component]
+            return np.column_stack((falls, -falls * np.log(ratio)))
+        return np.column_stack((area, width)) if self.edge else area[:, None]
+
+    def columns(self, limit: float) -> Floats:
+        """Return the design matrix, see `Rows.columns`."""
+        thin, p = (self.thickest <= limit)[:, None], self.parts
+        columns = np.zeros((self.engaged.size, COMPONENTS, 2 * p + (2 * COMPONENTS if limit < np.inf else 0)))
+        for c in range(COMPONENTS):
+            columns[:, c, p * c : p * (c + 1)] = self.ductile(c) * thin
+            if limit < np.inf:
+                brittle = np.column_stack((self.widths[:, c], self.areas[:, c])) * ~thin
+                columns[:, c, 2 * p + 2 * c : 2 * p + 2 * c + 2] = brittle
+        return columns[:, self.selected]
+
+    def part(self, component: int) -> StraightRows:
+        """Return the rows with one force component."""
+        single = super().part(component)
+        assert isinstance(single, StraightRows)  # noqa: S101 - a copy
+        single.selected = self.selected[[component]]
+        return single
+
+    def groups(
+        self, relative: Sequence[float] | Floats = (0.0, 0.0)
+    ) -> Iterator[tuple[Rows, Sequence[float] | Floats]]:
+        """Return each component separately, since it determines its own coefficient only."""
+        yield from ((self.part(c), relative[c : c + 1]) for c in range(COMPONENTS))
+
+    def surely_ductile(self, low: float) -> Bools:
+        """Return the mask of rows that are ductile for every limit of at least ``low``."""
+        return np.asarray(self.thickest + self.spread <= low)
+
+    def surely_brittle(self, high: float) -> Bools:
+        """Return the mask of rows that are brittle for every limit of at most ``high``."""
+        return np.asarray(self.thickest - self.spread >= high)
+
+    @property
+    def free(self) -> int:
+        """Degrees of freedom after the drift, a line and a limit."""
+        return int(max(self.engaged.size - self.drift.shape[1] - 3, 1))
 
     def find_warnings(self, split: Transition | None, ductile: Bools) -> list[str]:
         """Return warnings if the forces beyond the limit are constant, or few rows are ductile."""
@@ -77,7 +158,7 @@ class _Drop:
     noise: float
 
 
-def _find_drop(rows: UniformRows, confidence: float) -> _Drop | None:
+def _find_drop(rows: StraightRows, confidence: float) -> _Drop | None:
     """Find the thickness at which the forces jump, with its interval."""
     engaged = np.flatnonzero(rows.engaged)
     order = engaged[np.argsort(rows.thickest[engaged], kind="stable")]
@@ -108,12 +189,12 @@ def _find_drop(rows: UniformRows, confidence: float) -> _Drop | None:
         low=max(float(rows.thickest[low] - rows.spread[low]), 0.0),
         high=float(rows.thickest[high] + rows.spread[high]),
         remaining=tuple(rows.remaining(component, answer, at) for component in range(COMPONENTS)),
-        chance=bound_chance(rows, residual, at),
+        chance=_bound_chance(rows, residual, at),
     )
     return _Drop(split, squares[:, best], weight, max(eta))
 
 
-def _split_squares(rows: UniformRows, component: int, order: Ints, after: Ints) -> Floats:
+def _split_squares(rows: StraightRows, component: int, order: Ints, after: Ints) -> Floats:
     """Return the residual sum of squares of each split, from cumulative sums of column products. (k,)."""
     ductile, beyond = rows.ductile(component), np.column_stack((rows.widths[:, component], rows.areas[:, component]))
     table = np.column_stack((rows.drift, ductile, beyond, rows.force[:, component]))
@@ -136,7 +217,7 @@ def _split_squares(rows: UniformRows, component: int, order: Ints, after: Ints) 
 
 
 def _compare_sides(
-    rows: UniformRows, order: Ints, cut: int, limit: float
+    rows: StraightRows, order: Ints, cut: int, limit: float
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Return long-run covariances of the thin and thick side of a split, its jump, the residuals and the parameters.
 
@@ -160,15 +241,7 @@ def _compare_sides(
     return covariances[0] + floor, covariances[1] + floor, jump, residual, answer
 
 
-def least_chance(cuts: Cuts, confidence: float = 0.95) -> float:
-    """Return the smallest ``chance`` of a drop or a change of slope, whether it is reported or not."""
-    rows = StraightRows(cuts)
-    drop, bend = _find_drop(rows, confidence), find_slope_change(rows, confidence)
-    candidates = (bend, None if drop is None else drop.split)
-    return min([1.0, *(candidate.chance for candidate in candidates if candidate is not None)])
-
-
-def _transition(rows: UniformRows, confidence: float) -> Transition | None:
+def _transition(rows: StraightRows, confidence: float) -> Transition | None:
     """Return the transition: none, a drop, or a change of slope.
 
     A change of slope has fewer parameters. A drop is chosen if it fits significantly better; if that is undecided, the
@@ -176,7 +249,7 @@ def _transition(rows: UniformRows, confidence: float) -> Transition | None:
     """
     from scipy.stats import f  # noqa: PLC0415 - costly to import
 
-    drop, bend = _find_drop(rows, confidence), find_slope_change(rows, confidence)
+    drop, bend = _find_drop(rows, confidence), _find_slope_change(rows, confidence)
     n = rows.engaged.size
 
     def probability(drop: _Drop, squares: Floats, numbers: int) -> float:
@@ -201,14 +274,14 @@ def _transition(rows: UniformRows, confidence: float) -> Transition | None:
     return bent
 
 
-def _as_transition(bend: SlopeChange | None) -> Transition | None:
+def _as_transition(bend: _SlopeChange | None) -> Transition | None:
     """Return a change of slope as a transition; ``None`` if it is not clear, or its interval includes 0."""
     if bend is None or bend.chance > MAX_CHANCE or bend.straight or not bend.falls or bend.low == 0:
         return None
     return Transition(bend.value, bend.low, bend.high, (1.0, 1.0), bend.chance)
 
 
-def _check_constant_forces(rows: UniformRows, limit: float) -> list[str]:
+def _check_constant_forces(rows: StraightRows, limit: float) -> list[str]:
     """Return a warning if both forces are constant beyond a limit; raise if only one of them is.
 
     Fracture changes both forces; saturation changes one channel.
@@ -241,3 +314,140 @@ def _check_constant_forces(rows: UniformRows, limit: float) -> list[str]:
                 "with a larger range, or remove these cuts"
             )
     return []
+
+
+@dataclass(frozen=True, slots=True)
+class _SlopeChange:
+    """Slope discontinuity of the forces over the chip thickness."""
+
+    value: float  # thickness of the discontinuity, and its interval. [mm]
+    low: float
+    high: float
+    squares: Floats  # residual sum of squares of each component. (2,)
+    chance: float  # upper bound of the probability that forces without a discontinuity show one as clear
+    smooth: Floats  # residual sum of squares of each component with an edge force or a size effect instead. (2,)
+    straight: bool  # whether an edge force or a size effect fits as well
+    falls: bool  # whether the cutting force grows more slowly beyond
+
+
+def _find_slope_change(rows: StraightRows, confidence: float) -> _SlopeChange | None:
+    """Find the thickness at which the forces change their slope; ``None`` if there are too few rows."""
+    from scipy.stats import f  # noqa: PLC0415 - costly to import
+
+    ascending = np.sort(rows.thickest[rows.engaged])
+    low, high = float(ascending[MIN_ROWS - 1]), float(ascending[-MIN_ROWS])
+    if ascending.size < 2 * MIN_ROWS or not low < high * (1 - 1e-9):
+        return None
+    fits = [Fit(rows.part(component)) for component in range(COMPONENTS)]
+    # Half of the trial thicknesses are quantiles of the rows, half are evenly spaced.
+    grid = np.unique(
+        np.concatenate(
+            (np.linspace(low, high, TRIAL_THICKNESSES), np.quantile(ascending, np.linspace(0, 1, TRIAL_THICKNESSES)))
+        )
+    )
+    grid = grid[(grid >= low) & (grid <= high)]
+    table = np.array([[_fit_bent(rows, fits, c, limit)[1] for c in range(COMPONENTS)] for limit in grid])
+    tiny = np.array([1e-14 * float((fit.free_force**2).sum()) + TINY for fit in fits])
+    at = int(np.argmin((table / np.maximum(table.min(axis=0), tiny)).sum(axis=1)))
+    variance = np.maximum(table[at], tiny) / rows.free
+
+    def squares(limit: float) -> float:
+        return float(sum(_fit_bent(rows, fits, c, limit)[1] / variance[c] for c in range(COMPONENTS)))
+
+    best, least, within = interval(squares, grid, (table / variance).sum(axis=1), 1e-6 * high)
+    solutions = [_fit_bent(rows, fits, c, best) for c in range(COMPONENTS)]
+    residual = np.column_stack([solution[2] for solution in solutions])
+    noise = _largest_variance(rows, residual / np.sqrt(variance), best)
+    reach = float(f.ppf(confidence, 1, max(rows.free / noise, 1.0))) * noise
+    ends = within(reach, (0.0, float(ascending[-1])), BISECTIONS)
+    smooth = np.array([_fit_smooth(rows, fits, c) for c in range(COMPONENTS)])
+    gain = float((smooth / variance).sum() - least) / noise
+    answer = solutions[0][0]
+    below = (rows.line(0, answer, best) - rows.line(0, answer, 0.99 * best)) / (0.01 * best)
+    return _SlopeChange(
+        value=best,
+        low=ends[0],
+        high=ends[1],
+        squares=np.array([solution[1] for solution in solutions]),
+        chance=_bound_chance(rows, residual, best),
+        smooth=smooth,
+        straight=rows.engaged.size * float(f.sf(gain, 1, rows.free)) > MAX_CHANCE,
+        falls=bool(answer[-1] < below),
+    )
+
+
+def _fit_bent(rows: StraightRows, fits: list[Fit], component: int, limit: float) -> tuple[Floats, float, Floats]:
+    beyond = rows.widths[:, component] * np.maximum(rows.thickest - limit, 0.0)
+    return fits[component].solve(np.column_stack((rows.ductile(component, limit), beyond))[:, None])
+
+
+def _fit_smooth(rows: StraightRows, fits: list[Fit], component: int) -> float:
+    """Return the smallest sum of squares with an edge force or a size effect, without a transition."""
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - costly to import
+
+    if rows.power is not None:
+        return np.inf
+    ductile = rows.ductile(component)
+    chip = np.where(rows.engaged, rows.thickest / rows.reference, 1.0)
+
+    def falling(power: float) -> float:
+        return fits[component].solve(np.column_stack((ductile[:, 0] * chip**-power, ductile[:, 1:]))[:, None])[1]
+
+    size_effect = minimize_scalar(falling, bounds=(0.0, MAX_EXPONENT), method="bounded", options={"xatol": 1e-5})
+    if rows.edge:
+        return float(size_effect.fun)
+    columns = np.column_stack((ductile, rows.widths[:, component]))
+    (slope, edge), squares, _ = fits[component].solve(columns[:, None])
+    # A cutting force that hardly grows is that of brittle chips, not an edge force.
+    plausible = component > 0 or edge <= slope * rows.thickest.max()
+    return min(float(size_effect.fun), squares if plausible else np.inf)
+
+
+def _largest_variance(rows: StraightRows, residual: Floats, limit: float) -> float:
+    """Return the larger long-run variance of both sides; the components of a row may be correlated."""
+    variances = []
+    for side in (rows.thickest <= limit, rows.thickest > limit):
+        inside = rows.engaged & side
+        count = int(np.count_nonzero(inside))
+        if count >= 2 * MIN_ROWS:
+            covariance = residual[inside].T @ residual[inside] / (count - 1)
+            variances.append(rows.correlation(residual, inside) * float(np.linalg.eigvalsh(covariance).max()))
+    return max([MIN_NOISE, *variances] if variances else [float(COMPONENTS)])
+
+
+def _bound_chance(rows: StraightRows, residual: Floats, limit: float) -> float:
+    """Return an upper bound of the probability that forces without a transition show one as clear.
+
+    For one component and one split, the gain of straight lines with normal noise follows an F distribution with two
+    numerator degrees of freedom. Lines that meet between two rows gain at most as much as the split there. The sum of
+    the probabilities over all splits and both components therefore bounds both kinds of transition, whatever the
+    correlation of the components (Bonferroni). The noise is that of all cuts, or of the noisier side if that is larger.
+
+    Parameters
+    ----------
+    rows
+        All rows.
+    residual
+        Residuals with a transition. (n, 2)
+    limit
+        Thickness of the transition. [mm]
+    """
+    from scipy.stats import f  # noqa: PLC0415 - costly to import
+
+    ascending = np.sort(rows.thickest[rows.engaged])
+    after = np.flatnonzero(np.diff(ascending) > 0) + 1
+    places = np.count_nonzero((after >= MIN_ROWS) & (after <= ascending.size - MIN_ROWS))
+    thin = rows.engaged & (rows.thickest <= limit)
+    sides = [side for side in (thin, rows.engaged & ~thin) if np.count_nonzero(side) >= 2 * MIN_ROWS]
+    chances = []
+    for component in range(COMPONENTS):
+        part, component_residual = rows.part(component), residual[:, [component]]
+        without = Fit(part).solve(rows.ductile(component)[:, None])[1]
+        free = max(ascending.size - rows.drift.shape[1] - rows.parts - EXTRA_COLUMNS, 1)
+        tau = max(part.correlation(component_residual, side) for side in sides or [rows.engaged])
+        squares = component_residual[:, 0] ** 2
+        noise = tau * max([squares[rows.engaged].sum() / free, *(squares[side].mean() for side in sides)])
+        noise += ROUNDING_VARIANCE * float(((part.force * part.weights) ** 2).mean()) + TINY
+        gain = max(without - float(squares.sum()), 0.0) / noise / EXTRA_COLUMNS
+        chances.append(float(f.sf(gain, EXTRA_COLUMNS, max(free / tau, 1.0))))
+    return min(1.0, COMPONENTS * int(places) * min(chances))
