@@ -9,7 +9,7 @@ import numpy as np
 
 from turnwright._arrays import Floats, frozen
 from turnwright._kernels import polynomials, quadrics
-from turnwright._validate import check_numbers, finite
+from turnwright._validate import check_numbers, finite_tuple
 from turnwright.errors import InputError
 from turnwright.surface.analytic import (
     MAX_DEGREE,
@@ -17,7 +17,7 @@ from turnwright.surface.analytic import (
     Radius,
     Terms,
     changing_length,
-    curvature,
+    check_radius,
     index_of,
     read_terms,
     summed,
@@ -49,9 +49,7 @@ class Plane(Surface):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        if np.shape(self.slope) != (2,):
-            raise InputError(f"the slope of a plane is {self.slope!r}, it must be two numbers: give (sx, sy)")
-        object.__setattr__(self, "slope", tuple(finite(value, "the slope of a plane") for value in self.slope))
+        object.__setattr__(self, "slope", finite_tuple(self.slope, "the slope of a plane", 2))
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
@@ -85,16 +83,12 @@ class Sphere(OnConic):
 
     def __post_init__(self) -> None:
         check_numbers(self, inf=("radius",))
-        curvature(self.radius, "the radius of a sphere")
+        check_radius(self.radius, "the radius of a sphere")
 
     @property
     def base(self) -> tuple[float, float]:
         """Vertex curvature and conic constant. [1/mm, 1]."""
         return 1 / self.radius, 0.0
-
-    def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
-        """Return height and derivatives, see `Surface.evaluate`."""
-        return summed(x, y, order, (quadrics.conic, *self.base))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,16 +115,7 @@ class Conic(OnConic):
 
     def __post_init__(self) -> None:
         check_numbers(self, inf=("radius",))
-        curvature(self.radius, "the radius of a conic")
-
-    @property
-    def base(self) -> tuple[float, float]:
-        """Vertex curvature and conic constant. [1/mm, 1]."""
-        return 1 / self.radius, float(self.conic)
-
-    def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
-        """Return height and derivatives, see `Surface.evaluate`."""
-        return summed(x, y, order, (quadrics.conic, *self.base))
+        check_radius(self.radius, "the radius of a conic")
 
 
 def _even_power(key: object) -> int:
@@ -180,18 +165,13 @@ class EvenAsphere(OnConic):
 
     def __post_init__(self) -> None:
         check_numbers(self, inf=("radius",))
-        curvature(self.radius, "the radius of an even asphere")
+        check_radius(self.radius, "the radius of an even asphere")
         terms = read_terms(self.terms, "an even asphere", _even_power)
         object.__setattr__(self, "terms", terms)
         coefficients = np.zeros(1 + max((power for power, _ in terms), default=0) // 2)
         for power, value in terms:
             coefficients[power // 2] = value
         object.__setattr__(self, "_coefficients", frozen(coefficients, "coefficients"))
-
-    @property
-    def base(self) -> tuple[float, float]:
-        """Vertex curvature and conic constant. [1/mm, 1]."""
-        return 1 / self.radius, float(self.conic)
 
     @property
     def feature_size(self) -> float:

@@ -18,7 +18,7 @@ from turnwright.surface.analytic import (
     OnConic,
     Radius,
     Terms,
-    curvature,
+    check_radius,
     index_of,
     indices_of,
     read_terms,
@@ -166,7 +166,7 @@ class Forbes(OnConic):
 
     def __post_init__(self) -> None:
         check_numbers(self, inf=("radius",))
-        curvature(self.radius, "the radius of a Forbes surface")
+        check_radius(self.radius, "the radius of a Forbes surface")
         positive(self.norm_radius, "the norm_radius of a Forbes surface", "mm")
         if self.kind not in {"qbfs", "qcon", "q2d"}:
             raise InputError(f"the kind of a Forbes surface is {self.kind!r}, known are qbfs, qcon and q2d: choose one")
@@ -190,11 +190,6 @@ class Forbes(OnConic):
                 series[m] = np.asarray(legendre.legmul(series[m], [1 / 6, 0, -1 / 6]))
         object.__setattr__(self, "_sum", disc_sum(series))
         object.__setattr__(self, "_degree", max((2 * len(c) - 2 + abs(m) for m, c in series.items()), default=0))
-
-    @property
-    def base(self) -> tuple[float, float]:
-        """Vertex curvature and conic constant. [1/mm, 1]."""
-        return 1 / self.radius, float(self.conic)
 
     @property
     def feature_size(self) -> float:
