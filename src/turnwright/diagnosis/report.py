@@ -22,17 +22,14 @@ from turnwright.diagnosis.findings import (
     DrawnCut,
     Draws,
     Finding,
-    VerdictInputs,
-    format_interval,
     judge,
 )
-from turnwright.diagnosis.model import Deviations, Sweeps
+from turnwright.diagnosis.model import Deviations, Sweeps, raise_sweep
 from turnwright.diagnosis.sight import Sight, add_signatures, prepare_maps, select_valid
 from turnwright.diagnosis.terms import GROUPS, columns, describe_group, tip_motion
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.part import evenly
-from turnwright.pose import Pose
 from turnwright.tool import LARGEST_ERROR, Tool, WavinessTable
 
 if TYPE_CHECKING:
@@ -114,10 +111,13 @@ def write_report(
     likely_tool, likely_machine = real_tool, real_machine
     with suppress(InputError):  # an edge that no tool can have
         likely_tool, likely_machine = _apply_deviations(estimate, likely, request)
-    full_maps = [
-        _FullMap.of(estimate, m, one, few, part, corrected, request.repeats)
-        for m, (one, few, part) in enumerate(zip(maps, thin, parts, strict=True))
-    ]
+    residuals, remainders, fields = zip(
+        *(
+            _complete_maps(estimate, m, one, few, part, corrected, request.repeats)
+            for m, (one, few, part) in enumerate(zip(maps, thin, parts, strict=True))
+        ),
+        strict=True,
+    )
     measured, explained, unexplained = _evaluate_rms(estimate)
     std = np.where(numbers.std > 0, numbers.std, np.inf)
     return Diagnosis(
@@ -125,10 +125,8 @@ def write_report(
         contributions=_evaluate_contributions(estimate),
         names=tuple(column.name for column in estimate.names),
         correlation=frozen(numbers.covariance / np.outer(std, std), "correlation", ndim=2),
-        residuals=tuple(one.residual for one in full_maps),
-        remainders=tuple(one.remainder for one in full_maps),
-        fields=tuple(one.field for one in full_maps),
-        poses=tuple(_pose(sight) for sight in estimate.sights),
+        residuals=residuals, remainders=remainders, fields=fields,
+        poses=tuple(sight.motion for sight in estimate.sights),
         measured_rms_nm=measured, explained_rms_nm=explained, unexplained_rms_nm=unexplained,
         noise_nm=tuple((np.maximum(estimate.scale / np.sqrt(estimate.together), estimate.stated) * NM).tolist()),
         together=tuple(estimate.together.tolist()),
@@ -156,7 +154,6 @@ def _remove_pose(estimate: Estimate, m: int) -> Floats:
 
 
 def _judge_findings(estimate: Estimate, numbers: _Numbers, request: ReportRequest) -> list[Finding]:
-    worth_nm = request.worth_nm
     k, typical, many = estimate.typical.size, estimate.typical, len(estimate.sights)
     half, std = numbers.half(), numbers.std
     marks = [_remove_pose(estimate, m)[:, :k] / typical for m in range(many)]
@@ -166,35 +163,28 @@ def _judge_findings(estimate: Estimate, numbers: _Numbers, request: ReportReques
     for i, column in enumerate(estimate.names):
         value, seen = float(numbers.value[i]), bool(estimate.seen[i])
         rms, uncertain, between = by_cause[column.cause]
-        differs = many > 1 and between > worth_nm
-        each = tuple(estimate.values[:, i].tolist()) if differs else ()
-        verdict, why = judge(
-            VerdictInputs(
-                column=column, value=value, whole=format_interval(value, float(half[i]), column.unit), seen=seen,
-                determined=bool(std[i] < DETERMINED_RATIO * typical[i]), significant=abs(value) > half[i],
-                certain=uncertain < CERTAIN_RATIO * rms, rms_nm=rms, worth_nm=worth_nm, each=each,
-                allowed=request.allowed is None or column.cause in request.allowed, steady=between < rms,
-            )
-        )  # fmt: skip
+        differs = many > 1 and between > request.worth_nm
         alike = [
             (other.name, float(numbers.covariance[i, j] / (std[i] * std[j])))
             for j, other in enumerate(estimate.names)
             if j != i and seen and estimate.seen[j]
         ]
         number_rms = np.sqrt(np.mean([np.sum((one[:, i] * value) ** 2) for one in marks])) * NM
+        correlated = [pair for pair in alike if abs(pair[1]) > MIN_NAMED_CORRELATION]
+        finding = Finding(
+            name=column.name, cause=column.cause, value=value, unit=column.unit, plausible=column.typical,
+            standard_uncertainty=float(std[i]), interval=(value - float(half[i]), value + float(half[i])),
+            rms_nm=float(number_rms), pv_nm=float(pv[i]) * NM,
+            correlated_with=tuple(sorted(correlated, key=lambda pair: -abs(pair[1]))),
+            determined=seen and bool(std[i] < DETERMINED_RATIO * typical[i]),
+            repeatable=None if many == 1 or not seen else not differs,
+            each=tuple(estimate.values[:, i].tolist()) if differs else (),
+        )  # fmt: skip
+        allowed = request.allowed is None or column.cause in request.allowed
         findings.append(
-            Finding(
-                name=column.name, cause=column.cause, value=value, unit=column.unit, plausible=column.typical,
-                standard_uncertainty=float(std[i]), interval=(value - float(half[i]), value + float(half[i])),
-                rms_nm=float(number_rms), pv_nm=float(pv[i]) * NM,
-                correlated_with=tuple(
-                    sorted(
-                        (pair for pair in alike if abs(pair[1]) > MIN_NAMED_CORRELATION),
-                        key=lambda pair: -abs(pair[1]),
-                    )
-                ),
-                determined=seen and bool(std[i] < DETERMINED_RATIO * typical[i]), verdict=verdict, why=why,
-                repeatable=None if many == 1 or not seen else not differs, each=each,
+            judge(
+                finding, seen=seen, rms_nm=rms, certain=uncertain < CERTAIN_RATIO * rms, steady=between < rms,
+                allowed=allowed, worth_nm=request.worth_nm,
             )
         )  # fmt: skip
     return findings
@@ -593,48 +583,39 @@ def _draw_student(shape: tuple[int, ...], freedom: int, random: np.random.Genera
     return np.asarray(random.normal(size=shape) * np.sqrt(freedom / random.chisquare(freedom, size=(shape[0], 1))))
 
 
-class _FullMap(NamedTuple):
-    """Residual, remainder and field at all points of a map."""
+def _complete_maps(
+    estimate: Estimate, m: int, heights: HeightMap, thinned: HeightMap, part: Part, corrected: Bools, repeats: bool
+) -> tuple[HeightMap, HeightMap, HeightMap]:
+    """Return the residual at all points of a map, and the repeatable form error with and without correction."""
+    thin, system, k = estimate.sights[m], estimate.systems[m], estimate.typical.size
+    sight = thin if heights is thinned else _expand_map(thin, thinned, heights, part, estimate)
+    residual, cutting = sight.cut(estimate.columns.deviations(estimate.values[m]))
+    for cause, one in sight.added.items():
+        residual = residual - estimate.values[m][estimate.of_cause(cause)] @ one
+    residual[~(sight.good | sight.apart)] = np.nan
+    terms = columns(cutting, estimate.radius[m])
+    numbers = estimate.numbers(m)[system.poses + k :]
+    residual_form = residual - terms @ numbers
+    # The differences of the cuts from their mean do not repeat.
+    common = numbers
+    if estimate.kinds[m] is not None:
+        common = (estimate.split(m).shared @ estimate.posterior.shared)[-TERMS:]
+    steady = repeats or estimate.kinds[m] is not None
+    repeated = terms @ np.where(LASTING | steady, common, 0.0) + 0.0 * residual_form
+    cut_values = np.where(_made_by_cut(estimate), estimate.posterior.shared[:k] * estimate.typical, 0.0)
+    planned, certain, every = (
+        _simulate_heights(estimate, sight, values)
+        for values in (np.zeros(k), np.where(corrected, cut_values, 0.0), cut_values)
+    )
 
-    residual: HeightMap
-    remainder: HeightMap
-    field: HeightMap
+    def shown(z: Floats, name: str) -> HeightMap:
+        return replace(_put_on_grid(heights, z, sight), name=f"{heights.name} {name}".strip())
 
-    @classmethod
-    def of(
-        cls, estimate: Estimate, m: int, heights: HeightMap, thinned: HeightMap, part: Part, corrected: Bools,
-        repeats: bool,
-    ) -> _FullMap:  # fmt: skip
-        """Return the residual, and the repeatable form error with and without correction of the sources."""
-        thin, system, k = estimate.sights[m], estimate.systems[m], estimate.typical.size
-        sight = thin if heights is thinned else _expand_map(thin, thinned, heights, part, estimate)
-        residual, cutting = sight.cut(estimate.columns.deviations(estimate.values[m]))
-        for cause, one in sight.added.items():
-            residual = residual - estimate.values[m][estimate.of_cause(cause)] @ one
-        residual[~(sight.good | sight.apart)] = np.nan
-        terms = columns(cutting, estimate.radius[m])
-        numbers = estimate.numbers(m)[system.poses + k :]
-        residual_form = residual - terms @ numbers
-        # The differences of the cuts from their mean do not repeat.
-        common = numbers
-        if estimate.kinds[m] is not None:
-            common = (estimate.split(m).shared @ estimate.posterior.shared)[-TERMS:]
-        steady = repeats or estimate.kinds[m] is not None
-        repeated = terms @ np.where(LASTING | steady, common, 0.0) + 0.0 * residual_form
-        cut_values = np.where(_made_by_cut(estimate), estimate.posterior.shared[:k] * estimate.typical, 0.0)
-        planned, certain, every = (
-            _simulate_heights(estimate, sight, values)
-            for values in (np.zeros(k), np.where(corrected, cut_values, 0.0), cut_values)
-        )
-
-        def shown(z: Floats, name: str) -> HeightMap:
-            return replace(_put_on_grid(heights, z, sight), name=f"{heights.name} {name}".strip())
-
-        return cls(
-            shown(residual_form, "residual"),
-            shown(repeated + (every - certain if steady else 0.0), "remainder"),
-            shown(repeated + (every if steady else certain) - planned, "field"),
-        )
+    return (
+        shown(residual_form, "residual"),
+        shown(repeated + (every - certain if steady else 0.0), "remainder"),
+        shown(repeated + (every if steady else certain) - planned, "field"),
+    )
 
 
 def _simulate_heights(estimate: Estimate, sight: Sight, values: Floats) -> Floats:
@@ -650,10 +631,6 @@ def _simulate_heights(estimate: Estimate, sight: Sight, values: Floats) -> Float
 
 MOUNT = frozenset({"astigmatism", "trefoil"})
 """Sources of the mount, not of the cut."""
-
-
-def _pose(sight: Sight) -> Pose:
-    return Pose.within_a_turn(sight.pose[:3].tolist(), sight.pose[3], sight.pose[4:6])
 
 
 def _put_on_grid(heights: HeightMap, mark: Floats, sight: Sight) -> HeightMap:
@@ -728,5 +705,5 @@ def _make_waviness_table(estimate: Estimate, real: Deviations, tool: Tool) -> Wa
     low, high = float(np.nanmin(used)), float(np.nanmax(used))
     sweep = np.linspace(*tool.arc, EDGE_POINTS)
     held = np.clip(sweep, low, high)
-    height, slope, _ = np.tensordot(real.basis.values(held), real.waviness, (1, 0))
+    height, slope, _ = np.tensordot(raise_sweep(held, real.powers), real.waviness, (1, 0))
     return WavinessTable(sweep=sweep, deviation=tool.deviation(sweep) + height + slope * (sweep - held))

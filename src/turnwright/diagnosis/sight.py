@@ -60,13 +60,17 @@ class Sight:
     pose: Floats  # shift x, y, z, rotation, tilts [mm, rad]; and (p, q, k) beyond those of the design's sphere
     begun: Floats  # start value of the pose
 
+    @property
+    def motion(self) -> Pose:
+        """The rigid part of the current pose."""
+        return Pose.within_a_turn(self.pose[:3].tolist(), self.pose[3], self.pose[4:6])
+
     def moved(self) -> tuple[Floats, Floats, Floats]:
         """Return the points in the frame of the part, by the current pose."""
         x, y, z = self.x, self.y, self.z
         if self.sphere is not None:
             x, y, z = put_on_sphere(self.sphere + self.pose[6:], x, y, z, self.stands)
-        shift, rotation, tilt = self.pose[:3], self.pose[3], self.pose[4:6]
-        return Pose.within_a_turn(shift, rotation, tilt).apply(x, y, z)
+        return self.motion.apply(x, y, z)
 
     def cut(self, deviations: Deviations) -> tuple[Floats, Cutting]:
         """Return the measured minus the predicted height for some deviations, and how the points were cut."""
@@ -182,7 +186,7 @@ def _prepare_map(
     if reference != "true form" and x.size > 4:
         design = part.surface.sag(x, y)
         sphere = fit_sphere(x, y, design)
-        pose[2] = float(np.mean(design - z - _sphere_height(sphere, x, y)))
+        pose[2] = float(np.mean(design - z - evaluate_sphere(sphere, x, y)[1]))
         opened = (*dict.fromkeys((*free, "piston", "sphere")),)
     sight = Sight(
         x=x, y=y, z=z, swept=swept, sweeps=swept.start(x, y), added={},
@@ -212,7 +216,3 @@ def select_valid(heights: HeightMap, part: Part) -> tuple[Bools, Floats, Floats,
     if inside is not None:
         where &= inside
     return where, x[where], y[where], heights.z[where]
-
-
-def _sphere_height(sphere: Floats, x: Floats, y: Floats) -> Floats:
-    return put_on_sphere(sphere, x, y, np.zeros_like(x), None)[2]
