@@ -191,7 +191,7 @@ class OnConic(Surface):
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the height of the conic and its derivatives. See `Surface.evaluate`."""
-        return summed(x, y, order, (quadrics.conic, *self.base))
+        return summed(x, y, order, (quadrics.conic, self.base))
 
     @property
     def _squared(self) -> float:

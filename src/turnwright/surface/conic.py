@@ -182,4 +182,4 @@ class EvenAsphere(OnConic):
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
-        return summed(x, y, order, (quadrics.conic, *self.base), (polynomials.even, self._coefficients))
+        return summed(x, y, order, (quadrics.conic, self.base), (polynomials.even, self._coefficients))

@@ -201,4 +201,4 @@ class Forbes(OnConic):
         departure: list[tuple[Any, ...]] = [(polynomials.disc, 1 / self.norm_radius, *self._sum)]
         if self.kind != "qcon":
             departure.append((quadrics.secant, *self.base))
-        return summed(x, y, order, *departure, (quadrics.conic, *self.base))
+        return summed(x, y, order, *departure, (quadrics.conic, self.base))

@@ -83,7 +83,7 @@ class Toroid(Surface):
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
-        return summed(x, y, order, (quadrics.toroid, 1 / self.radius_x, 1 / self.radius_y))
+        return summed(x, y, order, (quadrics.toroid, (1 / self.radius_x, 1 / self.radius_y)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,4 +141,4 @@ class Biconic(Surface):
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
         parameters = (1 / self.radius_x, 1 / self.radius_y, float(self.conic_x), float(self.conic_y))
-        return summed(x, y, order, (quadrics.biconic, *parameters))
+        return summed(x, y, order, (quadrics.biconic, parameters))
