@@ -63,6 +63,7 @@ RADIUS_CHANGE_RATIO = 0.1
 """Plausible change of the local nose radius by a wave, as a fraction of the radius: near 1 the nose would be flat."""
 
 LOBES = MappingProxyType({"astigmatism": 2, "trefoil": 3})
+"""Sources of the mount, not of the cut, with their lobes per revolution."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

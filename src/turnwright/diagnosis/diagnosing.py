@@ -164,7 +164,6 @@ def _set_up_estimate(
     reference: str, free: Sequence[str], powers: Sequence[int], straightness: int, sense: int, feed: float,
     stated: Floats,
 ) -> Estimate:  # fmt: skip
-    """Return an estimate before its solution."""
     sights, reach = prepare_maps(thin, parts, tool, tuple(free), reference, sense, feed)
     radius = max(part.radius for part in parts)
     farthest = max(float(np.nanmax(np.hypot(sight.x, sight.y))) for sight in sights)
@@ -198,7 +197,6 @@ def _check(
     maps: Sequence[HeightMap], parts: Sequence[Part], causes: Sequence[str | Cause], reference: str,
     free: Sequence[str], sense: int,
 ) -> None:  # fmt: skip
-    """Raise if the arguments of `diagnose` are not valid."""
     if not maps or len(maps) != len(parts):
         raise InputError(
             f"there are {len(maps)} maps and {len(parts)} parts: pass a map, and one part or one for each map"

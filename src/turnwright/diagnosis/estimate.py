@@ -172,12 +172,10 @@ class Estimate:
         self.seen = np.ones(len(self.names), dtype=np.bool_)
 
     def _find_start_size(self, group: Group) -> float:
-        """Return the start value of the size of a group, or its size if that is known."""
         stated_size = self.plausible.get(group.name)
         return group.size if stated_size is None else stated_size / float(np.sqrt(group.relative.max()))
 
     def _is_fixed(self, group: Group) -> bool:
-        """Whether the size of a group is fixed."""
         return group.least == group.size or group.name in self.plausible
 
     @property
@@ -234,7 +232,6 @@ class Estimate:
         return float(np.sqrt((system.root[j:, j : j + k] ** 2).sum() / system.rows.shape[0]))
 
     def _linearise(self, m: int) -> LinearSystem:
-        """Linearise one map at the current values."""
         sight, values = self.sights[m], self.values[m]
         residual, cutting = sight.cut(self.columns.deviations(values))
         for cause, mark in sight.added.items():
@@ -291,7 +288,6 @@ class Estimate:
         return np.asarray((directions.T * wide) @ directions)
 
     def _find_observable(self) -> Bools:
-        """Return which unknowns have an effect that a change of pose cannot explain."""
         k = self.typical.size
         squares, points = np.zeros(k), 0
         for system in self.systems:
@@ -410,7 +406,6 @@ class Estimate:
         return changes
 
     def _count_determined(self, variances: Floats) -> float:
-        """Return the number of unknowns that a map determines."""
         shared = self.posterior.shared.size
         determined = 1 - variances
         return float(determined[:-shared].sum() + determined[-shared:].sum() / len(self.sights))

@@ -291,7 +291,6 @@ class Diagnosis(Sequence[Finding]):
 
 
 def _find_display_unit(unit: str) -> tuple[str, float]:
-    """Return the unit in which a value is displayed, and the factor."""
     return (f"um{unit[2:]}", 1e3) if unit.startswith("mm/") else DISPLAY_UNITS.get(unit, (unit, 1.0))
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, frozen
+from turnwright.diagnosis.causes import LOBES
 from turnwright.diagnosis.estimate import PLACES, POSE_SIGMA, TERMS, Estimate, LinearSystem
 from turnwright.diagnosis.findings import (
     NM,
@@ -406,7 +407,6 @@ UNMEASURED_SPACINGS, MIN_UNMEASURED_FRACTION = 4.0, 0.02
 
 
 def _sample_design(part: Part, count: int) -> HeightMap:
-    """Return the design at points evenly over a part."""
     x, y = evenly(part, count)
     return HeightMap(x=x, y=y, z=part.surface.sag(x, y), name=part.name)
 
@@ -473,7 +473,6 @@ def _draw_numbers(
 
 
 def _select_points(sight: Sight, some: Ints) -> Sight:
-    """Return some points of a map."""
     return replace(
         sight, x=sight.x[some], y=sight.y[some], z=sight.z[some], sweeps=Sweeps(*(one[some] for one in sight.sweeps)),
         added={cause: one[:, some] for cause, one in sight.added.items()}, usable=sight.usable[some],
@@ -486,7 +485,7 @@ LASTING = np.concatenate([np.full(group.relative.size, group.lasting) for group 
 
 def _made_by_cut(estimate: Estimate) -> Bools:
     """Return which unknowns belong to the cut, not to the mount. (k,)."""
-    return np.array([column.cause not in MOUNT for column in estimate.names])
+    return np.array([column.cause not in LOBES for column in estimate.names])
 
 
 def _draw_other_part(estimate: Estimate, request: ReportRequest, part: Part) -> Draws:
@@ -532,7 +531,6 @@ OTHER_PART_POINTS = 3_000
 def _make_case(
     estimate: Estimate, m: int, number: int, numbers: Floats, rows: Floats, request: ReportRequest
 ) -> DrawnCut:
-    """Return one draw for full simulation."""
     k, j = estimate.typical.size, estimate.systems[m].poses
     values = numbers[j : j + k] * estimate.typical
     moving = np.array([column.cause in PLANNABLE for column in estimate.names])
@@ -629,19 +627,13 @@ def _simulate_heights(estimate: Estimate, sight: Sight, values: Floats) -> Float
     return np.asarray(made)
 
 
-MOUNT = frozenset({"astigmatism", "trefoil"})
-"""Sources of the mount, not of the cut."""
-
-
 def _put_on_grid(heights: HeightMap, mark: Floats, sight: Sight) -> HeightMap:
-    """Return a signature on the grid of a map."""
     z = np.full(heights.z.shape, np.nan)
     z[sight.where] = mark
     return replace(heights, z=z)
 
 
 def _grid_axes(heights: HeightMap) -> tuple[Floats, Floats]:
-    """Return rows and columns of a grid."""
     rows, columns = (heights.angle, heights.radius) if heights.polar else (heights.y, heights.x)
     assert rows is not None  # noqa: S101 - a grid has both
     assert columns is not None  # noqa: S101

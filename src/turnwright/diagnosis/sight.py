@@ -179,7 +179,6 @@ def prepare_maps(
 def _prepare_map(
     heights: HeightMap, part: Part, tool: Tool, free: tuple[str, ...], reference: str, sense: int, feed: float
 ) -> Sight:
-    """Return one map prepared for the fit."""
     where, x, y, z = select_valid(heights, part)
     swept = Swept(surface=part.surface, tool=tool, sense=sense, rim=part.radius)
     sphere, pose, opened = None, np.zeros(9), free

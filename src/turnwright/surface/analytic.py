@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from numbers import Integral
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from turnwright._kernels import quadrics
-from turnwright._validate import finite, whole as whole_number
+from turnwright._validate import check_numbers, finite, whole
 from turnwright.errors import InputError, JobError
 from turnwright.surface.base import Surface
 from turnwright.units import LEAST, MOST, unit
@@ -33,7 +32,6 @@ __all__ = [
     "indices_of",
     "read_terms",
     "summed",
-    "whole",
     "whole_pair",
 ]
 
@@ -96,17 +94,11 @@ def indices_of(key: str) -> tuple[int, int]:
     return int(match.group(1)), int(match.group(2))
 
 
-def whole(key: object, what: str) -> int:
-    """Return ``key`` if it is an integer of 0 or more."""
-    return whole_number(key, what, 0)
-
-
 def whole_pair(key: object, what: str) -> tuple[int, int]:
     """Return ``key`` if it is two integers, of which the second may be negative."""
-    if not isinstance(key, tuple | list) or len(key) != 2 or not isinstance(key[1], Integral):
+    if not isinstance(key, tuple | list) or len(key) != 2:
         raise InputError(f"{what} is {key!r}, it must be a pair of whole numbers: give two of them")
-    sign = -1 if key[1] < 0 else 1
-    return whole(key[0], what), sign * whole(sign * int(key[1]), what)
+    return whole(key[0], what, 0), whole(key[1], what, -MAX_DEGREE)
 
 
 def read_terms(terms: Terms[Any], what: str, key: Callable[[object], K]) -> tuple[tuple[K, float], ...]:
@@ -183,6 +175,10 @@ class OnConic(Surface):
     if TYPE_CHECKING:
         radius: Radius
         conic: float
+
+    def __post_init__(self) -> None:
+        check_numbers(self, inf=("radius",))
+        check_radius(self.radius, f"the radius of a {self.family}")
 
     @property
     def base(self) -> tuple[float, float]:

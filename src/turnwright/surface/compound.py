@@ -248,7 +248,6 @@ class Placed(Surface):
         return Pose(shift=self.shift, rotation=self.rotation, tilt=self.tilt)
 
     def _level(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
-        """Evaluate without tilt."""
         u, v, _ = self._local(x, y)
         z, *derivatives = self.surface.evaluate(u, v, order)
         z = z + self.shift[2]
@@ -266,7 +265,6 @@ class Placed(Surface):
         return z, *first, zxx, zxy, zyy
 
     def _tilted(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
-        """Evaluate with tilt, by intersecting vertical lines with the surface."""
         turn = self.pose.matrix
         u, v, height = self._local(x, y)
         with np.errstate(all="ignore"):

@@ -9,7 +9,7 @@ import numpy as np
 
 from turnwright._arrays import Floats, frozen
 from turnwright._kernels import polynomials, quadrics
-from turnwright._validate import check_numbers, finite_tuple
+from turnwright._validate import check_numbers, finite_tuple, whole
 from turnwright.errors import InputError
 from turnwright.surface.analytic import (
     MAX_DEGREE,
@@ -21,7 +21,6 @@ from turnwright.surface.analytic import (
     index_of,
     read_terms,
     summed,
-    whole,
 )
 from turnwright.surface.base import Series, Surface
 from turnwright.units import Number
@@ -81,10 +80,6 @@ class Sphere(OnConic):
     example = MappingProxyType({"radius": "50 mm"})
     radius: Radius
 
-    def __post_init__(self) -> None:
-        check_numbers(self, inf=("radius",))
-        check_radius(self.radius, "the radius of a sphere")
-
     @property
     def base(self) -> tuple[float, float]:
         """Vertex curvature and conic constant. [1/mm, 1]."""
@@ -113,13 +108,9 @@ class Conic(OnConic):
     radius: Radius
     conic: Number
 
-    def __post_init__(self) -> None:
-        check_numbers(self, inf=("radius",))
-        check_radius(self.radius, "the radius of a conic")
-
 
 def _even_power(key: object) -> int:
-    power = whole(key, "the power of an even asphere's term")
+    power = whole(key, "the power of an even asphere's term", 0)
     if power < 2 or power % 2 or power > MAX_DEGREE:
         raise InputError(
             f"the power of an even asphere's term is {power}, it must be even and from 2 to {MAX_DEGREE}: name each "

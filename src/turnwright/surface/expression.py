@@ -427,7 +427,6 @@ def _zeros(divisor: tuple[Step, ...], x: Floats, y: Floats) -> tuple[Floats, Flo
 
 
 def _constant(name: str, value: float) -> float:
-    """Return a named constant's value."""
     if not str(name).isidentifier() or name in (*VARIABLES, *NUMBERS, *CALLS, *PAIRS):
         raise InputError(f"constant {name!r} is not an identifier, or is a name of the formula language: rename it")
     return float(value)
@@ -463,7 +462,6 @@ def _read(formula: str, numbers: Mapping[str, float]) -> tuple[Step, ...]:
 
 
 def _cost(steps: tuple[Step, ...], operands: list[tuple[slice, ...]]) -> int:
-    """Return the cost of a formula per point, in additions."""
     return sum(
         VARYING_POWER_COST if what == "**" and _varies(steps[spans[-1]]) else COSTS.get(str(what), 1) if spans else 0
         for (_, what), spans in zip(steps, operands, strict=True)
@@ -521,7 +519,6 @@ def _varies(steps: tuple[Step, ...]) -> bool:
 
 
 def _append(node: ast.expr, text: str, numbers: Mapping[str, float], steps: list[Step], depth: int) -> None:
-    """Append the steps of a part of the formula."""
     if depth == 0:
         raise InputError(f"a formula has brackets nested too deeply, the limit is {MAX_NESTING}: simplify it")
     # A long sum is a tree nested to the left; it is unrolled, so that only brackets count as nesting.
@@ -566,7 +563,6 @@ def _append_factor(node: ast.expr, text: str, numbers: Mapping[str, float], step
 
 
 def _refuse(node: ast.expr, text: str) -> NoReturn:
-    """Raise because of a part that is not allowed in a formula."""
     part = ast.get_source_segment(text, node) or text
     match node:
         case ast.Name(id=name):
@@ -689,7 +685,6 @@ def _quotient(a: Jet, b: Jet, order: int) -> Jet:
 
 
 def _over(a: Value, b: Value) -> Value:
-    """Divide; an exact zero stays zero."""
     return 0.0 if isinstance(a, float) and a == 0.0 else a / b
 
 

@@ -378,7 +378,6 @@ class LensArray(Surface):
 
 
 def _square(array: LensArray, pitch: float, at: tuple[float, ...]) -> Floats:
-    """Return the centres of a square lattice. (n, 2)."""
     rows, columns, within = array.rows, array.columns, array.within
     if within is not None and rows is None and columns is None:
         return _inside_circle((pitch, 0), (0, pitch), at, within, array.aperture)
@@ -397,7 +396,6 @@ def _square(array: LensArray, pitch: float, at: tuple[float, ...]) -> Floats:
 
 
 def _hexagonal(array: LensArray, pitch: float, at: tuple[float, ...]) -> Floats:
-    """Return the centres of a hexagonal lattice with rows along x. (n, 2)."""
     rings, within = array.rings, array.within
     if (rings is None) == (within is None):
         raise InputError(

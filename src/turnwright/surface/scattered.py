@@ -179,7 +179,6 @@ class Scattered(Surface):
 
 
 def _through(places: Floats, z: Floats) -> RBFInterpolator:
-    """Return radial functions that interpolate the points."""
     from scipy.interpolate import RBFInterpolator  # noqa: PLC0415
 
     return RBFInterpolator(places, z, kernel="quintic", degree=DEGREE)
