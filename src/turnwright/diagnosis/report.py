@@ -132,7 +132,7 @@ def write_report(
         noise_nm=tuple((np.maximum(estimate.scale / np.sqrt(estimate.together), estimate.stated) * NM).tolist()),
         together=tuple(estimate.together.tolist()),
         repeatability_nm=_evaluate_repeatability(estimate),
-        rejected=tuple(int(np.count_nonzero(sight.apart)) for sight in estimate.sights),
+        rejected=tuple(int(np.count_nonzero(sight.outliers)) for sight in estimate.sights),
         signatures=tuple(_evaluate_signatures(estimate, m, one) for m, one in enumerate(thin)),
         draws=lambda m: _draw_parts(estimate, m, corrected, parts[m], request),
         tool=real_tool, machine=real_machine, likely_tool=likely_tool, likely_machine=likely_machine,
@@ -259,7 +259,7 @@ def _evaluate_rms(estimate: Estimate) -> tuple[float, float, float]:
     sums, count = np.zeros(3), 0
     for m, system in enumerate(estimate.systems):
         sight = estimate.sights[m]
-        registered = replace(sight, pose=sight.begun.copy(), sweeps=Sweeps(*(one.copy() for one in sight.sweeps)))
+        registered = replace(sight, pose=sight.start_pose.copy(), sweeps=Sweeps(*(one.copy() for one in sight.sweeps)))
         measured = registered.cut(estimate.columns.deviations(np.zeros(estimate.typical.size)))[0]
         measured, residual = measured[system.good] * system.counts, estimate.left(m)
         pose = system.rows[:, : system.poses]
@@ -388,8 +388,8 @@ def _find_unmeasured(estimate: Estimate, m: int, part: Part, tool: Tool) -> Sigh
         return None
     x, y, _ = sight.moved()
     places = _sample_design(part, DRAW_POINTS)
-    apart = KDTree(np.stack([x, y], axis=1)[sight.good]).query(np.stack(places.points(), axis=1))[0]
-    out = apart > UNMEASURED_SPACINGS * part.radius / math.sqrt(DRAW_POINTS)
+    distance = KDTree(np.stack([x, y], axis=1)[sight.good]).query(np.stack(places.points(), axis=1))[0]
+    out = distance > UNMEASURED_SPACINGS * part.radius / math.sqrt(DRAW_POINTS)
     if np.count_nonzero(out) < MIN_UNMEASURED_FRACTION * DRAW_POINTS:
         return None
     x, y = (one[out] for one in places.points())
@@ -476,7 +476,8 @@ def _select_points(sight: Sight, some: Ints) -> Sight:
     return replace(
         sight, x=sight.x[some], y=sight.y[some], z=sight.z[some], sweeps=Sweeps(*(one[some] for one in sight.sweeps)),
         added={cause: one[:, some] for cause, one in sight.added.items()}, usable=sight.usable[some],
-        good=sight.good[some], apart=sight.apart[some], stands=None if sight.stands is None else sight.stands[some],
+        good=sight.good[some], outliers=sight.outliers[some],
+        along_normal=None if sight.along_normal is None else sight.along_normal[some],
     )  # fmt: skip
 
 
@@ -590,7 +591,7 @@ def _complete_maps(
     residual, cutting = sight.cut(estimate.columns.deviations(estimate.values[m]))
     for cause, one in sight.added.items():
         residual = residual - estimate.values[m][estimate.of_cause(cause)] @ one
-    residual[~(sight.good | sight.apart)] = np.nan
+    residual[~(sight.good | sight.outliers)] = np.nan
     terms = columns(cutting, estimate.radius[m])
     numbers = estimate.numbers(m)[system.poses + k :]
     residual_form = residual - terms @ numbers
@@ -618,9 +619,9 @@ def _complete_maps(
 
 def _simulate_heights(estimate: Estimate, sight: Sight, values: Floats) -> Floats:
     """Return the exact heights at the points of a map for some values of the sources. (n,) [mm]."""
-    stands = sight.stands
+    along_normal = sight.along_normal
     _, cutting = sight.cut(estimate.columns.deviations(values))
-    sight.stands = stands
+    sight.along_normal = along_normal
     made = cutting.z + sight.cusp * cutting.between
     for cause, marks in sight.added.items():
         made = made + values[estimate.of_cause(cause)] @ marks
@@ -653,15 +654,15 @@ def _expand_map(thin: Sight, thinned: HeightMap, heights: HeightMap, part: Part,
         added={},
         usable=np.isfinite(z),
         good=np.isfinite(z),
-        apart=np.zeros(z.size, dtype=np.bool_),
+        outliers=np.zeros(z.size, dtype=np.bool_),
     )
     if not heights.scattered:
         held = np.zeros(thin.where.shape, dtype=np.bool_)
-        held[thin.where] = thin.good | thin.apart
+        held[thin.where] = thin.good | thin.outliers
         near = [_find_nearest(full, few) for full, few in zip(_grid_axes(heights), _grid_axes(thinned), strict=True)]
         sight.good = held[np.ix_(*near)][where]
-    if thin.stands is not None:
-        sight.stands = z
+    if thin.along_normal is not None:
+        sight.along_normal = z
     add_signatures(sight, estimate.columns)
     return sight
 
