@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 import turnwright as tw
-from turnwright.diagnosis.model import Deviations, Powers, Sweeps, Swept
+from turnwright.diagnosis.model import Deviations, Sweeps, Swept
 
 MACHINE = tw.Machine.load("generic")
 TOOL = tw.Tool(nose_radius=1.5, included=np.deg2rad(120), clearance=np.deg2rad(15))
@@ -53,7 +53,7 @@ def sources(powers, trials, first=0):
         rng = np.random.default_rng(first + trial)
         truth = [*rng.uniform(-0.005, 0.005, 3), rng.uniform(-5e-5, 5e-5), *rng.uniform(-1e-3, 1e-3, 3)]
         errors = Deviations(
-            offset=(truth[0], truth[1], 0.0), radius=truth[2], squareness=truth[3], basis=Powers(powers=powers),
+            offset=(truth[0], truth[1], 0.0), radius=truth[2], squareness=truth[3], powers=powers,
             waviness=np.array(truth[4:]),
         )  # fmt: skip
         found = tw.diagnose(made(errors, rng, 2e-5), parts, TOOL, MACHINE, waviness=powers)

@@ -26,7 +26,6 @@ MAP = tw.HeightMap(x=X, y=X, z=PART.surface.sag(*np.meshgrid(X, X) * np.array(0.
         ({"waviness": ()}, r"powers of the waviness are \(\)"),
         ({"waviness": (3, 2)}, "must ascend"),
         ({"waviness": (3, 12)}, "at most 9"),
-        ({"waviness": np.array([0.1])}, "1 knots"),
         ({"straightness": 2}, "is 2 positions"),
         ({"feed": -0.1}, "feed is -0.1"),
         ({"points": 0}, "points is 0"),

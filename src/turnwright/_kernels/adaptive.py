@@ -16,15 +16,20 @@ BISECTIONS = 6  # of the interval between the last sample that a step may reach 
 
 
 @jit
+def hermite(begin, end, first, last, u):
+    """Return value and derivative, ``u`` from 0 to 1 on the way, of a cubic from its values and slopes at the ends."""
+    rise = end - begin
+    c = first + last - 2.0 * rise
+    b = rise - first - c
+    return begin + u * (first + u * (b + u * c)), first + u * (2.0 * b + u * 3.0 * c)
+
+
+@jit
 def cubic(t, f, df, k, at):
     """Return value and derivative at ``at`` of the cubic between samples k and k + 1."""
     h = t[k + 1] - t[k]
-    u = (at - t[k]) / h
-    rise = f[k + 1] - f[k]
-    a = h * df[k]
-    c = a + h * df[k + 1] - 2.0 * rise
-    b = rise - a - c
-    return f[k] + u * (a + u * (b + u * c)), (a + u * (2.0 * b + u * 3.0 * c)) / h
+    value, rate = hermite(f[k], f[k + 1], h * df[k], h * df[k + 1], (at - t[k]) / h)
+    return value, rate / h
 
 
 @jit
@@ -33,12 +38,7 @@ def spline_at(f, df, position, value, rate):
     last = f.size - 2
     for i in range(position.size):
         k = min(max(int(position[i]), 0), last)
-        u = position[i] - k
-        rise = f[k + 1] - f[k]
-        c = df[k] + df[k + 1] - 2.0 * rise
-        b = rise - df[k] - c
-        value[i] = f[k] + u * (df[k] + u * (b + u * c))
-        rate[i] = df[k] + u * (2.0 * b + u * 3.0 * c)
+        value[i], rate[i] = hermite(f[k], f[k + 1], df[k], df[k + 1], position[i] - k)
 
 
 @jit
@@ -238,13 +238,8 @@ def tips_at(first, step, z, rate, row, radius, tip, along):
         place = radius[i] / step - first
         k = min(max(int(np.floor(place)), 0), z.shape[0] - 2)
         j = row[i]
-        u = place - k
-        rise = z[k + 1, j] - z[k, j]
-        a = step * rate[k, j]
-        c = a + step * rate[k + 1, j] - 2.0 * rise
-        b = rise - a - c
-        tip[i] = z[k, j] + u * (a + u * (b + u * c))
-        along[i] = (a + u * (2.0 * b + u * 3.0 * c)) / step
+        tip[i], slope = hermite(z[k, j], z[k + 1, j], step * rate[k, j], step * rate[k + 1, j], place - k)
+        along[i] = slope / step
 
 
 @jit

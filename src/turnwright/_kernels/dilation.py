@@ -138,6 +138,111 @@ def distance_at_slope(edge, goal, low, high):
 
 
 @jit
+def sampled_slopes(f, step, broken, break_height, break_slope, first_break, last_break):
+    """Return how much a line can rise between samples of one piece, its range of slopes, and its highest place.
+
+    Steps are steep slopes; close to the end of its domain a surface may be steeper than between any two samples.
+    """
+    bend, steepest, falling, summit = 0.0, -np.inf, np.inf, -np.inf
+    for j in range(f.size):
+        summit = max(summit, f[j])
+    for j in range(1, f.size):
+        rate = (f[j] - f[j - 1]) / step
+        if abs(rate) < np.inf:
+            steepest, falling = max(steepest, rate), min(falling, rate)
+        if j > 1 and broken[j - 1] < 0 and broken[j - 2] < 0:
+            second = abs(f[j - 2] - 2.0 * f[j - 1] + f[j])
+            if second < np.inf:
+                bend = max(bend, second)
+    for b in range(first_break, last_break):
+        for side in range(2):
+            rate = break_slope[side, b]
+            if break_height[side, b] > -np.inf == break_height[1 - side, b] and abs(rate) < np.inf:
+                steepest, falling = max(steepest, rate), min(falling, rate)
+                summit = max(summit, break_height[side, b])
+    return bend, steepest, falling, summit
+
+
+@jit
+def sampled_maxima(
+    g, origin, step, p, k, begin, end, threshold, broken, last_break, break_after, break_at, break_height,
+    edge, point, start, stop, guess, count,
+):  # fmt: skip
+    """Append the samples begin to end of f - e = ``g`` that are no lower than their neighbours; return the count.
+
+    The neighbour is the next sample, or the near side of a kink or step before it.
+    """
+    for j in range(begin, end + 1):
+        # A last step, shorter than the others, may hide more than the samples say.
+        at_end = j < end and broken[j] >= 0 and break_height[1, broken[j]] == -np.inf
+        at_end |= j > begin and broken[j - 1] >= 0 and g[j - 1] == -np.inf
+        if g[j] == -np.inf or (g[j] < threshold and not at_end):
+            continue
+        at = origin + step * j - p
+        before, left_value = at, g[j]
+        if j > begin:
+            before, left_value = at - step, g[j - 1]
+            if broken[j - 1] >= 0:
+                b = broken[j - 1]
+                while b + 1 < last_break and break_after[b + 1] == j - 1:
+                    b += 1
+                before = break_at[b] - p
+                left_value = break_height[1, b] - edge.rake_cos * height(edge, before)
+        after, right = at, g[j]
+        if j < end:
+            after, right = at + step, g[j + 1]
+            if broken[j] >= 0:
+                after = break_at[broken[j]] - p
+                right = break_height[0, broken[j]] - edge.rake_cos * height(edge, after)
+        if g[j] >= left_value and g[j] >= right:
+            point[count], start[count], stop[count] = k, before, after
+            guess[count] = at
+            if before == at - step and after == at + step and left_value > -np.inf and right > -np.inf:
+                second = left_value - 2.0 * g[j] + right
+                if second < 0.0:
+                    guess[count] = at + 0.5 * step * (left_value - right) / second
+            count += 1
+    return count
+
+
+@jit
+def break_maxima(
+    g, origin, step, p, k, first, last, threshold, break_after, break_at, break_height, break_slope,
+    edge, point, start, stop, guess, count, direct, direct_at, ended,
+):  # fmt: skip
+    """Append the maxima between the breaks first to last and their neighbours; return the count.
+
+    The neighbour on a side is a sample, or the facing side of the next break in the same interval. The highest side of
+    a break goes into ``direct``.
+    """
+    for b in range(first, last + 1):
+        at = break_at[b] - p
+        e, rate = edge.rake_cos * height(edge, at), edge.rake_cos * slope(edge, at)
+        for side in range(2):
+            value = break_height[side, b] - e
+            at_end = break_height[1 - side, b] == -np.inf
+            if value == -np.inf or (value < threshold and not at_end):
+                continue
+            neighbour = b - 1 if side == 0 else b + 1
+            if neighbour >= first and neighbour <= last and break_after[neighbour] == break_after[b]:
+                next_at = break_at[neighbour] - p
+                following = break_height[1 - side, neighbour] - edge.rake_cos * height(edge, next_at)
+            else:
+                j = break_after[b] + side
+                next_at, following = origin + step * j - p, g[j]
+            inward = (break_slope[side, b] - rate) * (1.0 if side == 1 else -1.0)
+            if value > direct[k]:
+                direct[k], direct_at[k], ended[k] = value, at, at_end
+            # It rises into the smooth piece, and is no higher at the other end: a maximum in between.
+            if inward > 0.0 and value >= following:
+                point[count] = k
+                start[count], stop[count] = min(at, next_at), max(at, next_at)
+                guess[count] = 0.5 * (at + next_at)
+                count += 1
+    return count
+
+
+@jit
 def candidates(
     heights, origin, step, offsets, position,
     break_offsets, break_after, break_at, break_height, break_slope,
@@ -183,26 +288,9 @@ def candidates(
             broken[j] = -1
         for b in range(last_break - 1, first_break - 1, -1):
             broken[break_after[b]] = b
-        # How much f - e can rise between samples of one piece, and the range of slopes; steps are steep slopes.
-        bend, steepest, falling = 0.0, -np.inf, np.inf
-        summit = -np.inf
-        for j in range(m):
-            summit = max(summit, f[j])
-        for j in range(1, m):
-            rate = (f[j] - f[j - 1]) / step
-            if abs(rate) < np.inf:
-                steepest, falling = max(steepest, rate), min(falling, rate)
-            if j > 1 and broken[j - 1] < 0 and broken[j - 2] < 0:
-                second = abs(f[j - 2] - 2.0 * f[j - 1] + f[j])
-                if second < np.inf:
-                    bend = max(bend, second)
-        for b in range(first_break, last_break):
-            # Close to the end of its domain a surface may be steeper than between any two samples.
-            for side in range(2):
-                rate = break_slope[side, b]
-                if break_height[side, b] > -np.inf == break_height[1 - side, b] and abs(rate) < np.inf:
-                    steepest, falling = max(steepest, rate), min(falling, rate)
-                    summit = max(summit, break_height[side, b])
+        bend, steepest, falling, summit = sampled_slopes(
+            f, step, broken, break_height, break_slope, first_break, last_break
+        )
         # Where the surface is steeper than the edge at an end of the window it may touch beyond it, up to the summit.
         above = np.inf
         if steepest > edge.rake_cos * slope(edge, high):
@@ -253,64 +341,15 @@ def candidates(
             threshold = top - bend - curve
             if count + (end - begin) + 2 * (last_break - first_break) + 4 > point.size:
                 return FULL
-            for j in range(begin, end + 1):
-                # A last step, shorter than the others, may hide more than the samples say.
-                at_end = j < end and broken[j] >= 0 and break_height[1, broken[j]] == -np.inf
-                at_end |= j > begin and broken[j - 1] >= 0 and g[j - 1] == -np.inf
-                if g[j] == -np.inf or (g[j] < threshold and not at_end):
-                    continue
-                at = origin + step * j - p
-                # Neighbours of a sample: the next sample, or the near side of a kink or step before it.
-                before, left_value = at, g[j]
-                if j > begin:
-                    before, left_value = at - step, g[j - 1]
-                    if broken[j - 1] >= 0:
-                        b = broken[j - 1]
-                        while b + 1 < last_break and break_after[b + 1] == j - 1:
-                            b += 1
-                        before = break_at[b] - p
-                        left_value = break_height[1, b] - edge.rake_cos * height(edge, before)
-                after, right = at, g[j]
-                if j < end:
-                    after, right = at + step, g[j + 1]
-                    if broken[j] >= 0:
-                        after = break_at[broken[j]] - p
-                        right = break_height[0, broken[j]] - edge.rake_cos * height(edge, after)
-                if g[j] >= left_value and g[j] >= right:
-                    point[count], start[count], stop[count] = k, before, after
-                    guess[count] = at
-                    if before == at - step and after == at + step and left_value > -np.inf and right > -np.inf:
-                        second = left_value - 2.0 * g[j] + right
-                        if second < 0.0:
-                            guess[count] = at + 0.5 * step * (left_value - right) / second
-                    count += 1
-            if first < 0:
-                continue
-            for b in range(first, last + 1):
-                at = break_at[b] - p
-                e, rate = edge.rake_cos * height(edge, at), edge.rake_cos * slope(edge, at)
-                for side in range(2):
-                    value = break_height[side, b] - e
-                    at_end = break_height[1 - side, b] == -np.inf
-                    if value == -np.inf or (value < threshold and not at_end):
-                        continue
-                    # The neighbour on this side: a sample, or the facing side of the next break in the same interval.
-                    neighbour = b - 1 if side == 0 else b + 1
-                    if neighbour >= first and neighbour <= last and break_after[neighbour] == break_after[b]:
-                        next_at = break_at[neighbour] - p
-                        following = break_height[1 - side, neighbour] - edge.rake_cos * height(edge, next_at)
-                    else:
-                        j = break_after[b] + side
-                        next_at, following = origin + step * j - p, g[j]
-                    inward = (break_slope[side, b] - rate) * (1.0 if side == 1 else -1.0)
-                    if value > direct[k]:
-                        direct[k], direct_at[k], ended[k] = value, at, at_end
-                    # It rises into the smooth piece, and is no higher at the other end: a maximum in between.
-                    if inward > 0.0 and value >= following:
-                        point[count] = k
-                        start[count], stop[count] = min(at, next_at), max(at, next_at)
-                        guess[count] = 0.5 * (at + next_at)
-                        count += 1
+            count = sampled_maxima(
+                g, origin, step, p, k, begin, end, threshold, broken, last_break, break_after, break_at, break_height,
+                edge, point, start, stop, guess, count,
+            )  # fmt: skip
+            if first >= 0:
+                count = break_maxima(
+                    g, origin, step, p, k, first, last, threshold, break_after, break_at, break_height, break_slope,
+                    edge, point, start, stop, guess, count, direct, direct_at, ended,
+                )  # fmt: skip
     return count
 
 

@@ -38,9 +38,11 @@ def waviness(breaks, coefficients, s):
 
 
 @jit
-def arc(radius, breaks, coefficients, s):
-    """Return (u, w, u', w', u'', w'') on the arc: position in the rake plane from the nominal tip, w up."""
-    d, d1, d2 = waviness(breaks, coefficients, s)
+def arc(radius, d, d1, d2, s):
+    """Return (u, w, u', w', u'', w'') on the arc: position in the rake plane from the nominal tip, w up.
+
+    ``d`` is the radial deviation at the sweep ``s``, with its two derivatives.
+    """
     sine, cosine = sincos(s)
     half_sine, _ = sincos(0.5 * s)
     r = radius + d
@@ -58,9 +60,11 @@ def outline(edge, s):
     """Return (u, w, u', w', u'', w'') on the arc or, beyond it, on the flank that is tangent to its end."""
     if s < edge.low or s > edge.high:
         end = edge.low if s < edge.low else edge.high
-        u, w, du, dw, _, _ = arc(edge.radius, edge.breaks, edge.coefficients, end)
+        d, d1, d2 = waviness(edge.breaks, edge.coefficients, end)
+        u, w, du, dw, _, _ = arc(edge.radius, d, d1, d2, end)
         return u + (s - end) * du, w + (s - end) * dw, du, dw, 0.0, 0.0
-    return arc(edge.radius, edge.breaks, edge.coefficients, s)
+    d, d1, d2 = waviness(edge.breaks, edge.coefficients, s)
+    return arc(edge.radius, d, d1, d2, s)
 
 
 @jit

@@ -735,22 +735,8 @@ def useful_lateral(bounds, edge, gap, bend, most_y, rings, out, core):
 @jit
 def rings_between(rings, low, high):
     """Return the first ring between the distances ``low`` and ``high`` from the axis, and the one after the last."""
-    inner, last = 0, rings.size
-    while inner < last:
-        middle = (inner + last) // 2
-        if rings[middle] <= low:
-            inner = middle + 1
-        else:
-            last = middle
-    outer, last = 0, rings.size
-    while outer < last:
-        middle = (outer + last) // 2
-        if rings[middle] < high:
-            outer = middle + 1
-        else:
-            last = middle
-    inner = max(inner - 1, 0)
-    return inner, min(max(outer, inner + 1), rings.size - 1)
+    inner = max(np.searchsorted(rings, low, side="right") - 1, 0)
+    return inner, min(max(np.searchsorted(rings, high), inner + 1), rings.size - 1)
 
 
 @jit

@@ -16,21 +16,32 @@ from turnwright._kernels import jit
 __all__ = ["biconic", "conic", "secant", "toroid"]
 
 
-@jit
-def add_slopes(jet, i, out):
-    """Add the height and the slopes of a point."""
-    out[0, i] += jet[0]
-    out[1, i] += jet[1]
-    out[2, i] += jet[2]
+def sum_points(name, point):
+    """Return the kernel that adds the height and derivatives of ``point(x, y, *parameters)`` to ``out``."""
 
+    def kernel(x, y, parameters, out):
+        rows = out.shape[0]
+        if rows == 1:
+            for i in range(x.size):
+                out[0, i] += point(x[i], y[i], *parameters)[0]
+        elif rows == 3:
+            for i in range(x.size):
+                jet = point(x[i], y[i], *parameters)
+                out[0, i] += jet[0]
+                out[1, i] += jet[1]
+                out[2, i] += jet[2]
+        else:
+            for i in range(x.size):
+                jet = point(x[i], y[i], *parameters)
+                out[0, i] += jet[0]
+                out[1, i] += jet[1]
+                out[2, i] += jet[2]
+                out[3, i] += jet[3]
+                out[4, i] += jet[4]
+                out[5, i] += jet[5]
 
-@jit
-def add_all(jet, i, out):
-    """Add the height, the slopes and the curvatures of a point."""
-    add_slopes(jet, i, out)
-    out[3, i] += jet[3]
-    out[4, i] += jet[4]
-    out[5, i] += jet[5]
+    kernel.__qualname__ = kernel.__name__ = name  # of its file in the cache
+    return jit(kernel)
 
 
 @jit
@@ -44,19 +55,7 @@ def conic_point(x, y, c, k):
     return c * s / (1.0 + root), x * g, y * g, g + x * x * h, x * y * h, g + y * y * h
 
 
-@jit
-def conic(x, y, c, k, out):
-    """Rotational conic."""
-    rows = out.shape[0]
-    if rows == 1:
-        for i in range(x.size):
-            out[0, i] += conic_point(x[i], y[i], c, k)[0]
-    elif rows == 3:
-        for i in range(x.size):
-            add_slopes(conic_point(x[i], y[i], c, k), i, out)
-    else:
-        for i in range(x.size):
-            add_all(conic_point(x[i], y[i], c, k), i, out)
+conic = sum_points("conic", conic_point)
 
 
 @jit
@@ -119,19 +118,7 @@ def toroid_point(x, y, cx, cy):
     return z, qx / drop, qy / drop, zxx, qx * qy * h, cy / drop + qy * qy * h
 
 
-@jit
-def toroid(x, y, cx, cy, out):
-    """Circular torus."""
-    rows = out.shape[0]
-    if rows == 1:
-        for i in range(x.size):
-            out[0, i] += toroid_point(x[i], y[i], cx, cy)[0]
-    elif rows == 3:
-        for i in range(x.size):
-            add_slopes(toroid_point(x[i], y[i], cx, cy), i, out)
-    else:
-        for i in range(x.size):
-            add_all(toroid_point(x[i], y[i], cx, cy), i, out)
+toroid = sum_points("toroid", toroid_point)
 
 
 @jit
@@ -152,16 +139,4 @@ def biconic_point(x, y, cx, cy, kx, ky):
     return z, zx, zy, zxx, zxy, zyy
 
 
-@jit
-def biconic(x, y, cx, cy, kx, ky, out):
-    """Biconic."""
-    rows = out.shape[0]
-    if rows == 1:
-        for i in range(x.size):
-            out[0, i] += biconic_point(x[i], y[i], cx, cy, kx, ky)[0]
-    elif rows == 3:
-        for i in range(x.size):
-            add_slopes(biconic_point(x[i], y[i], cx, cy, kx, ky), i, out)
-    else:
-        for i in range(x.size):
-            add_all(biconic_point(x[i], y[i], cx, cy, kx, ky), i, out)
+biconic = sum_points("biconic", biconic_point)

@@ -59,35 +59,12 @@ def _gather(x, y, z, at, turn, table, low, step, limit, normal, right, sizes):
         if abs(r) > limit:
             square += limit * limit
             continue
-        c0, c1, c3, c4, c5 = -zx, -zy, q + w * zy, -w * zx - p, q * zx - p * zy
+        c = (-zx, -zy, 1.0, q + w * zy, -w * zx - p, q * zx - p * zy)
         square += r * r
-        right[0] += c0 * r
-        right[1] += c1 * r
-        right[2] += r
-        right[3] += c3 * r
-        right[4] += c4 * r
-        right[5] += c5 * r
-        normal[0, 0] += c0 * c0
-        normal[1, 0] += c1 * c0
-        normal[1, 1] += c1 * c1
-        normal[2, 0] += c0
-        normal[2, 1] += c1
-        normal[2, 2] += 1.0
-        normal[3, 0] += c3 * c0
-        normal[3, 1] += c3 * c1
-        normal[3, 2] += c3
-        normal[3, 3] += c3 * c3
-        normal[4, 0] += c4 * c0
-        normal[4, 1] += c4 * c1
-        normal[4, 2] += c4
-        normal[4, 3] += c4 * c3
-        normal[4, 4] += c4 * c4
-        normal[5, 0] += c5 * c0
-        normal[5, 1] += c5 * c1
-        normal[5, 2] += c5
-        normal[5, 3] += c5 * c3
-        normal[5, 4] += c5 * c4
-        normal[5, 5] += c5 * c5
+        for j in range(6):
+            right[j] += c[j] * r
+            for k in range(j + 1):
+                normal[j, k] += c[j] * c[k]
     return n, square
 
 

@@ -6,24 +6,19 @@ A state holds, for each point, the sweep at which the planned edge would touch a
 import numpy as np
 
 from turnwright._kernels import jit
-from turnwright._kernels.edge import waviness
+from turnwright._kernels.edge import arc, waviness
 from turnwright._kernels.trig import sincos
 
 
 @jit
-def arc(radius, d, d1, d2, s):
-    """Return (u, w, u', w', u'', w'') on an arc with the deviation d at sweep s, as `edge.arc` does."""
-    sine, cosine = sincos(s)
-    half_sine, _ = sincos(0.5 * s)
-    r = radius + d
-    return (
-        r * sine,
-        2.0 * radius * half_sine * half_sine - d * cosine,
-        d1 * sine + r * cosine,
-        r * sine - d1 * cosine,
-        d2 * sine + 2.0 * d1 * cosine - r * sine,
-        r * cosine + 2.0 * d1 * sine - d2 * cosine,
-    )
+def rotate_derivatives(angle, fx, fy, fxx, fxy, fyy):
+    """Return slopes and curvatures along the direction of an azimuth and across it: fr, ft, frr, frt, ftt."""
+    sine, cosine = sincos(angle)
+    fr, ft = fx * cosine + fy * sine, fy * cosine - fx * sine
+    frr = fxx * cosine * cosine + 2.0 * fxy * sine * cosine + fyy * sine * sine
+    ftt = fxx * sine * sine - 2.0 * fxy * sine * cosine + fyy * cosine * cosine
+    frt = (fyy - fxx) * sine * cosine + fxy * (cosine * cosine - sine * sine)
+    return fr, ft, frr, frt, ftt
 
 
 @jit
@@ -55,11 +50,7 @@ def step(
     """Improve both sweeps by one step of Newton's method; return the longest step. [rad]."""
     longest = 0.0
     for i in range(radius.size):
-        sine, cosine = sincos(psi[i] - late)
-        fr, ft = fx[i] * cosine + fy[i] * sine, fy[i] * cosine - fx[i] * sine
-        frr = fxx[i] * cosine * cosine + 2.0 * fxy[i] * sine * cosine + fyy[i] * sine * sine
-        ftt = fxx[i] * sine * sine - 2.0 * fxy[i] * sine * cosine + fyy[i] * cosine * cosine
-        frt = (fyy[i] - fxx[i]) * sine * cosine + fxy[i] * (cosine * cosine - sine * sine)
+        fr, ft, frr, frt, ftt = rotate_derivatives(psi[i] - late, fx[i], fy[i], fxx[i], fxy[i], fyy[i])
         d, d1, d2 = waviness(planned.breaks, planned.coefficients, touch[i])
         u, w, du, dw, ddu, ddw = arc(planned.radius, d, d1, d2, touch[i])
         along, across = rho[i] + planned.dx + u, planned.dy + planned.rake_sin * w
@@ -109,11 +100,7 @@ def heights(
     passes against each other, which makes the cusps; and its derivatives by a deviation and by its two derivatives.
     """
     for i in range(radius.size):
-        sine, cosine = sincos(psi[i] - late)
-        fr, ft = fx[i] * cosine + fy[i] * sine, fy[i] * cosine - fx[i] * sine
-        frr = fxx[i] * cosine * cosine + 2.0 * fxy[i] * sine * cosine + fyy[i] * sine * sine
-        ftt = fxx[i] * sine * sine - 2.0 * fxy[i] * sine * cosine + fyy[i] * cosine * cosine
-        frt = (fyy[i] - fxx[i]) * sine * cosine + fxy[i] * (cosine * cosine - sine * sine)
+        fr, ft, frr, frt, ftt = rotate_derivatives(psi[i] - late, fx[i], fy[i], fxx[i], fxy[i], fyy[i])
         d, d1, d2 = waviness(planned.breaks, planned.coefficients, touch[i])
         u, w, du, dw, ddu, ddw = arc(planned.radius, d, d1, d2, touch[i])
         along, across = rho[i] + planned.dx + u, planned.dy + planned.rake_sin * w

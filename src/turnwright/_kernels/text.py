@@ -128,12 +128,8 @@ def feeds(time, start, stop, unit, every, most, state, mantissa, places, duratio
 
 
 @jit
-def write_whole(out, at, number):
-    """Write a whole number >= 0 without leading zeros; return where it ends."""
-    count = ONE
-    while count < LONGEST and number >= POWERS_U[count]:
-        count += ONE
-    end = at + count
+def write_digits(out, at, end, number):
+    """Write a number >= 0 with leading zeros from ``at`` to ``end``; return the end."""
     write = end
     while write > at:
         quotient = number // TEN
@@ -141,6 +137,15 @@ def write_whole(out, at, number):
         out[write] = np.uint8(ZERO_SIGN + (number - quotient * TEN))
         number = quotient
     return end
+
+
+@jit
+def write_whole(out, at, number):
+    """Write a whole number >= 0 without leading zeros; return where it ends."""
+    count = ONE
+    while count < LONGEST and number >= POWERS_U[count]:
+        count += ONE
+    return write_digits(out, at, at + count, number)
 
 
 @jit
@@ -182,19 +187,11 @@ def write_fixed(out, at, units, places):
     if places == 0:
         return write_whole(out, at, number)
     scale = POWERS_U[places]
-    shown = U(places)
     integer = number // scale
-    part = number - integer * scale
     at = write_whole(out, at, integer)
     out[at] = 46
-    end = at + ONE + shown
-    write = end
-    while write > at + ONE:
-        quotient = part // TEN
-        write -= ONE
-        out[write] = np.uint8(ZERO_SIGN + (part - quotient * TEN))
-        part = quotient
-    return end
+    at += ONE
+    return write_digits(out, at, at + U(places), number - integer * scale)
 
 
 @jit

@@ -11,7 +11,7 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright._validate import check_numbers, positive
-from turnwright.diagnosis.model import Cutting, Deviations, Powers, Splines
+from turnwright.diagnosis.model import Cutting, Deviations, raise_sweep
 from turnwright.errors import InputError
 
 __all__ = ["CAUSES", "DEFAULT", "Cause", "Column", "Columns", "SourceInfo"]
@@ -63,6 +63,7 @@ RADIUS_CHANGE_RATIO = 0.1
 """Plausible change of the local nose radius by a wave, as a fraction of the radius: near 1 the nose would be flat."""
 
 LOBES = MappingProxyType({"astigmatism": 2, "trefoil": 3})
+"""Sources of the mount, not of the cut, with their lobes per revolution."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -118,8 +119,8 @@ class Columns:
     ----------
     causes
         Names, or user-defined sources.
-    basis
-        Basis functions of the waviness.
+    powers
+        Powers of the sweep that make up the waviness.
     knots
         Positions along X of the straightness error, which is 0 at both ends: a linear error is squareness. (m,) [mm]
     reach
@@ -131,7 +132,7 @@ class Columns:
     """
 
     causes: Sequence[str | Cause]
-    basis: Powers | Splines
+    powers: tuple[int, ...]
     knots: Floats
     reach: tuple[float, float]
     nose: float
@@ -147,8 +148,8 @@ class Columns:
                 continue
             info, stated = CAUSES[cause], self.plausible.get(cause)
             typical = info.typical if stated is None else stated
-            if cause == "waviness" and isinstance(self.basis, Powers):
-                for k in self.basis.powers:
+            if cause == "waviness":
+                for k in self.powers:
                     unit = "mm/rad" if k == 1 else f"mm/rad^{k}"
                     # Over a short sweep, a wave of the usual height would be steeper than an edge can be.
                     size = (
@@ -159,8 +160,6 @@ class Columns:
                     if stated is None and k > 1:  # the local radius cannot change so much that the nose is flat
                         size = min(size, RADIUS_CHANGE_RATIO * self.nose * self.reach[0] ** 2 / (k * (k - 1)))
                     columns.append(Column(f"waviness c{k}", cause, unit, size / self.reach[0] ** k, k))
-            elif cause == "waviness":
-                columns += [Column(f"waviness b{k + 1}", cause, "mm", typical, 0) for k in range(self.basis.count)]
             elif cause == "straightness":
                 inner = self.knots[1:-1]
                 columns += [Column(f"straightness at {at:.4g} mm", cause, "mm", typical, 0) for at in inner]
@@ -184,7 +183,7 @@ class Columns:
         return Deviations(
             offset=(one("offset x"), one("offset y"), one("offset z")),
             radius=one("radius error"),
-            basis=self.basis,
+            powers=self.powers,
             waviness=of.get("waviness", np.zeros(0)),
             squareness=one("squareness"),
             knots=self.knots if "straightness" in of else np.zeros(0),
@@ -226,7 +225,7 @@ class Columns:
             elif name == "radius error":
                 rows.append(cutting.by_radius + cusp * cutting.between_by[0])
             elif name == "waviness":
-                waves = self.basis.values(np.nan_to_num(cutting.sweep))
+                waves = raise_sweep(np.nan_to_num(cutting.sweep), self.powers)
                 rows += list(waves[0] * cutting.by_edge + cusp * (waves * cutting.between_by[:, None]).sum(axis=0))
             elif name == "squareness":
                 rows.append(cutting.tip_radius)

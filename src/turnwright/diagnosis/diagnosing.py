@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from turnwright._arrays import Floats, frozen
+from turnwright._arrays import Floats
 from turnwright._validate import between, positive
 from turnwright.diagnosis.causes import CAUSES, DEFAULT, Cause, Columns
 from turnwright.diagnosis.estimate import Estimate
 from turnwright.diagnosis.findings import Diagnosis
-from turnwright.diagnosis.model import Powers, Splines
 from turnwright.diagnosis.report import ReportRequest, write_report
 from turnwright.diagnosis.sight import FREE, add_signatures, prepare_maps
 from turnwright.errors import InputError
@@ -42,7 +41,7 @@ def diagnose(
     causes: Sequence[str | Cause] = DEFAULT,
     reference: Literal["true form", "best-fit sphere", "best-fit sphere, along its normal"] = "true form",
     free: Sequence[str] = FREE,
-    waviness: Sequence[int] | Floats = POWERS,
+    waviness: Sequence[int] = POWERS,
     straightness: int = STRAIGHTNESS,
     sense: int = 1,
     feed: float = 0.0,
@@ -77,8 +76,8 @@ def diagnose(
         Degrees of freedom that the measurement leaves open, so that a change of pose may explain them: any of "piston",
         "tilt", "decentre", "clocking". With a best-fit sphere, piston, slopes and power are free too.
     waviness
-        Powers of the sweep, or an array with the knots of a spline over the sweep (n,) [rad]. The first and the second
-        power have nearly the signatures of an offset along X and of a radius error, and are left out by default.
+        Powers of the sweep. The first and the second have nearly the signatures of an offset along X and of a radius
+        error, and are left out by default.
     straightness
         Number of positions along X of the straightness error, both ends included.
     sense
@@ -119,11 +118,11 @@ def diagnose(
     if len(noises) != len(maps):
         raise InputError(f"noise_nm has {len(noises)} values for {len(maps)} maps: set one for all, or one for each")
     stated = np.array([between(one, "noise", 0.0, np.inf, "nm") for one in noises]) / NM
-    basis = _set_up_basis(waviness)
+    _check_powers(waviness)
     if straightness < 3:
         raise InputError(f"straightness is {straightness} positions, it must be at least 3")
     estimate = _set_up_estimate(
-        thin, parts, tool, machine, causes=causes, reference=reference, free=free, basis=basis,
+        thin, parts, tool, machine, causes=causes, reference=reference, free=free, powers=waviness,
         straightness=straightness, sense=sense, feed=feed, stated=stated,
     )  # fmt: skip
     estimate.solve()
@@ -154,7 +153,7 @@ def plausible_rms_nm(
     """
     design = HeightMap(x=x, y=y, z=part.surface.sag(x, y))
     estimate = _set_up_estimate(
-        [design], [part], tool, machine, causes=DEFAULT, reference="true form", free=free, basis=_set_up_basis(POWERS),
+        [design], [part], tool, machine, causes=DEFAULT, reference="true form", free=free, powers=POWERS,
         straightness=STRAIGHTNESS, sense=sense, feed=0.0, stated=np.zeros(1),
     )  # fmt: skip
     return estimate.plausible_rms(0) * NM
@@ -162,17 +161,16 @@ def plausible_rms_nm(
 
 def _set_up_estimate(
     thin: Sequence[HeightMap], parts: Sequence[Part], tool: Tool, machine: Machine, *, causes: Sequence[str | Cause],
-    reference: str, free: Sequence[str], basis: Powers | Splines, straightness: int, sense: int, feed: float,
+    reference: str, free: Sequence[str], powers: Sequence[int], straightness: int, sense: int, feed: float,
     stated: Floats,
 ) -> Estimate:  # fmt: skip
-    """Return an estimate before its solution."""
     sights, reach = prepare_maps(thin, parts, tool, tuple(free), reference, sense, feed)
     radius = max(part.radius for part in parts)
     farthest = max(float(np.nanmax(np.hypot(sight.x, sight.y))) for sight in sights)
     plausible = {**machine.plausible, **tool.plausible}
     columns = Columns(
         causes=tuple(causes),
-        basis=basis,
+        powers=tuple(powers),
         knots=np.linspace(0, farthest, straightness),
         reach=(reach, radius),
         nose=tool.actual_radius,
@@ -199,7 +197,6 @@ def _check(
     maps: Sequence[HeightMap], parts: Sequence[Part], causes: Sequence[str | Cause], reference: str,
     free: Sequence[str], sense: int,
 ) -> None:  # fmt: skip
-    """Raise if the arguments of `diagnose` are not valid."""
     if not maps or len(maps) != len(parts):
         raise InputError(
             f"there are {len(maps)} maps and {len(parts)} parts: pass a map, and one part or one for each map"
@@ -224,18 +221,8 @@ def _check(
 REFERENCES = ("true form", "best-fit sphere", "best-fit sphere, along its normal")
 
 
-def _set_up_basis(waviness: Sequence[int] | Floats) -> Powers | Splines:
-    if isinstance(waviness, np.ndarray):
-        knots = frozen(waviness, "the knots of the waviness")
-        if knots.size < 2 or not (np.diff(knots) > 0).all():
-            raise InputError(
-                f"the waviness has {knots.size} knots, it needs at least 2 that ascend: sort and complete them"
-            )
-        return Splines(knots=knots)
-    powers = tuple(waviness)
+def _check_powers(powers: Sequence[int]) -> None:
     if not powers or list(powers) != sorted(set(powers)) or not 1 <= powers[0] <= powers[-1] <= MAX_POWER:
         raise InputError(
-            f"the powers of the waviness are {powers}, they must ascend from at least 1 to at most {MAX_POWER}: "
-            "pass such powers, or an array of knots"
+            f"the powers of the waviness are {tuple(powers)}, they must ascend from at least 1 to at most {MAX_POWER}"
         )
-    return Powers(powers=powers)

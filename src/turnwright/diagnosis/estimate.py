@@ -152,8 +152,10 @@ class Estimate:
     common: Floats = field(init=False)  # of those that all maps of a part share (groups,)
     between: Floats = field(init=False)  # of the sources from map to map, in plausible units (causes,)
     forms: list[Floats] = field(init=False)  # columns of the terms of form (g, n) each
-    formed: list[Floats] = field(init=False)  # poses at which these were computed
-    loose: list[Floats] = field(init=False)  # root of the prior covariance of each pose in units of POSE_SIGMA (j, j)
+    form_poses: list[Floats] = field(init=False)  # poses at which these were computed
+    pose_roots: list[Floats] = field(
+        init=False
+    )  # root of the prior covariance of each pose in units of POSE_SIGMA (j, j)
     terms: list[Floats] = field(init=False)  # current terms of each map (groups' terms,)
     seen: Bools = field(init=False)  # unknowns that are observable beyond a change of pose (k,)
     systems: list[LinearSystem] = field(init=False, default_factory=list)
@@ -167,17 +169,15 @@ class Estimate:
         self.between = np.array([CHANGE_SIGMA[1 if cause in TOOL_CAUSES else 0] ** 2 for cause in self.causes])
         self.terms = [np.zeros(TERMS) for _ in self.sights]
         self.forms = [np.zeros((0, 0)) for _ in self.sights]
-        self.formed = [np.full(sight.pose.size, np.inf) for sight in self.sights]
-        self.loose = []
+        self.form_poses = [np.full(sight.pose.size, np.inf) for sight in self.sights]
+        self.pose_roots = []
         self.seen = np.ones(len(self.names), dtype=np.bool_)
 
     def _find_start_size(self, group: Group) -> float:
-        """Return the start value of the size of a group, or its size if that is known."""
         stated_size = self.plausible.get(group.name)
         return group.size if stated_size is None else stated_size / float(np.sqrt(group.relative.max()))
 
     def _is_fixed(self, group: Group) -> bool:
-        """Whether the size of a group is fixed."""
         return group.least == group.size or group.name in self.plausible
 
     @property
@@ -216,7 +216,7 @@ class Estimate:
                     self.scale[m] = max(
                         START_NOISE_RATIO * float(np.std(system.rows[:, -1])), MODEL_ERROR_MM, self.stated[m]
                     )
-                self.loose = [self._find_pose_prior(m) for m in range(len(self.sights))]
+                self.pose_roots = [self._find_pose_prior(m) for m in range(len(self.sights))]
             self._find_sizes()
             self._measure_noise()
             if not self._reject_outliers() and self._take_step(1.0 if step < FULL_STEPS else DAMPING) < STEP_TOL:
@@ -234,12 +234,11 @@ class Estimate:
         return float(np.sqrt((system.root[j:, j : j + k] ** 2).sum() / system.rows.shape[0]))
 
     def _linearise(self, m: int) -> LinearSystem:
-        """Linearise one map at the current values."""
         sight, values = self.sights[m], self.values[m]
         residual, cutting = sight.cut(self.columns.deviations(values))
         for cause, mark in sight.added.items():
             residual = residual - values[self.of_cause(cause)] @ mark
-        good = sight.usable & ~sight.apart & np.isfinite(residual) & (cutting.tip_radius >= 0)
+        good = sight.usable & ~sight.outliers & np.isfinite(residual) & (cutting.tip_radius >= 0)
         sight.good = good
         marks, turned, numbers = self.marks(m, sight, cutting, self._update_form(m))
         if (points := int(np.count_nonzero(good))) < (needed := len(numbers) + self.typical.size + 3):
@@ -249,7 +248,7 @@ class Estimate:
             )
         rows = np.column_stack([marks, residual])[good]
         counts = np.ones(points)
-        if sight.stands is not None:  # the instrument's noise is along the normal
+        if sight.along_normal is not None:  # the instrument's noise is along the normal
             counts = 1 / np.sqrt(1 + cutting.zx[good] ** 2 + cutting.zy[good] ** 2)
             rows *= counts[:, None]
         return LinearSystem(rows, _reduce_to_triangle(rows), numbers, good, turned[good], counts)
@@ -276,10 +275,10 @@ class Estimate:
     def _update_form(self, m: int) -> Floats:
         """Return the columns of the terms of form at the points of a map. (g, n)."""
         sight, radius = self.sights[m], self.radius[m]
-        off = np.abs(sight.pose - self.formed[m])
+        off = np.abs(sight.pose - self.form_poses[m])
         if np.hypot(off[0], off[1]) + off[3] * radius > POSE_TOL_FRACTION * radius:
             x, y, _ = sight.moved()
-            self.forms[m], self.formed[m] = form_of(x / radius, y / radius), sight.pose.copy()
+            self.forms[m], self.form_poses[m] = form_of(x / radius, y / radius), sight.pose.copy()
         return self.forms[m]
 
     def _find_pose_prior(self, m: int) -> Floats:
@@ -291,7 +290,6 @@ class Estimate:
         return np.asarray((directions.T * wide) @ directions)
 
     def _find_observable(self) -> Bools:
-        """Return which unknowns have an effect that a change of pose cannot explain."""
         k = self.typical.size
         squares, points = np.zeros(k), 0
         for system in self.systems:
@@ -305,7 +303,7 @@ class Estimate:
         many = len(self.sights) > 1
         kinds = 1 + max((kind for kind in self.kinds if kind is not None), default=-1)
         map_columns = np.zeros((j + k + TERMS, j + many * k + TERMS))
-        map_columns[:j, :j] = self.loose[m]
+        map_columns[:j, :j] = self.pose_roots[m]
         if many:
             map_columns[j : j + k, j : j + k] = np.diag(np.sqrt(self.between_numbers()))
         map_columns[j + k :, -TERMS:] = np.diag(self._find_term_sigmas(self.own, even=len(self.sights) == 1))
@@ -344,16 +342,16 @@ class Estimate:
         return np.asarray(split.own @ self.posterior.own(m) + split.shared @ self.posterior.shared)
 
     def _solve_posterior(self) -> Posterior:
-        scaled, begun = [], []
+        scaled, prior_means = [], []
         for m, (system, scale) in enumerate(zip(self.systems, self.scale, strict=True)):
             split, columns = self.split(m), system.root[:, :-1] / scale
             scaled.append(Scaled(columns @ split.own, columns @ split.shared, self.target(m) / scale))
             mean = np.zeros(split.own.shape[1])
             sight = self.sights[m]
-            away = (sight.begun - sight.pose)[system.numbers] / POSE_SIGMA[system.numbers]
-            mean[: system.poses] = np.linalg.solve(self.loose[m], away)
-            begun.append(mean)
-        return posterior(scaled, begun)
+            away = (sight.start_pose - sight.pose)[system.numbers] / POSE_SIGMA[system.numbers]
+            mean[: system.poses] = np.linalg.solve(self.pose_roots[m], away)
+            prior_means.append(mean)
+        return posterior(scaled, prior_means)
 
     def _find_sizes(self) -> None:
         """Find the noise and the sizes of the terms for which the maps are most probable."""
@@ -410,7 +408,6 @@ class Estimate:
         return changes
 
     def _count_determined(self, variances: Floats) -> float:
-        """Return the number of unknowns that a map determines."""
         shared = self.posterior.shared.size
         determined = 1 - variances
         return float(determined[:-shared].sum() + determined[-shared:].sum() / len(self.sights))
@@ -421,7 +418,7 @@ class Estimate:
         map_numbers = [self.posterior.own(m) for m in range(len(self.sights))]
         k = self.typical.size
         for g, (group, place) in enumerate(zip(GROUPS, PLACES, strict=True)):
-            limits, apart = (
+            limits, most_sigmas = (
                 (group.least**2, group.most**2),
                 MAX_FORM_SIGMA if group.name == "low form" else MAX_TERM_SIGMA,
             )
@@ -435,14 +432,14 @@ class Estimate:
             least = MIN_DIFFERENCE_RATIO**2 * group.size**2 if self.several else limits[0]
             fixed = self._is_fixed(group)
             if self.several or not fixed:
-                self.own[g], change = _find_variance(self.own[g], values, spread, (least, limits[1]), apart)
+                self.own[g], change = _find_variance(self.own[g], values, spread, (least, limits[1]), most_sigmas)
                 changes.append(change)
             if fixed:
                 continue
             if any(kind is not None for kind in self.kinds):
                 common_terms = self.posterior.shared[k:].reshape(-1, TERMS)[:, place]
                 spread = (self.posterior.root[k:] ** 2).sum(axis=1).reshape(-1, TERMS)[:, place]
-                self.common[g], change = _find_variance(self.common[g], common_terms, spread, limits, apart)
+                self.common[g], change = _find_variance(self.common[g], common_terms, spread, limits, most_sigmas)
                 changes.append(change)
         if len(self.sights) > 1:
             for c, cause in enumerate(self.causes):
@@ -525,20 +522,20 @@ class Estimate:
             off = self.left(m)
             off = np.abs(off - np.median(off))
             out = off > OUTLIER_SIGMA * max(robust_scatter(off), MODEL_ERROR_MM)
-            self.sights[m].apart[np.flatnonzero(system.good)[out]] = True
+            self.sights[m].outliers[np.flatnonzero(system.good)[out]] = True
             new |= bool(out.any())
         return new
 
 
 def _find_variance(
-    size: float, values: Floats, variance: Floats, limits: tuple[float, float], apart: float = MAX_TERM_SIGMA
+    size: float, values: Floats, variance: Floats, limits: tuple[float, float], most_sigmas: float = MAX_TERM_SIGMA
 ) -> tuple[float, float]:
     """Return the variance for which some values of unit prior are most probable, and the change of its logarithm.
 
-    The largest value is at most ``apart`` standard deviations.
+    The largest value is at most ``most_sigmas`` standard deviations.
     """
     determined = max(float((1 - variance).sum()), 1e-9)
-    likely = max(float((values**2).sum()) / determined, float((values**2).max()) / apart**2)
+    likely = max(float((values**2).sum()) / determined, float((values**2).max()) / most_sigmas**2)
     new = float(np.clip(size * likely, *limits))
     return new, abs(float(np.log(new / size))) / 2
 

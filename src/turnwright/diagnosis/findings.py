@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal, NamedTuple, overload
+from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
 
 from turnwright import machine, tool
 from turnwright._arrays import Floats
 from turnwright._validate import key_of
-from turnwright.diagnosis.causes import CAUSES, Column
+from turnwright.diagnosis.causes import CAUSES
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.pose import Pose
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from turnwright.part import Part
     from turnwright.tool import Tool
 
-__all__ = ["Contribution", "Diagnosis", "DrawnCut", "Draws", "Finding", "VerdictInputs", "format_interval", "judge"]
+__all__ = ["Contribution", "Diagnosis", "DrawnCut", "Draws", "Finding", "format_interval", "judge"]
 
 NM = 1e6
 
@@ -92,8 +92,8 @@ class Finding:
     pv_nm: float
     correlated_with: tuple[tuple[str, float], ...]
     determined: bool
-    verdict: Literal["correct", "do not correct"]
-    why: str
+    verdict: Literal["correct", "do not correct"] = "do not correct"
+    why: str = ""
     repeatable: bool | None = None
     map_values: tuple[float, ...] = ()
 
@@ -291,7 +291,6 @@ class Diagnosis(Sequence[Finding]):
 
 
 def _find_display_unit(unit: str) -> tuple[str, float]:
-    """Return the unit in which a value is displayed, and the factor."""
     return (f"um{unit[2:]}", 1e3) if unit.startswith("mm/") else DISPLAY_UNITS.get(unit, (unit, 1.0))
 
 
@@ -314,66 +313,62 @@ def format_interval(value: float, half: float, unit: str) -> str:
     return f"{value * factor:+.{places}f} {name} within {half * factor:.{places}f} {name} (95 %)".replace("  ", " ")
 
 
-class VerdictInputs(NamedTuple):
-    """Inputs of the verdict of a finding."""
+def judge(
+    finding: Finding, *, seen: bool, rms_nm: float, certain: bool, steady: bool, allowed: bool, worth_nm: float
+) -> Finding:
+    """Return a finding with its verdict and the reason.
 
-    column: Column
-    value: float
-    whole: str  # the value with its uncertainty
-    seen: bool
-    determined: bool
-    significant: bool  # the interval does not contain 0
-    certain: bool  # the effect of the source is known to better than 50 %
-    rms_nm: float  # of the source
-    worth_nm: float
-    map_values: Sequence[float]
-    allowed: bool  # may be corrected by tool or machine
-    steady: bool  # the change between maps has less effect than the common part
-
-
-def judge(inputs: VerdictInputs) -> tuple[Literal["correct", "do not correct"], str]:
-    """Return the verdict and its reason."""
-    column, name = inputs.column, inputs.column.name
-    source = CAUSES.get(column.cause)
+    Parameters
+    ----------
+    finding
+        The finding without verdict.
+    seen
+        Whether it has an effect beyond a change of pose.
+    rms_nm
+        Effect of its source on the form.
+    certain
+        Whether this effect is known to better than 50 %.
+    steady
+        Whether its change between the maps has less effect than the common part.
+    allowed
+        Whether tool or machine may be corrected for it.
+    worth_nm
+        Effect that is worth a correction.
+    """
+    name, source = finding.name, CAUSES.get(finding.cause)
+    value = format_interval(finding.value, finding.interval[1] - finding.value, finding.unit)
     where = source.where if source else "measure another part, on which it has another signature"
-    unknown = _explain_unknown(inputs, where)
-    if unknown:
-        return "do not correct", unknown
-    made = f"{name} is {inputs.whole}, the {column.cause} causes {inputs.rms_nm:.3g} nm rms"
-    if name == column.cause:
-        made = f"{name} is {inputs.whole} and causes {inputs.rms_nm:.3g} nm rms"
-    reason = ""
-    if source and source.mount:
-        reason = f"{made}, which may be the mount that bends the part: {where}"
-    elif inputs.map_values and not inputs.steady:
-        each = ", ".join(format_value(one, column.unit) for one in inputs.map_values)
-        reason = f"{name} differs between the maps ({each}) and cannot be corrected by planning: find what moved"
-    elif not inputs.allowed:
-        reason = f"{made}: left to the compensation of the form, as requested"
-    elif inputs.rms_nm < inputs.worth_nm:
-        reason = f"{made}, less than the {inputs.worth_nm:g} nm that are worth a correction"
-    elif not inputs.certain:
-        reason = f"{made}, with an uncertainty above 50 %: {where}"
-    if reason:
-        return "do not correct", reason
-    remedy = REMEDY.get(column.cause, "remove it at its source")
-    return "correct", f"{made}: {remedy.format(back=format_value(-inputs.value, column.unit))}"
-
-
-def _explain_unknown(inputs: VerdictInputs, where: str) -> str:
-    """Return why a value is unknown, or an empty string if it is known."""
-    column, name = inputs.column, inputs.column.name
-    if not inputs.seen:
-        return f"{name} has no effect beyond a change of the free pose: {where}"
-    if abs(inputs.value) > IMPLAUSIBLE_SIGMA * column.typical:
-        wider = ""
-        for owner, sizes in (("tool", tool.PLAUSIBLE), ("machine", machine.PLAUSIBLE)):
-            if column.cause in sizes:
-                wider = f", or state a larger {owner}.plausible.{key_of(column.cause)}"
-        largest = format_value(IMPLAUSIBLE_SIGMA * column.typical, column.unit)[1:]
-        return (
-            f"{name} would be {inputs.whole}, the largest plausible value is {largest}: look for another cause{wider}"
-        )
-    if not inputs.determined:
-        return f"the maps do not determine {name} ({inputs.whole}): {where}"
-    return "" if inputs.significant else f"{name} is {inputs.whole}, which does not differ significantly from 0"
+    made = f"{name} is {value}, the {finding.cause} causes {rms_nm:.3g} nm rms"
+    if name == finding.cause:
+        made = f"{name} is {value} and causes {rms_nm:.3g} nm rms"
+    wider = ""
+    for owner, sizes in (("tool", tool.PLAUSIBLE), ("machine", machine.PLAUSIBLE)):
+        if finding.cause in sizes:
+            wider = f", or state a larger {owner}.plausible.{key_of(finding.cause)}"
+    largest = format_value(IMPLAUSIBLE_SIGMA * finding.plausible, finding.unit)[1:]
+    each = ", ".join(format_value(one, finding.unit) for one in finding.map_values)
+    low, high = finding.interval
+    reasons = (
+        (not seen, f"{name} has no effect beyond a change of the free pose: {where}"),
+        (
+            finding.implausible,
+            f"{name} would be {value}, the largest plausible value is {largest}: look for another cause{wider}",
+        ),
+        (not finding.determined, f"the maps do not determine {name} ({value}): {where}"),
+        (low <= 0 <= high, f"{name} is {value}, which does not differ significantly from 0"),
+        (source and source.mount, f"{made}, which may be the mount that bends the part: {where}"),
+        (
+            each and not steady,
+            f"{name} differs between the maps ({each}) and cannot be corrected by planning: find what moved",
+        ),
+        (not allowed, f"{made}: left to the compensation of the form, as requested"),
+        (rms_nm < worth_nm, f"{made}, less than the {worth_nm:g} nm that are worth a correction"),
+        (not certain, f"{made}, with an uncertainty above 50 %: {where}"),
+    )
+    for applies, reason in reasons:
+        if applies:
+            return replace(finding, why=reason)
+    remedy = REMEDY.get(finding.cause, "remove it at its source").format(
+        back=format_value(-finding.value, finding.unit)
+    )
+    return replace(finding, verdict="correct", why=f"{made}: {remedy}")

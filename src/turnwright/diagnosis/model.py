@@ -18,6 +18,7 @@ fixed [Danskin1967]_. This gives exact derivatives for a fit at the cost of one 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -30,7 +31,7 @@ from turnwright.progress import run_chunks
 from turnwright.surface import Surface
 from turnwright.tool import Tool
 
-__all__ = ["Cutting", "Deviations", "Powers", "Splines", "Sweeps", "Swept"]
+__all__ = ["Cutting", "Deviations", "Sweeps", "Swept", "raise_sweep"]
 
 MAX_STEPS = 30
 """Most Newton steps for both sweeps; four are usual."""
@@ -48,66 +49,18 @@ ROWS = 14
 """Rows that `turnwright._kernels.swept.heights` fills."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Powers:
-    """Waviness as powers of the sweep.
-
-    Parameters
-    ----------
-    powers
-        The powers, ascending.
-    """
-
-    powers: tuple[int, ...]
-
-    @property
-    def count(self) -> int:
-        """Number of coefficients."""
-        return len(self.powers)
-
-    def values(self, sweep: Floats) -> Floats:
-        """Return every power and its first two derivatives. (3, count, n)."""
-        out = np.zeros((3, self.count, sweep.size))
-        highest = self.powers[-1] if self.powers else 0
-        raised = [np.ones_like(sweep)]
-        for _ in range(highest):
-            raised.append(raised[-1] * sweep)
-        for k, power in enumerate(self.powers):
-            out[0, k] = raised[power]
-            out[1, k] = power * raised[power - 1]
-            if power > 1:
-                out[2, k] = power * (power - 1) * raised[power - 2]
-        return out
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Splines:
-    """Waviness as a cubic spline that is 0 at the tip, constant beyond its ends.
-
-    Parameters
-    ----------
-    knots
-        Ascending sweeps at which the pieces meet, the ends included; it has ``knots.size + 1`` coefficients. (n,) [rad]
-    """
-
-    knots: Floats
-
-    @property
-    def count(self) -> int:
-        """Number of coefficients."""
-        return self.knots.size + 1
-
-    def values(self, sweep: Floats) -> Floats:
-        """Return every B-spline less its value at the tip, and its first two derivatives. (3, count, n)."""
-        from scipy.interpolate import BSpline  # noqa: PLC0415 - costly to import
-
-        full = np.concatenate([self.knots[:1].repeat(3), self.knots, self.knots[-1:].repeat(3)])
-        held = np.clip(sweep, self.knots[0], self.knots[-1])
-        spline = BSpline(full, np.eye(full.size - 4), 3)
-        tip = spline(np.clip(0.0, self.knots[0], self.knots[-1]))
-        inside = (held == sweep)[:, None]
-        # The B-splines together span a constant, which the touch-off of the tool removes: the first one is left out.
-        return np.stack([(spline(held) - tip).T, (spline(held, 1) * inside).T, (spline(held, 2) * inside).T])[:, 1:]
+def raise_sweep(sweep: Floats, powers: Sequence[int]) -> Floats:
+    """Return ascending powers of the sweep and their first two derivatives. (3, powers, n)."""
+    out = np.zeros((3, len(powers), sweep.size))
+    raised = [np.ones_like(sweep)]
+    for _ in range(max(powers, default=0)):
+        raised.append(raised[-1] * sweep)
+    for k, power in enumerate(powers):
+        out[0, k] = raised[power]
+        out[1, k] = power * raised[power - 1]
+        if power > 1:
+            out[2, k] = power * (power - 1) * raised[power - 2]
+    return out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,8 +73,8 @@ class Deviations:
         Offset of the tip (dx, dy, dz). [mm]
     radius
         Error of the nose radius. [mm]
-    basis, waviness
-        Further deviation of the edge: basis functions and coefficients. (k,) [mm/rad^k, or mm]
+    powers, waviness
+        Further deviation of the edge: powers of the sweep, and their coefficients. (k,) [mm/rad^k]
     squareness
         Height error per X. [rad]
     knots, straightness
@@ -134,7 +87,7 @@ class Deviations:
 
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     radius: float = 0.0
-    basis: Powers | Splines = Powers(powers=())
+    powers: tuple[int, ...] = ()
     waviness: Floats = field(default_factory=lambda: np.zeros(0))
     squareness: float = 0.0
     knots: Floats = field(default_factory=lambda: np.zeros(0))
@@ -259,10 +212,7 @@ class Swept:
             self._chunk(x[some], y[some], sweeps.touch[some], sweeps.cut[some], deviations, part, rho[some], psi[some])
             out[:, some] = part
 
-        if x.size <= CHUNK:
-            work(0, x.size)
-        else:
-            run_chunks(work, x.size, CHUNK)
+        run_chunks(work, x.size, CHUNK)
         z, zx, zy, by_x, by_y, by_z, by_radius, by_edge, by_azimuth, bend, between = out[:11]
         return Cutting(
             x=x, y=y, tip_radius=rho, tip_angle=psi, sweep=sweeps.cut, z=z, zx=zx, zy=zy,
@@ -288,7 +238,7 @@ class Swept:
             if not real.waviness.size:
                 return np.zeros((3, x.size))
             held = np.clip(np.nan_to_num(cut), planned.low, planned.high)
-            return np.tensordot(real.basis.values(held), real.waviness, (1, 0))
+            return np.tensordot(raise_sweep(held, real.powers), real.waviness, (1, 0))
 
         at_x, at_y = np.empty(x.size), np.empty(x.size)
         for _ in range(MAX_STEPS):

@@ -77,21 +77,21 @@ class Posterior:
         return shared, map_draws
 
 
-def posterior(maps: Sequence[Scaled], begun: Sequence[Floats]) -> Posterior:
+def posterior(maps: Sequence[Scaled], prior_means: Sequence[Floats]) -> Posterior:
     """Return the posterior of unknowns of unit prior.
 
     Parameters
     ----------
     maps
         Systems with columns of unit prior.
-    begun
+    prior_means
         Prior means of the unknowns of each map. (o,) each
     """
     from scipy.linalg import qr, solve_triangular  # noqa: PLC0415 - costly to import
 
     owns, below, right = [], [np.eye(maps[0].shared.shape[1])], [np.zeros(maps[0].shared.shape[1])]
     evidence = 0.0
-    for one, mean in zip(maps, begun, strict=True):
+    for one, mean in zip(maps, prior_means, strict=True):
         size, shared_size = one.own.shape[1], one.shared.shape[1]
         stack = np.vstack([
             np.hstack([one.own, one.shared, one.target[:, None]]),

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, frozen
+from turnwright.diagnosis.causes import LOBES
 from turnwright.diagnosis.estimate import PLACES, POSE_SIGMA, TERMS, Estimate, LinearSystem
 from turnwright.diagnosis.findings import (
     NM,
@@ -22,17 +23,14 @@ from turnwright.diagnosis.findings import (
     DrawnCut,
     Draws,
     Finding,
-    VerdictInputs,
-    format_interval,
     judge,
 )
-from turnwright.diagnosis.model import Deviations, Sweeps
+from turnwright.diagnosis.model import Deviations, Sweeps, raise_sweep
 from turnwright.diagnosis.sight import Sight, add_signatures, prepare_maps, select_valid
 from turnwright.diagnosis.terms import GROUPS, columns, describe_group, tip_motion
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.part import evenly
-from turnwright.pose import Pose
 from turnwright.tool import LARGEST_ERROR, Tool, WavinessTable
 
 if TYPE_CHECKING:
@@ -114,10 +112,13 @@ def write_report(
     likely_tool, likely_machine = real_tool, real_machine
     with suppress(InputError):  # an edge that no tool can have
         likely_tool, likely_machine = _apply_deviations(estimate, likely, request)
-    full_maps = [
-        _FullMap.of(estimate, m, one, few, part, corrected, request.repeats)
-        for m, (one, few, part) in enumerate(zip(maps, thin, parts, strict=True))
-    ]
+    residuals, remainders, fields = zip(
+        *(
+            _complete_maps(estimate, m, one, few, part, corrected, request.repeats)
+            for m, (one, few, part) in enumerate(zip(maps, thin, parts, strict=True))
+        ),
+        strict=True,
+    )
     measured, explained, unexplained = _evaluate_rms(estimate)
     std = np.where(numbers.std > 0, numbers.std, np.inf)
     noise = estimate.scale / np.sqrt(estimate.correlated_points)
@@ -126,15 +127,13 @@ def write_report(
         contributions=_evaluate_contributions(estimate),
         names=tuple(column.name for column in estimate.names),
         correlation=frozen(numbers.covariance / np.outer(std, std), "correlation", ndim=2),
-        residuals=tuple(one.residual for one in full_maps),
-        remainders=tuple(one.remainder for one in full_maps),
-        fields=tuple(one.field for one in full_maps),
-        poses=tuple(_pose(sight) for sight in estimate.sights),
+        residuals=residuals, remainders=remainders, fields=fields,
+        poses=tuple(sight.motion for sight in estimate.sights),
         measured_rms_nm=measured, explained_rms_nm=explained, unexplained_rms_nm=unexplained,
         noise_nm=tuple((np.maximum(noise, estimate.stated) * NM).tolist()),
         correlated_points=tuple(estimate.correlated_points.tolist()),
         repeatability_nm=_evaluate_repeatability(estimate),
-        rejected=tuple(int(np.count_nonzero(sight.apart)) for sight in estimate.sights),
+        rejected=tuple(int(np.count_nonzero(sight.outliers)) for sight in estimate.sights),
         signatures=tuple(_evaluate_signatures(estimate, m, one) for m, one in enumerate(thin)),
         draws=lambda m: _draw_parts(estimate, m, corrected, parts[m], request),
         tool=real_tool, machine=real_machine, likely_tool=likely_tool, likely_machine=likely_machine,
@@ -159,7 +158,6 @@ def _remove_pose(estimate: Estimate, m: int) -> Floats:
 
 
 def _judge_findings(estimate: Estimate, numbers: _Numbers, request: ReportRequest) -> list[Finding]:
-    worth_nm = request.worth_nm
     k, typical, many = estimate.typical.size, estimate.typical, len(estimate.sights)
     half, std = numbers.half(), numbers.std
     marks = [_remove_pose(estimate, m)[:, :k] / typical for m in range(many)]
@@ -169,35 +167,28 @@ def _judge_findings(estimate: Estimate, numbers: _Numbers, request: ReportReques
     for i, column in enumerate(estimate.names):
         value, seen = float(numbers.value[i]), bool(estimate.seen[i])
         rms, uncertain, between = by_cause[column.cause]
-        differs = many > 1 and between > worth_nm
-        each = tuple(estimate.values[:, i].tolist()) if differs else ()
-        verdict, why = judge(
-            VerdictInputs(
-                column=column, value=value, whole=format_interval(value, float(half[i]), column.unit), seen=seen,
-                determined=bool(std[i] < DETERMINED_RATIO * typical[i]), significant=abs(value) > half[i],
-                certain=uncertain < CERTAIN_RATIO * rms, rms_nm=rms, worth_nm=worth_nm, map_values=each,
-                allowed=request.allowed is None or column.cause in request.allowed, steady=between < rms,
-            )
-        )  # fmt: skip
+        differs = many > 1 and between > request.worth_nm
         alike = [
             (other.name, float(numbers.covariance[i, j] / (std[i] * std[j])))
             for j, other in enumerate(estimate.names)
             if j != i and seen and estimate.seen[j]
         ]
         number_rms = np.sqrt(np.mean([np.sum((one[:, i] * value) ** 2) for one in marks])) * NM
+        correlated = [pair for pair in alike if abs(pair[1]) > MIN_NAMED_CORRELATION]
+        finding = Finding(
+            name=column.name, cause=column.cause, value=value, unit=column.unit, plausible=column.typical,
+            standard_uncertainty=float(std[i]), interval=(value - float(half[i]), value + float(half[i])),
+            rms_nm=float(number_rms), pv_nm=float(pv[i]) * NM,
+            correlated_with=tuple(sorted(correlated, key=lambda pair: -abs(pair[1]))),
+            determined=seen and bool(std[i] < DETERMINED_RATIO * typical[i]),
+            repeatable=None if many == 1 or not seen else not differs,
+            map_values=tuple(estimate.values[:, i].tolist()) if differs else (),
+        )  # fmt: skip
+        allowed = request.allowed is None or column.cause in request.allowed
         findings.append(
-            Finding(
-                name=column.name, cause=column.cause, value=value, unit=column.unit, plausible=column.typical,
-                standard_uncertainty=float(std[i]), interval=(value - float(half[i]), value + float(half[i])),
-                rms_nm=float(number_rms), pv_nm=float(pv[i]) * NM,
-                correlated_with=tuple(
-                    sorted(
-                        (pair for pair in alike if abs(pair[1]) > MIN_NAMED_CORRELATION),
-                        key=lambda pair: -abs(pair[1]),
-                    )
-                ),
-                determined=seen and bool(std[i] < DETERMINED_RATIO * typical[i]), verdict=verdict, why=why,
-                repeatable=None if many == 1 or not seen else not differs, map_values=each,
+            judge(
+                finding, seen=seen, rms_nm=rms, certain=uncertain < CERTAIN_RATIO * rms, steady=between < rms,
+                allowed=allowed, worth_nm=request.worth_nm,
             )
         )  # fmt: skip
     return findings
@@ -271,7 +262,7 @@ def _evaluate_rms(estimate: Estimate) -> tuple[float, float, float]:
     sums, count = np.zeros(3), 0
     for m, system in enumerate(estimate.systems):
         sight = estimate.sights[m]
-        registered = replace(sight, pose=sight.begun.copy(), sweeps=Sweeps(*(one.copy() for one in sight.sweeps)))
+        registered = replace(sight, pose=sight.start_pose.copy(), sweeps=Sweeps(*(one.copy() for one in sight.sweeps)))
         measured = registered.cut(estimate.columns.deviations(np.zeros(estimate.typical.size)))[0]
         measured, residual = measured[system.good] * system.counts, estimate.left(m)
         pose = system.rows[:, : system.poses]
@@ -400,8 +391,8 @@ def _find_unmeasured(estimate: Estimate, m: int, part: Part, tool: Tool) -> Sigh
         return None
     x, y, _ = sight.moved()
     places = _sample_design(part, DRAW_POINTS)
-    apart = KDTree(np.stack([x, y], axis=1)[sight.good]).query(np.stack(places.points(), axis=1))[0]
-    out = apart > UNMEASURED_SPACINGS * part.radius / math.sqrt(DRAW_POINTS)
+    distance = KDTree(np.stack([x, y], axis=1)[sight.good]).query(np.stack(places.points(), axis=1))[0]
+    out = distance > UNMEASURED_SPACINGS * part.radius / math.sqrt(DRAW_POINTS)
     if np.count_nonzero(out) < MIN_UNMEASURED_FRACTION * DRAW_POINTS:
         return None
     x, y = (one[out] for one in places.points())
@@ -419,7 +410,6 @@ UNMEASURED_SPACINGS, MIN_UNMEASURED_FRACTION = 4.0, 0.02
 
 
 def _sample_design(part: Part, count: int) -> HeightMap:
-    """Return the design at points evenly over a part."""
     x, y = evenly(part, count)
     return HeightMap(x=x, y=y, z=part.surface.sag(x, y), name=part.name)
 
@@ -486,11 +476,11 @@ def _draw_numbers(
 
 
 def _select_points(sight: Sight, some: Ints) -> Sight:
-    """Return some points of a map."""
     return replace(
         sight, x=sight.x[some], y=sight.y[some], z=sight.z[some], sweeps=Sweeps(*(one[some] for one in sight.sweeps)),
         added={cause: one[:, some] for cause, one in sight.added.items()}, usable=sight.usable[some],
-        good=sight.good[some], apart=sight.apart[some], stands=None if sight.stands is None else sight.stands[some],
+        good=sight.good[some], outliers=sight.outliers[some],
+        along_normal=None if sight.along_normal is None else sight.along_normal[some],
     )  # fmt: skip
 
 
@@ -499,7 +489,7 @@ LASTING = np.concatenate([np.full(group.relative.size, group.lasting) for group 
 
 def _made_by_cut(estimate: Estimate) -> Bools:
     """Return which unknowns belong to the cut, not to the mount. (k,)."""
-    return np.array([column.cause not in MOUNT for column in estimate.names])
+    return np.array([column.cause not in LOBES for column in estimate.names])
 
 
 def _draw_other_part(estimate: Estimate, request: ReportRequest, part: Part) -> Draws:
@@ -545,7 +535,6 @@ OTHER_PART_POINTS = 3_000
 def _make_case(
     estimate: Estimate, m: int, number: int, numbers: Floats, rows: Floats, request: ReportRequest
 ) -> DrawnCut:
-    """Return one draw for full simulation."""
     k, j = estimate.typical.size, estimate.systems[m].poses
     values = numbers[j : j + k] * estimate.typical
     moving = np.array([column.cause in PLANNABLE for column in estimate.names])
@@ -596,78 +585,59 @@ def _draw_student(shape: tuple[int, ...], freedom: int, random: np.random.Genera
     return np.asarray(random.normal(size=shape) * np.sqrt(freedom / random.chisquare(freedom, size=(shape[0], 1))))
 
 
-class _FullMap(NamedTuple):
-    """Residual, remainder and field at all points of a map."""
+def _complete_maps(
+    estimate: Estimate, m: int, heights: HeightMap, thinned: HeightMap, part: Part, corrected: Bools, repeats: bool
+) -> tuple[HeightMap, HeightMap, HeightMap]:
+    """Return the residual at all points of a map, and the repeatable form error with and without correction."""
+    thin, system, k = estimate.sights[m], estimate.systems[m], estimate.typical.size
+    sight = thin if heights is thinned else _expand_map(thin, thinned, heights, part, estimate)
+    residual, cutting = sight.cut(estimate.columns.deviations(estimate.values[m]))
+    for cause, one in sight.added.items():
+        residual = residual - estimate.values[m][estimate.of_cause(cause)] @ one
+    residual[~(sight.good | sight.outliers)] = np.nan
+    terms = columns(cutting, estimate.radius[m])
+    numbers = estimate.numbers(m)[system.poses + k :]
+    residual_form = residual - terms @ numbers
+    # The differences of the cuts from their mean do not repeat.
+    common = numbers
+    if estimate.kinds[m] is not None:
+        common = (estimate.split(m).shared @ estimate.posterior.shared)[-TERMS:]
+    steady = repeats or estimate.kinds[m] is not None
+    repeated = terms @ np.where(LASTING | steady, common, 0.0) + 0.0 * residual_form
+    cut_values = np.where(_made_by_cut(estimate), estimate.posterior.shared[:k] * estimate.typical, 0.0)
+    planned, certain, every = (
+        _simulate_heights(estimate, sight, values)
+        for values in (np.zeros(k), np.where(corrected, cut_values, 0.0), cut_values)
+    )
 
-    residual: HeightMap
-    remainder: HeightMap
-    field: HeightMap
+    def shown(z: Floats, name: str) -> HeightMap:
+        return replace(_put_on_grid(heights, z, sight), name=f"{heights.name} {name}".strip())
 
-    @classmethod
-    def of(
-        cls, estimate: Estimate, m: int, heights: HeightMap, thinned: HeightMap, part: Part, corrected: Bools,
-        repeats: bool,
-    ) -> _FullMap:  # fmt: skip
-        """Return the residual, and the repeatable form error with and without correction of the sources."""
-        thin, system, k = estimate.sights[m], estimate.systems[m], estimate.typical.size
-        sight = thin if heights is thinned else _expand_map(thin, thinned, heights, part, estimate)
-        residual, cutting = sight.cut(estimate.columns.deviations(estimate.values[m]))
-        for cause, one in sight.added.items():
-            residual = residual - estimate.values[m][estimate.of_cause(cause)] @ one
-        residual[~(sight.good | sight.apart)] = np.nan
-        terms = columns(cutting, estimate.radius[m])
-        numbers = estimate.numbers(m)[system.poses + k :]
-        residual_form = residual - terms @ numbers
-        # The differences of the cuts from their mean do not repeat.
-        common = numbers
-        if estimate.kinds[m] is not None:
-            common = (estimate.split(m).shared @ estimate.posterior.shared)[-TERMS:]
-        steady = repeats or estimate.kinds[m] is not None
-        repeated = terms @ np.where(LASTING | steady, common, 0.0) + 0.0 * residual_form
-        cut_values = np.where(_made_by_cut(estimate), estimate.posterior.shared[:k] * estimate.typical, 0.0)
-        planned, certain, every = (
-            _simulate_heights(estimate, sight, values)
-            for values in (np.zeros(k), np.where(corrected, cut_values, 0.0), cut_values)
-        )
-
-        def shown(z: Floats, name: str) -> HeightMap:
-            return replace(_put_on_grid(heights, z, sight), name=f"{heights.name} {name}".strip())
-
-        return cls(
-            shown(residual_form, "residual"),
-            shown(repeated + (every - certain if steady else 0.0), "remainder"),
-            shown(repeated + (every if steady else certain) - planned, "field"),
-        )
+    return (
+        shown(residual_form, "residual"),
+        shown(repeated + (every - certain if steady else 0.0), "remainder"),
+        shown(repeated + (every if steady else certain) - planned, "field"),
+    )
 
 
 def _simulate_heights(estimate: Estimate, sight: Sight, values: Floats) -> Floats:
     """Return the exact heights at the points of a map for some values of the sources. (n,) [mm]."""
-    stands = sight.stands
+    along_normal = sight.along_normal
     _, cutting = sight.cut(estimate.columns.deviations(values))
-    sight.stands = stands
+    sight.along_normal = along_normal
     made = cutting.z + sight.cusp * cutting.between
     for cause, marks in sight.added.items():
         made = made + values[estimate.of_cause(cause)] @ marks
     return np.asarray(made)
 
 
-MOUNT = frozenset({"astigmatism", "trefoil"})
-"""Sources of the mount, not of the cut."""
-
-
-def _pose(sight: Sight) -> Pose:
-    return Pose.within_a_turn(sight.pose[:3].tolist(), sight.pose[3], sight.pose[4:6])
-
-
 def _put_on_grid(heights: HeightMap, mark: Floats, sight: Sight) -> HeightMap:
-    """Return a signature on the grid of a map."""
     z = np.full(heights.z.shape, np.nan)
     z[sight.where] = mark
     return replace(heights, z=z)
 
 
 def _grid_axes(heights: HeightMap) -> tuple[Floats, Floats]:
-    """Return rows and columns of a grid."""
     rows, columns = (heights.angle, heights.radius) if heights.polar else (heights.y, heights.x)
     assert rows is not None  # noqa: S101 - a grid has both
     assert columns is not None  # noqa: S101
@@ -687,15 +657,15 @@ def _expand_map(thin: Sight, thinned: HeightMap, heights: HeightMap, part: Part,
         added={},
         usable=np.isfinite(z),
         good=np.isfinite(z),
-        apart=np.zeros(z.size, dtype=np.bool_),
+        outliers=np.zeros(z.size, dtype=np.bool_),
     )
     if not heights.scattered:
         held = np.zeros(thin.where.shape, dtype=np.bool_)
-        held[thin.where] = thin.good | thin.apart
+        held[thin.where] = thin.good | thin.outliers
         near = [_find_nearest(full, few) for full, few in zip(_grid_axes(heights), _grid_axes(thinned), strict=True)]
         sight.good = held[np.ix_(*near)][where]
-    if thin.stands is not None:
-        sight.stands = z
+    if thin.along_normal is not None:
+        sight.along_normal = z
     add_signatures(sight, estimate.columns)
     return sight
 
@@ -731,5 +701,5 @@ def _make_waviness_table(estimate: Estimate, real: Deviations, tool: Tool) -> Wa
     low, high = float(np.nanmin(used)), float(np.nanmax(used))
     sweep = np.linspace(*tool.arc, EDGE_POINTS)
     held = np.clip(sweep, low, high)
-    height, slope, _ = np.tensordot(real.basis.values(held), real.waviness, (1, 0))
+    height, slope, _ = np.tensordot(raise_sweep(held, real.powers), real.waviness, (1, 0))
     return WavinessTable(sweep=sweep, deviation=tool.deviation(sweep) + height + slope * (sweep - held))

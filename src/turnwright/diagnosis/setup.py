@@ -213,5 +213,4 @@ def _subtract_design(heights: HeightMap, part: Part) -> Floats:
 
 
 def _find_equal_radius(where: Bools, pixel: float) -> float:
-    """Return the radius of the disc with the area of some pixels."""
     return float(np.sqrt(np.count_nonzero(where) / np.pi)) * pixel

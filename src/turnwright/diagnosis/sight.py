@@ -50,23 +50,27 @@ class Sight:
     added: dict[str, Floats]
     usable: Bools  # points that the planned tool cuts
     good: Bools  # points in the fit
-    apart: Bools  # outliers
+    outliers: Bools
     free: tuple[str, ...]
     reference: str
     where: Bools  # mask of these points in the map
     sphere: Floats | None
-    stands: Floats | None  # current estimate of the deviation along the normal of the points [mm]
+    along_normal: Floats | None  # current estimate of the deviation along the normal of the points [mm]
     cusp: float  # mean height of the cusps per curvature between the passes [mm²]
     pose: Floats  # shift x, y, z, rotation, tilts [mm, rad]; and (p, q, k) beyond those of the design's sphere
-    begun: Floats  # start value of the pose
+    start_pose: Floats
+
+    @property
+    def motion(self) -> Pose:
+        """The rigid part of the current pose."""
+        return Pose.within_a_turn(self.pose[:3].tolist(), self.pose[3], self.pose[4:6])
 
     def moved(self) -> tuple[Floats, Floats, Floats]:
         """Return the points in the frame of the part, by the current pose."""
         x, y, z = self.x, self.y, self.z
         if self.sphere is not None:
-            x, y, z = put_on_sphere(self.sphere + self.pose[6:], x, y, z, self.stands)
-        shift, rotation, tilt = self.pose[:3], self.pose[3], self.pose[4:6]
-        return Pose.within_a_turn(shift, rotation, tilt).apply(x, y, z)
+            x, y, z = put_on_sphere(self.sphere + self.pose[6:], x, y, z, self.along_normal)
+        return self.motion.apply(x, y, z)
 
     def cut(self, deviations: Deviations) -> tuple[Floats, Cutting]:
         """Return the measured minus the predicted height for some deviations, and how the points were cut."""
@@ -78,8 +82,8 @@ class Sight:
                 cached[lost] = again
         cutting = self.swept.heights(x, y, self.sweeps, deviations)
         residual = z - cutting.z - self.cusp * cutting.between
-        if self.stands is not None:
-            self.stands = self.z - np.nan_to_num(residual) / np.sqrt(1 + cutting.zx**2 + cutting.zy**2)
+        if self.along_normal is not None:
+            self.along_normal = self.z - np.nan_to_num(residual) / np.sqrt(1 + cutting.zx**2 + cutting.zy**2)
         return residual, cutting
 
     def nuisances(self, cutting: Cutting, by_angle: Floats) -> tuple[Floats, list[int]]:
@@ -99,10 +103,10 @@ class Sight:
         numbers = [number for name in FREE if name in self.free for number in names[name]]
         if self.sphere is not None and "sphere" in self.free:
             shape = self.sphere + self.pose[6:]
-            off = self.z if self.stands is None else self.stands  # no noise in the signatures
+            off = self.z if self.along_normal is None else self.along_normal  # no noise in the signatures
             for k in range(3):
                 step = SPHERE_STEPS[k] * np.eye(3)[k]
-                ends = [put_on_sphere(shape + side * step, self.x, self.y, off, self.stands) for side in (1, -1)]
+                ends = [put_on_sphere(shape + side * step, self.x, self.y, off, self.along_normal) for side in (1, -1)]
                 by_x, by_y, by_z = ((high - low) / (2 * SPHERE_STEPS[k]) for high, low in zip(*ends, strict=True))
                 rows[6 + k] = by_z - zx * by_x - zy * by_y
             numbers += [6, 7, 8]
@@ -119,21 +123,22 @@ def evaluate_sphere(shape: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats
 
 
 def put_on_sphere(
-    shape: Floats, x: Floats, y: Floats, off: Floats, stands: Floats | None
+    shape: Floats, x: Floats, y: Floats, off: Floats, along_normal: Floats | None
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the points at the deviation ``off`` from a sphere: along z, or with ``stands`` along its normal.
+    """Return the points at the deviation ``off`` from a sphere: along z, or with ``along_normal`` along its normal.
 
     Along the normal, the lateral position of a point depends on its deviation. It is computed from the expected
-    deviation ``stands``; the difference, mostly noise, is taken along z. Otherwise noise in the lateral position would
-    bias the signatures.
+    deviation ``along_normal``; the difference, mostly noise, is taken along z. Otherwise noise in the lateral position
+    would bias the signatures.
     """
     p, q, k = shape
     root, height = evaluate_sphere(shape, x, y)
-    if stands is None:
+    if along_normal is None:
         return x, y, height + off
     zx, zy = (k * x + p) / root, (k * y + q) / root
     lean = np.sqrt(1 + zx * zx + zy * zy)
-    return x - stands / lean * zx, y - stands / lean * zy, height + stands / lean + (off - stands) * lean
+    out = along_normal / lean
+    return x - out * zx, y - out * zy, height + out + (off - along_normal) * lean
 
 
 def fit_sphere(x: Floats, y: Floats, z: Floats) -> Floats:
@@ -175,21 +180,20 @@ def prepare_maps(
 def _prepare_map(
     heights: HeightMap, part: Part, tool: Tool, free: tuple[str, ...], reference: str, sense: int, feed: float
 ) -> Sight:
-    """Return one map prepared for the fit."""
     where, x, y, z = select_valid(heights, part)
     swept = Swept(surface=part.surface, tool=tool, sense=sense, rim=part.radius)
     sphere, pose, opened = None, np.zeros(9), free
     if reference != "true form" and x.size > 4:
         design = part.surface.sag(x, y)
         sphere = fit_sphere(x, y, design)
-        pose[2] = float(np.mean(design - z - _sphere_height(sphere, x, y)))
+        pose[2] = float(np.mean(design - z - evaluate_sphere(sphere, x, y)[1]))
         opened = (*dict.fromkeys((*free, "piston", "sphere")),)
     sight = Sight(
         x=x, y=y, z=z, swept=swept, sweeps=swept.start(x, y), added={},
         usable=np.ones(x.size, dtype=np.bool_), good=np.ones(x.size, dtype=np.bool_),
-        apart=np.zeros(x.size, dtype=np.bool_), free=opened, reference=reference, sphere=sphere, where=where,
-        stands=np.zeros(x.size) if reference.endswith("normal") else None,
-        cusp=feed * feed / 24, pose=pose, begun=pose.copy(),
+        outliers=np.zeros(x.size, dtype=np.bool_), free=opened, reference=reference, sphere=sphere, where=where,
+        along_normal=np.zeros(x.size) if reference.endswith("normal") else None,
+        cusp=feed * feed / 24, pose=pose, start_pose=pose.copy(),
     )  # fmt: skip
     at = swept.heights(x, y, sight.sweeps, Deviations())
     with np.errstate(invalid="ignore"):
@@ -212,7 +216,3 @@ def select_valid(heights: HeightMap, part: Part) -> tuple[Bools, Floats, Floats,
     if inside is not None:
         where &= inside
     return where, x[where], y[where], heights.z[where]
-
-
-def _sphere_height(sphere: Floats, x: Floats, y: Floats) -> Floats:
-    return put_on_sphere(sphere, x, y, np.zeros_like(x), None)[2]

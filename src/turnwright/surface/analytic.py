@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from numbers import Integral, Real
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from turnwright._validate import finite, whole as whole_number
+from turnwright._kernels import quadrics
+from turnwright._validate import check_numbers, finite, whole
 from turnwright.errors import InputError, JobError
 from turnwright.surface.base import Surface
 from turnwright.units import LEAST, MOST, unit
@@ -28,12 +27,11 @@ __all__ = [
     "Radius",
     "Terms",
     "changing_length",
-    "curvature",
+    "check_radius",
     "index_of",
     "indices_of",
     "read_terms",
     "summed",
-    "whole",
     "whole_pair",
 ]
 
@@ -96,17 +94,11 @@ def indices_of(key: str) -> tuple[int, int]:
     return int(match.group(1)), int(match.group(2))
 
 
-def whole(key: object, what: str) -> int:
-    """Return ``key`` if it is an integer of 0 or more."""
-    return whole_number(key, what, 0)
-
-
 def whole_pair(key: object, what: str) -> tuple[int, int]:
     """Return ``key`` if it is two integers, of which the second may be negative."""
-    if not isinstance(key, tuple | list) or len(key) != 2 or not isinstance(key[1], Integral):
+    if not isinstance(key, tuple | list) or len(key) != 2:
         raise InputError(f"{what} is {key!r}, it must be a pair of whole numbers: give two of them")
-    sign = -1 if key[1] < 0 else 1
-    return whole(key[0], what), sign * whole(sign * int(key[1]), what)
+    return whole(key[0], what, 0), whole(key[1], what, -MAX_DEGREE)
 
 
 def read_terms(terms: Terms[Any], what: str, key: Callable[[object], K]) -> tuple[tuple[K, float], ...]:
@@ -118,29 +110,21 @@ def read_terms(terms: Terms[Any], what: str, key: Callable[[object], K]) -> tupl
         If a coefficient is not finite or a key is repeated.
     """
     coefficients: dict[K, float] = {}
-    for item in terms.items() if isinstance(terms, Mapping) else terms:
-        if not isinstance(item, tuple | list) or len(item) != 2:
-            raise InputError(f"{what} has the term {item!r}, each must be a pair of key and coefficient: give both")
-        place = key(item[0])
+    for name, value in terms.items() if isinstance(terms, Mapping) else terms:
+        place = key(name)
         if place in coefficients:
-            raise InputError(f"{what} has the term {item[0]!r} twice, only one is allowed: add the two coefficients")
-        coefficients[place] = finite(item[1], f"the coefficient of term {item[0]!r} of {what}")
+            raise InputError(f"{what} has the term {name!r} twice, only one is allowed: add the two coefficients")
+        coefficients[place] = finite(value, f"the coefficient of term {name!r} of {what}")
     return tuple(sorted(coefficients.items()))
 
 
-def curvature(radius: float, what: str) -> float:
-    """Return 1/radius; an infinite radius is flat. [1/mm]."""
-    if not isinstance(radius, Real) or np.isnan(radius) or radius == 0:
+def check_radius(radius: float, what: str) -> None:
+    """Raise unless a vertex radius is infinite, or of a size that a part can have."""
+    if not (LEAST <= abs(radius) <= MOST or np.isinf(radius)):
         raise InputError(
-            f"{what} is {radius!r} mm, it must not be 0: give it positive for concave, negative for convex, "
-            "infinite for a flat"
+            f"{what} is {radius:g} mm, it must not be 0, and its size is limited to {LEAST:g} to {MOST:g} mm: give it "
+            "positive for concave, negative for convex, infinite for a flat"
         )
-    if not LEAST <= abs(radius) <= MOST and not np.isinf(radius):
-        raise InputError(
-            f"{what} is {radius:g} mm, the limits of its size are {LEAST:g} to {MOST:g} mm: check its exponent and its "
-            "unit, or give it infinite for a flat"
-        )
-    return 1 / radius
 
 
 def summed(x: Floats, y: Floats, order: int, *steps: tuple[Any, ...]) -> tuple[Floats, ...]:
@@ -188,24 +172,36 @@ class OnConic(Surface):
     """A surface based on a conic of revolution, defined where the conic is."""
 
     __slots__ = ()
+    if TYPE_CHECKING:
+        radius: Radius
+        conic: float
+
+    def __post_init__(self) -> None:
+        check_numbers(self, inf=("radius",))
+        check_radius(self.radius, f"the radius of a {self.family}")
 
     @property
-    @abstractmethod
     def base(self) -> tuple[float, float]:
         """Vertex curvature and conic constant. [1/mm, 1]."""
+        return 1 / self.radius, float(self.conic)
+
+    def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
+        """Return the height of the conic and its derivatives. See `Surface.evaluate`."""
+        return summed(x, y, order, (quadrics.conic, self.base))
+
+    @property
+    def _squared(self) -> float:
+        c, k = self.base
+        return (1 + k) * c * c
 
     @property
     def reach(self) -> float:
         """Distance from the axis at which the conic is vertical. [mm]."""
-        c, k = self.base
-        squared = (1 + k) * c * c
-        return float(1 / np.sqrt(squared)) if squared > 0 else float("inf")
+        return self.conic_length if self._squared > 0 else float("inf")
 
     def inside(self, x: Floats, y: Floats) -> Bools | None:
         """Return where the conic is defined."""
-        c, k = self.base
-        squared = (1 + k) * c * c
-        return None if squared <= 0 else 1 - squared * (x * x + y * y) > 0
+        return None if self._squared <= 0 else 1 - self._squared * (x * x + y * y) > 0
 
     @property
     def domain(self) -> str:
@@ -220,6 +216,4 @@ class OnConic(Surface):
     @property
     def conic_length(self) -> float:
         """Length over which the curvature of the conic changes. [mm]."""
-        c, k = self.base
-        squared = abs((1 + k) * c * c)
-        return float(1 / np.sqrt(squared)) if squared > 0 else float("inf")
+        return float(1 / np.sqrt(abs(self._squared))) if self._squared else float("inf")

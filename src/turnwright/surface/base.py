@@ -130,8 +130,8 @@ class Surface(Family, Value, ABC):
 
     @property
     def stated(self) -> Any:
-        """The value that a job file describes in place of this one, such as the file of measured heights."""
-        return self
+        """The value that a job file describes in place of this one: the ``source`` of heights from a file."""
+        return getattr(self, "source", self)
 
     @abstractmethod
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._validate import check_numbers
+from turnwright._validate import check_numbers, thing
 from turnwright.errors import InputError
 from turnwright.pose import Pose
 from turnwright.surface.base import COSTLIEST, Surface
@@ -54,8 +54,7 @@ class Sum(Surface):
         check_numbers(self)
         flat: list[Surface] = []
         for term in self.terms:
-            if not isinstance(term, Surface):
-                raise InputError(f"a sum holds {term!r}, which is not a surface: give a Surface")
+            thing(term, Surface, "a term of a sum")
             flat.extend(term.terms if isinstance(term, Sum) else (term,))
         if not flat:
             raise InputError("a sum has 0 terms, it needs at least 1: give the surfaces to add")
@@ -172,8 +171,7 @@ class Placed(Surface):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        if not isinstance(self.surface, Surface):
-            raise InputError(f"the surface to place is {self.surface!r}, it must be a surface: give a Surface")
+        thing(self.surface, Surface, "the surface to place")
         pose = self.pose
         for name in ("shift", "rotation", "tilt"):
             object.__setattr__(self, name, getattr(pose, name))
@@ -242,19 +240,14 @@ class Placed(Surface):
     @property
     def feature_size(self) -> float:
         """Feature size of the surface, foreshortened by the tilt. [mm]."""
-        return float(self.surface.feature_size * self._turn()[2, 2])
+        return float(self.surface.feature_size * self.pose.matrix[2, 2])
 
     @property
     def pose(self) -> Pose:
         """Pose of the surface's frame in the part frame."""
         return Pose(shift=self.shift, rotation=self.rotation, tilt=self.tilt)
 
-    def _turn(self) -> Floats:
-        """Return the rotation matrix from the surface's frame to the part's."""
-        return self.pose.matrix
-
     def _level(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
-        """Evaluate without tilt."""
         u, v, _ = self._local(x, y)
         z, *derivatives = self.surface.evaluate(u, v, order)
         z = z + self.shift[2]
@@ -272,8 +265,7 @@ class Placed(Surface):
         return z, *first, zxx, zxy, zyy
 
     def _tilted(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
-        """Evaluate with tilt, by intersecting vertical lines with the surface."""
-        turn = self._turn()
+        turn = self.pose.matrix
         u, v, height = self._local(x, y)
         with np.errstate(all="ignore"):
             z = height + self.shift[2]
@@ -301,7 +293,7 @@ class Placed(Surface):
         Without tilt the returned height is 0; with tilt it is nan where no intersection was found. Each (n,).
         """
         dx, dy = x.ravel() - self.shift[0], y.ravel() - self.shift[1]
-        turn = self._turn()
+        turn = self.pose.matrix
         u, v = turn[0, 0] * dx + turn[1, 0] * dy, turn[0, 1] * dx + turn[1, 1] * dy
         if self.tilt == (0.0, 0.0):
             return u, v, np.zeros_like(u)
@@ -325,7 +317,7 @@ class Placed(Surface):
 
         A step is accepted only if it ends in the domain, where the normal points up, and closer to the surface.
         """
-        lu, lv, lw = self._turn()[2]
+        lu, lv, lw = self.pose.matrix[2]
         t = start.copy()
         height = np.full_like(t, np.nan)
         with np.errstate(all="ignore"):
@@ -355,7 +347,7 @@ class Placed(Surface):
     def _gap(self, u: Floats, v: Floats, w: Floats | float) -> tuple[Floats, Floats]:
         """Return the height of a point above the surface along its own axis, and its derivative along part z."""
         z, fu, fv = self.surface.evaluate(u, v, 1)
-        lu, lv, lw = self._turn()[2]
+        lu, lv, lw = self.pose.matrix[2]
         gap, up = w - z, lw - lu * fu - lv * fv
         inside = self.surface.inside(u, v)
         if inside is not None:

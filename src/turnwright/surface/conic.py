@@ -9,7 +9,7 @@ import numpy as np
 
 from turnwright._arrays import Floats, frozen
 from turnwright._kernels import polynomials, quadrics
-from turnwright._validate import check_numbers, finite
+from turnwright._validate import check_numbers, finite_tuple, whole
 from turnwright.errors import InputError
 from turnwright.surface.analytic import (
     MAX_DEGREE,
@@ -17,11 +17,10 @@ from turnwright.surface.analytic import (
     Radius,
     Terms,
     changing_length,
-    curvature,
+    check_radius,
     index_of,
     read_terms,
     summed,
-    whole,
 )
 from turnwright.surface.base import Series, Surface
 from turnwright.units import Number
@@ -49,9 +48,7 @@ class Plane(Surface):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        if np.shape(self.slope) != (2,):
-            raise InputError(f"the slope of a plane is {self.slope!r}, it must be two numbers: give (sx, sy)")
-        object.__setattr__(self, "slope", tuple(finite(value, "the slope of a plane") for value in self.slope))
+        object.__setattr__(self, "slope", finite_tuple(self.slope, "the slope of a plane", 2))
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
@@ -83,18 +80,10 @@ class Sphere(OnConic):
     example = MappingProxyType({"radius": "50 mm"})
     radius: Radius
 
-    def __post_init__(self) -> None:
-        check_numbers(self, inf=("radius",))
-        curvature(self.radius, "the radius of a sphere")
-
     @property
     def base(self) -> tuple[float, float]:
         """Vertex curvature and conic constant. [1/mm, 1]."""
         return 1 / self.radius, 0.0
-
-    def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
-        """Return height and derivatives, see `Surface.evaluate`."""
-        return summed(x, y, order, (quadrics.conic, *self.base))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,22 +108,9 @@ class Conic(OnConic):
     radius: Radius
     conic: Number
 
-    def __post_init__(self) -> None:
-        check_numbers(self, inf=("radius",))
-        curvature(self.radius, "the radius of a conic")
-
-    @property
-    def base(self) -> tuple[float, float]:
-        """Vertex curvature and conic constant. [1/mm, 1]."""
-        return 1 / self.radius, float(self.conic)
-
-    def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
-        """Return height and derivatives, see `Surface.evaluate`."""
-        return summed(x, y, order, (quadrics.conic, *self.base))
-
 
 def _even_power(key: object) -> int:
-    power = whole(key, "the power of an even asphere's term")
+    power = whole(key, "the power of an even asphere's term", 0)
     if power < 2 or power % 2 or power > MAX_DEGREE:
         raise InputError(
             f"the power of an even asphere's term is {power}, it must be even and from 2 to {MAX_DEGREE}: name each "
@@ -180,18 +156,13 @@ class EvenAsphere(OnConic):
 
     def __post_init__(self) -> None:
         check_numbers(self, inf=("radius",))
-        curvature(self.radius, "the radius of an even asphere")
+        check_radius(self.radius, "the radius of an even asphere")
         terms = read_terms(self.terms, "an even asphere", _even_power)
         object.__setattr__(self, "terms", terms)
         coefficients = np.zeros(1 + max((power for power, _ in terms), default=0) // 2)
         for power, value in terms:
             coefficients[power // 2] = value
         object.__setattr__(self, "_coefficients", frozen(coefficients, "coefficients"))
-
-    @property
-    def base(self) -> tuple[float, float]:
-        """Vertex curvature and conic constant. [1/mm, 1]."""
-        return 1 / self.radius, float(self.conic)
 
     @property
     def feature_size(self) -> float:
@@ -202,4 +173,4 @@ class EvenAsphere(OnConic):
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
-        return summed(x, y, order, (quadrics.conic, *self.base), (polynomials.even, self._coefficients))
+        return summed(x, y, order, (quadrics.conic, self.base), (polynomials.even, self._coefficients))

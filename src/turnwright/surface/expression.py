@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, NamedTuple, NoReturn, TypeAlias
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints
-from turnwright._validate import check_numbers, positive
-from turnwright.errors import DomainError, InputError
+from turnwright._validate import check_numbers, finite, positive
+from turnwright.errors import DomainError, InputError, shown
 from turnwright.surface.base import COSTLIEST, Surface
 from turnwright.units import Number, Size, Text
 
@@ -250,7 +250,7 @@ class Expression(Surface):
             first = np.flatnonzero(~smooth)[0]
             place = "on the axis" if axis.ravel()[first] else "at the limit of one of its terms"
             raise DomainError(
-                f"Expression {_short(self.formula)!r} has no {('height', 'slope', 'curvature')[order]} at "
+                f"Expression {shown(self.formula)} has no {('height', 'slope', 'curvature')[order]} at "
                 f"x = {x.ravel()[first]:.6g} mm, y = {y.ravel()[first]:.6g} mm ({np.count_nonzero(~smooth)} of "
                 f"{smooth.size} points), {place}: keep away from it, or write distances as rho and azimuths as phi"
             )
@@ -323,7 +323,7 @@ class Expression(Surface):
                 bad = np.flatnonzero(step.max(axis=0) > 1e-9 * (1e-3 + size.max(axis=0)))
             if bad.size:
                 raise InputError(
-                    f"formula {_short(self.formula)!r} has a step of {step[:, bad[0]].max():.3g} where phi jumps from "
+                    f"formula {shown(self.formula)} has a step of {step[:, bad[0]].max():.3g} where phi jumps from "
                     "180 to -180 deg, it must be continuous: multiply phi by whole numbers, inside sin and cos"
                 )
 
@@ -427,11 +427,8 @@ def _zeros(divisor: tuple[Step, ...], x: Floats, y: Floats) -> tuple[Floats, Flo
 
 
 def _constant(name: str, value: float) -> float:
-    """Return a named constant's value."""
     if not str(name).isidentifier() or name in (*VARIABLES, *NUMBERS, *CALLS, *PAIRS):
         raise InputError(f"constant {name!r} is not an identifier, or is a name of the formula language: rename it")
-    if not np.isfinite(value):
-        raise InputError(f"constant {name} is {value}, it must be finite: give a number")
     return float(value)
 
 
@@ -452,7 +449,7 @@ def _read(formula: str, numbers: Mapping[str, float]) -> tuple[Step, ...]:
             tree = ast.parse(text, mode="eval")
     except (SyntaxError, ValueError, Warning) as error:
         raise InputError(
-            f"formula {_short(text)!r} cannot be parsed: write it as in 0.1*x**2 - sin(3*phi), every product with *"
+            f"formula {shown(text)} cannot be parsed: write it as in 0.1*x**2 - sin(3*phi), every product with *"
         ) from error
     except (RecursionError, MemoryError) as error:
         raise InputError(
@@ -465,7 +462,6 @@ def _read(formula: str, numbers: Mapping[str, float]) -> tuple[Step, ...]:
 
 
 def _cost(steps: tuple[Step, ...], operands: list[tuple[slice, ...]]) -> int:
-    """Return the cost of a formula per point, in additions."""
     return sum(
         VARYING_POWER_COST if what == "**" and _varies(steps[spans[-1]]) else COSTS.get(str(what), 1) if spans else 0
         for (_, what), spans in zip(steps, operands, strict=True)
@@ -523,7 +519,6 @@ def _varies(steps: tuple[Step, ...]) -> bool:
 
 
 def _append(node: ast.expr, text: str, numbers: Mapping[str, float], steps: list[Step], depth: int) -> None:
-    """Append the steps of a part of the formula."""
     if depth == 0:
         raise InputError(f"a formula has brackets nested too deeply, the limit is {MAX_NESTING}: simplify it")
     # A long sum is a tree nested to the left; it is unrolled, so that only brackets count as nesting.
@@ -544,7 +539,7 @@ def _append_factor(node: ast.expr, text: str, numbers: Mapping[str, float], step
     """Append the steps of a number, a name, a sign or a call."""
     match node:
         case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
-            steps.append(("number", _number(value, text)))
+            steps.append(("number", finite(value, "a number of a formula")))
         case ast.Name(id=name) if name in VARIABLES:
             steps.append(("name", name))
         case ast.Name(id=name) if name in numbers:
@@ -568,7 +563,6 @@ def _append_factor(node: ast.expr, text: str, numbers: Mapping[str, float], step
 
 
 def _refuse(node: ast.expr, text: str) -> NoReturn:
-    """Raise because of a part that is not allowed in a formula."""
     part = ast.get_source_segment(text, node) or text
     match node:
         case ast.Name(id=name):
@@ -577,30 +571,14 @@ def _refuse(node: ast.expr, text: str) -> NoReturn:
         case ast.Call(func=ast.Name(id=name)) if name in ROUGH:
             what, remedy = f"{name}(), which is not smooth", "write a smooth function, for instance sqrt(u**2 + w**2)"
         case ast.Call(func=ast.Name(id=name)) if name in (*CALLS, *PAIRS):
-            what, remedy = f"{_short(part)!r}", f"give {name} {2 if name in PAIRS else 1} plain argument(s)"
+            what, remedy = f"{shown(part)}", f"give {name} {2 if name in PAIRS else 1} plain argument(s)"
         case ast.BinOp(op=ast.BitXor()):
-            what, remedy = f"the sign ^ in {_short(part)!r}", "write ** for a power"
+            what, remedy = f"the sign ^ in {shown(part)}", "write ** for a power"
         case ast.Tuple():
-            what, remedy = f"a comma in {_short(part)!r}", "write decimals with a point"
+            what, remedy = f"a comma in {shown(part)}", "write decimals with a point"
         case _:
-            what, remedy = f"{_short(part)!r}", f"use + - * / ** and {', '.join((*CALLS, *PAIRS))} only"
-    raise InputError(f"formula {_short(text)!r} has {what}: {remedy}")
-
-
-def _number(value: float, text: str) -> float:
-    """Return a literal as a float."""
-    try:
-        number = float(value)
-    except OverflowError:
-        number = np.inf
-    if not np.isfinite(number):
-        raise InputError(f"formula {_short(text)!r} has a number beyond 1.8e308, the limit: write a smaller one")
-    return number
-
-
-def _short(text: str) -> str:
-    """Return the beginning of a long text."""
-    return text if len(text) <= 60 else text[:57] + "..."
+            what, remedy = f"{shown(part)}", f"use + - * / ** and {', '.join((*CALLS, *PAIRS))} only"
+    raise InputError(f"formula {shown(text)} has {what}: {remedy}")
 
 
 def _jet(order: int, value: Value, by_x: Value = 0.0, by_y: Value = 0.0) -> Jet:
@@ -679,7 +657,7 @@ def _sum(a: Jet, b: Jet, order: int) -> Jet:
 
 
 def _difference(a: Jet, b: Jet, order: int) -> Jet:
-    return tuple(_plus(p, -q) for p, q in zip(a, b, strict=True))
+    return _sum(a, tuple(-q for q in b), order)
 
 
 def _product(a: Jet, b: Jet, order: int) -> Jet:
@@ -707,7 +685,6 @@ def _quotient(a: Jet, b: Jet, order: int) -> Jet:
 
 
 def _over(a: Value, b: Value) -> Value:
-    """Divide; an exact zero stays zero."""
     return 0.0 if isinstance(a, float) and a == 0.0 else a / b
 
 

@@ -11,19 +11,18 @@ from numpy.polynomial import legendre
 
 from turnwright._arrays import Floats
 from turnwright._kernels import polynomials, quadrics
-from turnwright._validate import check_numbers, positive
+from turnwright._validate import check_numbers, positive, whole
 from turnwright.errors import InputError
 from turnwright.surface.analytic import (
     MAX_DEGREE,
     OnConic,
     Radius,
     Terms,
-    curvature,
+    check_radius,
     index_of,
     indices_of,
     read_terms,
     summed,
-    whole,
     whole_pair,
 )
 from turnwright.surface.base import Series
@@ -43,7 +42,7 @@ def _checked(degree: int, term: object) -> None:
 
 
 def _single(key: object) -> tuple[int, int]:
-    n = whole(key, "the index of a Forbes term")
+    n = whole(key, "the index of a Forbes term", 0)
     _checked(2 * n + 4, key)
     return n, 0
 
@@ -166,7 +165,7 @@ class Forbes(OnConic):
 
     def __post_init__(self) -> None:
         check_numbers(self, inf=("radius",))
-        curvature(self.radius, "the radius of a Forbes surface")
+        check_radius(self.radius, "the radius of a Forbes surface")
         positive(self.norm_radius, "the norm_radius of a Forbes surface", "mm")
         if self.kind not in {"qbfs", "qcon", "q2d"}:
             raise InputError(f"the kind of a Forbes surface is {self.kind!r}, known are qbfs, qcon and q2d: choose one")
@@ -192,11 +191,6 @@ class Forbes(OnConic):
         object.__setattr__(self, "_degree", max((2 * len(c) - 2 + abs(m) for m, c in series.items()), default=0))
 
     @property
-    def base(self) -> tuple[float, float]:
-        """Vertex curvature and conic constant. [1/mm, 1]."""
-        return 1 / self.radius, float(self.conic)
-
-    @property
     def feature_size(self) -> float:
         """The normalisation radius over the degree, or the length of the conic if that is smaller. [mm]."""
         return min(self.conic_length, self.norm_radius / max(self._degree, 1))
@@ -206,4 +200,4 @@ class Forbes(OnConic):
         departure: list[tuple[Any, ...]] = [(polynomials.disc, 1 / self.norm_radius, *self._sum)]
         if self.kind != "qcon":
             departure.append((quadrics.secant, *self.base))
-        return summed(x, y, order, *departure, (quadrics.conic, *self.base))
+        return summed(x, y, order, *departure, (quadrics.conic, self.base))

@@ -10,7 +10,7 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, frozen
 from turnwright._kernels.cells import nearest
-from turnwright._validate import check_numbers, finite_tuple, positive, whole
+from turnwright._validate import check_numbers, finite_tuple, positive, thing, whole
 from turnwright.errors import InputError
 from turnwright.surface.base import Surface
 from turnwright.surface.conic import Plane
@@ -105,16 +105,15 @@ class LensArray(Surface):
         Arrangement of the lenslets: "square", "hexagonal" or "listed".
     pitch
         Distance between neighbours. [mm]
-    rows
-        Number of rows of a square array.
-    columns
-        Number of columns of a square array.
+    rows, columns
+        Numbers of rows and columns of a square array; its middle is at ``offset``.
     rings
-        Number of rings around the central lenslet of a hexagonal array.
+        Number n of rings around the lenslet at ``offset`` of a hexagonal array: 3 n (n + 1) + 1 lenslets.
     within
-        Radius that keeps only the lenslets lying completely inside it. [mm]
+        Radius of a circle about the axis: a lenslet is included if its circle of radius ``aperture``, by default half
+        the pitch, lies inside. One is at ``offset``; half a pitch each way puts a corner on the axis. [mm]
     offset
-        Position of the middle of the array; on the axis by default. [mm]
+        Position of the array; on the axis by default. [mm]
     aperture
         Semi-diameter of every lenslet, or ``None`` where lenslets fill their cells. [mm]
     surround
@@ -176,8 +175,7 @@ class LensArray(Surface):
                 f"centres of a lens array have the shape {centres.shape}, it must be (n, 2) with n from 1 to "
                 f"{MAX_LENSES}: give x and y of each lens in a row"
             )
-        if not isinstance(self.lenslet, Surface):
-            raise InputError(f"the lenslet is {self.lenslet!r}, which is not a surface: give a Surface")
+        thing(self.lenslet, Surface, "the lenslet")
         tree = cKDTree(centres)
         spacing = float("inf")
         if centres.shape[0] > 1:
@@ -225,22 +223,7 @@ class LensArray(Surface):
         aperture: float | None = None,
         surround: Surface | float | None = None,
     ) -> Self:
-        """Return an array on a square lattice: of rows and columns, or of all lenses that fit into a circle.
-
-        Parameters
-        ----------
-        pitch
-            Distance of neighbouring centres along x and y. [mm]
-        rows, columns
-            Numbers of rows and columns; the middle of the array is at ``offset``.
-        within
-            Radius of a circle about the axis; a lens is included if its circle of radius ``aperture``, by default half
-            the pitch, lies inside. One lens is at ``offset``; an offset of half a pitch each way puts a corner on the
-            axis. [mm]
-        offset
-            Position of the array. [mm]
-        lenslet, aperture, surround
-            See `LensArray`.
+        """Return an array on a square lattice: of rows and columns, or of all lenses ``within`` a circle.
 
         Raises
         ------
@@ -264,16 +247,7 @@ class LensArray(Surface):
         aperture: float | None = None,
         surround: Surface | float | None = None,
     ) -> Self:
-        """Return an array on a hexagonal lattice with rows along x: of rings, or of all lenses that fit into a circle.
-
-        Parameters
-        ----------
-        pitch
-            Distance of neighbouring centres. [mm]
-        rings
-            Number n of rings around the lens at ``offset``: 3 n (n + 1) + 1 lenses.
-        within, offset, lenslet, aperture, surround
-            See `square`.
+        """Return an array on a hexagonal lattice with rows along x: of rings, or of all lenses ``within`` a circle.
 
         Raises
         ------
@@ -404,7 +378,6 @@ class LensArray(Surface):
 
 
 def _square(array: LensArray, pitch: float, at: tuple[float, ...]) -> Floats:
-    """Return the centres of a square lattice. (n, 2)."""
     rows, columns, within = array.rows, array.columns, array.within
     if within is not None and rows is None and columns is None:
         return _inside_circle((pitch, 0), (0, pitch), at, within, array.aperture)
@@ -423,7 +396,6 @@ def _square(array: LensArray, pitch: float, at: tuple[float, ...]) -> Floats:
 
 
 def _hexagonal(array: LensArray, pitch: float, at: tuple[float, ...]) -> Floats:
-    """Return the centres of a hexagonal lattice with rows along x. (n, 2)."""
     rings, within = array.rings, array.within
     if (rings is None) == (within is None):
         raise InputError(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints
-from turnwright._validate import check_angle, check_numbers
+from turnwright._validate import check_angle, check_numbers, thing
 from turnwright.errors import DomainError, InputError
 from turnwright.pose import Pose
 from turnwright.surface.base import Surface
@@ -70,8 +70,7 @@ class OffAxis(Surface):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        if not isinstance(self.parent, Surface):
-            raise InputError(f"the parent of an off-axis part is {self.parent!r}, it must be a surface: give a Surface")
+        thing(self.parent, Surface, "the parent of an off-axis part")
         distance = float(self.distance)
         azimuth = check_angle(self.azimuth, "the azimuth of an off-axis part")
         if distance < 0:

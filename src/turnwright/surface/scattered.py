@@ -143,16 +143,6 @@ class Scattered(Surface):
                 worst = max(worst, float(np.abs(predicted - self.z[test]).max()))
         return worst
 
-    @property
-    def stated(self) -> Any:
-        """Description of the heights in a job file. See `Surface.stated`."""
-        return self.source
-
-    @property
-    def file(self) -> str:
-        """File from which the heights were read; empty if none."""
-        return "" if self.source is None else str(self.source.file)
-
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the height and its derivatives. See `Surface.evaluate`."""
         return self._grid.evaluate(x, y, order)
@@ -189,7 +179,6 @@ class Scattered(Surface):
 
 
 def _through(places: Floats, z: Floats) -> RBFInterpolator:
-    """Return radial functions that interpolate the points."""
     from scipy.interpolate import RBFInterpolator  # noqa: PLC0415
 
     return RBFInterpolator(places, z, kernel="quintic", degree=DEGREE)

@@ -181,7 +181,6 @@ def _with_coefficients(cls: type[Any], table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _coefficient(value: object, units: str | None, power: int) -> float:
-    """Return a coefficient in mm^power."""
     if abs(power) > MAX_POWER:
         raise JobError(f"its unit is mm^{power}, the limit is mm^-{MAX_POWER}, a degree of {MAX_POWER + 1}: remove it")
     if units is not None and isinstance(value, int | float) and not isinstance(value, bool):
@@ -195,7 +194,6 @@ def _coefficient(value: object, units: str | None, power: int) -> float:
 
 
 def _power_of(units: str, power: int) -> str:
-    """Return a power of a unit as text."""
     if power == 0:
         return "1"
     raised = units if abs(power) == 1 else f"{units}^{abs(power)}"

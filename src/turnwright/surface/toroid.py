@@ -10,7 +10,7 @@ import numpy as np
 
 from turnwright._kernels import quadrics
 from turnwright._validate import check_numbers
-from turnwright.surface.analytic import Radius, curvature, summed
+from turnwright.surface.analytic import Radius, check_radius, summed
 from turnwright.surface.base import Surface
 from turnwright.units import Number
 
@@ -57,8 +57,8 @@ class Toroid(Surface):
 
     def __post_init__(self) -> None:
         check_numbers(self, inf=("radius_x", "radius_y"))
-        curvature(self.radius_x, "radius_x of a toroid")
-        curvature(self.radius_y, "radius_y of a toroid")
+        check_radius(self.radius_x, "radius_x of a toroid")
+        check_radius(self.radius_y, "radius_y of a toroid")
 
     def inside(self, x: Floats, y: Floats) -> Bools | None:
         """Return the mask of points where neither the arc nor the circle around the line is vertical."""
@@ -83,7 +83,7 @@ class Toroid(Surface):
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
-        return summed(x, y, order, (quadrics.toroid, 1 / self.radius_x, 1 / self.radius_y))
+        return summed(x, y, order, (quadrics.toroid, (1 / self.radius_x, 1 / self.radius_y)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,8 +114,8 @@ class Biconic(Surface):
 
     def __post_init__(self) -> None:
         check_numbers(self, inf=("radius_x", "radius_y"))
-        curvature(self.radius_x, "radius_x of a biconic")
-        curvature(self.radius_y, "radius_y of a biconic")
+        check_radius(self.radius_x, "radius_x of a biconic")
+        check_radius(self.radius_y, "radius_y of a biconic")
 
     @property
     def _squared(self) -> tuple[float, float]:
@@ -141,4 +141,4 @@ class Biconic(Surface):
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
         parameters = (1 / self.radius_x, 1 / self.radius_y, float(self.conic_x), float(self.conic_y))
-        return summed(x, y, order, (quadrics.biconic, *parameters))
+        return summed(x, y, order, (quadrics.biconic, parameters))
