@@ -70,6 +70,10 @@ def subtract_polynomial(z: Floats, valid: Bools, grid: Grid, degree: int, *, pol
     return remainder
 
 
+def _legendre(axis: Floats, degree: int) -> Floats:
+    return np.asarray(legvander(axis, degree), dtype=np.float64)
+
+
 def _blocks(shape: tuple[int, ...]) -> Iterator[slice]:
     count = max(BLOCK_POINTS // shape[1], 1)
     for start in range(0, shape[0], count):
@@ -126,14 +130,14 @@ def _rectangular(grid: Grid, valid: Bools, degree: int) -> Basis:
     x, y = (_unit(axis, np.any(valid, axis=way)) for axis, way in ((grid.columns, 0), (grid.rows, 1)))
     # Exact for products of two polynomials of this degree and one of twice the degree.
     nodes, weight = leggauss(2 * degree + 1)
-    table = _products(legvander(nodes, degree), legvander(nodes, 2 * degree), weight)
+    table = _products(_legendre(nodes, degree), _legendre(nodes, 2 * degree), weight)
     terms = np.array([(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)], dtype=np.int64).T
     return Basis(
-        columns=legvander(x, degree),
-        rows=legvander(y, degree),
+        columns=_legendre(x, degree),
+        rows=_legendre(y, degree),
         terms=terms,
-        column_moments=legvander(x, 2 * degree),
-        row_moments=legvander(y, 2 * degree),
+        column_moments=_legendre(x, 2 * degree),
+        row_moments=_legendre(y, 2 * degree),
         column_products=table,
         row_products=table,
     )
@@ -160,8 +164,8 @@ def _polar(grid: Grid, valid: Bools, degree: int) -> Basis:
         columns=radial(radius),
         rows=turns(grid.rows, degree),
         terms=np.array([(at, degree + m if sine else m) for at, m, sine in places], dtype=np.int64).T,
-        column_moments=legvander(2 * radius - 1, 2 * degree),
+        column_moments=_legendre(2 * radius - 1, 2 * degree),
         row_moments=turns(grid.rows, 2 * degree),
-        column_products=_products(radial((nodes + 1) / 2), legvander(nodes, 2 * degree), weight),
+        column_products=_products(radial((nodes + 1) / 2), _legendre(nodes, 2 * degree), weight),
         row_products=_products(turns(around, degree), turns(around, 2 * degree), np.ones_like(around)),
     )
