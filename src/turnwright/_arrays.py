@@ -121,8 +121,8 @@ SIGMA_PER_MAD = 1.4826
 
 
 def robust_scatter(off: Floats) -> float:
-    """Return the standard deviation of deviations from a centre, estimated from their median absolute value."""
-    return SIGMA_PER_MAD * float(np.median(np.abs(off)))
+    """Return the standard deviation of deviations from a centre by their median absolute value; 0 without any."""
+    return SIGMA_PER_MAD * float(np.median(np.abs(off))) if off.size else 0.0
 
 
 def rounding(values: Floats) -> float:

@@ -33,6 +33,7 @@ __all__ = [
     "key_of",
     "listener",
     "number",
+    "one_of",
     "path",
     "plausible_sizes",
     "positive",
@@ -180,6 +181,14 @@ def between(value: float, name: str, low: float, high: float, unit: str) -> floa
     if not low <= value <= high:
         raise InputError(f"{name} is {value:g} {unit}, the limits are {low:g} to {high:g} {unit}: give a value between")
     return float(value)
+
+
+def one_of(value: object, name: str, options: Collection[object]) -> None:
+    """Raise unless a value is one of the options."""
+    if value not in options:
+        *others, last = (f'"{option}"' if isinstance(option, str) else str(option) for option in options)
+        listed = f"{', '.join(others)} or {last}" if others else last
+        raise InputError(f"{name} is {shown(value)}, it can be {listed}: choose one of them")
 
 
 IN_RAD = "a plain number is in rad"

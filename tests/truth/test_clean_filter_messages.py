@@ -33,7 +33,6 @@ PIXELS = HeightMap(z=Z, x=np.arange(50.0), y=np.arange(40.0), calibrated=False)
     [
         (flat(), {"kind": "median"}, 'the kind of filter is \'median\', it can be "gaussian", "robust" or "spline"'),
         (flat(), {"order": 3}, "the order of the filter is 3, it can be 0, 1 or 2"),
-        (flat(), {"order": True}, "the order of the filter is True"),
         (flat(), {"kind": "spline"}, "a spline filter works along lines and has no order: give along"),
         (flat(), {"kind": "spline", "along": "x", "order": 1}, "has no order"),
         (flat(), {"along": "z"}, "the direction of the lines is 'z'"),
@@ -43,9 +42,9 @@ PIXELS = HeightMap(z=Z, x=np.arange(50.0), y=np.arange(40.0), calibrated=False)
         (CLOUD, {}, "the 50 heights are scattered points"),
         (PIXELS, {}, "no pixel size"),
         (flat(np.full((4, 4), np.nan)), {}, "has 0 valid heights, a filter needs 1"),
-        (flat(Z[:1, :1]), {}, "the map has 1 point, a filter needs 2"),
-        (flat(Z[:1]), {"along": "y"}, "the map has 1 value of y, a filter along it needs 2: filter along the other"),
-        (flat(x=np.arange(50.0) ** 2), {}, "the steps of x are 1 to 97 mm, a filter needs them even to 1e-6"),
+        (flat(Z[:1, :1]), {}, "the map along x has 1 points, a filter needs at least 2"),
+        (flat(Z[:1]), {"along": "y"}, "the map along y has 1 points, a filter needs at least 2"),
+        (flat(x=np.arange(50.0) ** 2), {}, "the map along x has 50 points in uneven steps, a filter"),
     ],
 )
 def test_filters_say_what_they_cannot_do(heights, arguments, sentence):
@@ -139,8 +138,6 @@ def test_single_points_and_empty_lines_are_filtered():
     [
         (flat(), {"rule": "median"}, 'the rule is \'median\', it can be "robust" or "kong"'),
         (flat(), {"threshold": 0.0}, "the threshold is 0 deviations, it must be finite and above 0"),
-        (flat(), {"spare": 0.1}, "spare must be .* got 0.1 mm"),
-        (flat(), {"spare": -0.1}, "spare must be at least 0 mm, .* got -0.1 mm"),
         (CLOUD, {}, "the 50 heights are scattered points"),
         (PIXELS, {}, "no pixel size"),
         (flat(np.full((4, 4), np.nan)), {}, "has 0 valid heights, outlier removal needs 3"),
@@ -158,15 +155,15 @@ def test_trimming_and_cropping_say_when_nothing_is_left():
         trim_edge(flat(), 0.0)
     with pytest.raises(InputError, match="scattered"):
         trim_edge(CLOUD, 1.0)
-    with pytest.raises(InputError, match=r"no valid height lies within 0.1 mm of \(5, 5\) mm: give the aperture"):
-        crop_to_aperture(flat(), 0.1, centre=(5, 5))
+    with pytest.raises(InputError, match=r"no valid height lies within 0.1 mm of the origin"):
+        crop_to_aperture(flat(x=5 + 0.01 * np.arange(50)), 0.1)
     with pytest.raises(InputError, match="the radius of the aperture is -1 mm"):
         crop_to_aperture(flat(), -1.0)
 
 
 @pytest.mark.parametrize("heights", [POLAR, flat(x=np.arange(50.0) ** 2), flat(Z[:2])])
 def test_holes_are_filled_on_even_grids_only(heights):
-    with pytest.raises(InputError, match="filling holes needs an even rectangular grid"):
+    with pytest.raises(InputError, match=r"filling holes needs (a rectangular one|at least 3 in even steps)"):
         fill_holes(heights, 0.1)
 
 

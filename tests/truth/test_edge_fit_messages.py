@@ -19,12 +19,12 @@ def test_too_few_points():
 
 
 def test_lengths_that_differ():
-    with pytest.raises(InputError, match=r"400 u and 399 heights: give as many"):
+    with pytest.raises(InputError, match=r"lengths of arrays differ \(u 400, height 399\)"):
         fit_edge(ARC[0], ARC[1][1:], toward_x=1, cutoff=0.01)
 
 
 def test_which_way_round():
-    with pytest.raises(InputError, match=r"toward_x is 0, it must be 1 or -1: say"):
+    with pytest.raises(InputError, match=r"toward_x is 0, it can be 1 or -1"):
         fit_edge(*ARC, toward_x=0, cutoff=0.01)
 
 

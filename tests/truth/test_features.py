@@ -168,7 +168,7 @@ def test_features_scale_with_lengths():
 def test_grids_without_features_are_refused():
     with pytest.raises(InputError, match="polar"):
         features(HeightMap(z=np.zeros((4, 4)), radius=np.arange(4.0), angle=np.arange(4.0)))
-    with pytest.raises(InputError, match="even grid"):
+    with pytest.raises(InputError, match="even steps"):
         features(HeightMap(z=np.zeros((4, 4)), x=np.arange(4.0) ** 2, y=np.arange(4.0)))
     with pytest.raises(InputError, match="pruning"):
         features(as_map(noise()), pruning=2.0)

@@ -244,4 +244,4 @@ def test_bands_hold_the_waves_that_belong_to_them():
     np.testing.assert_allclose(
         bands.waviness.z[inner], (form + tall[0] * low[0] * short + tall[1] * low[1] * long)[inner], atol=1e-9
     )
-    np.testing.assert_allclose(bands.sf_surface.z, bands.waviness.z + bands.sl_surface.z)
+    np.testing.assert_allclose(bands.sf_surface.z, bands.waviness.z + bands.roughness.z)

@@ -13,15 +13,10 @@ from turnwright.errors import InputError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-__all__ = ["Alignment"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Alignment:
     r"""Shift, rotation and scale that bring the design centres closest to the measured ones.
-
-    They separate the movement of the array as a whole, such as clocking of the part on the instrument or thermal
-    growth, from the errors of the machine from lens to lens, which are the residual.
 
     Parameters
     ----------

@@ -1,8 +1,4 @@
-"""Areal surface texture parameters of a map after removal of its form.
-
-surfalize and similar libraries need maps without missing points, and none supports polar grids, so the parameters are
-computed here; the tests compare them with surfalize.
-"""
+"""Areal surface texture parameters of a map after removal of its form, with missing points and on polar grids."""
 
 from __future__ import annotations
 
@@ -19,12 +15,9 @@ from turnwright.progress import cores
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
 
-__all__ = ["Roughness", "roughness"]
-
 Notes: TypeAlias = tuple[str, ...]
 
 NM = 1e6
-"""Nanometres in a millimetre."""
 
 DECAY_THRESHOLD = 0.2
 """Autocorrelation at which Sal and Str are read (ISO 25178-3)."""
@@ -84,25 +77,23 @@ class Roughness:
 def roughness(heights: HeightMap, *, form: Form = "plane") -> Roughness:
     r"""Return the surface parameters of a map after its form is removed. Missing points are left out.
 
-    Height parameters are averages over the valid points; on a polar map each counts with its area
-    :math:`r\,dr\,d\theta`. The map extends from the first to the last radius; evenly spaced radii that start half a
-    step from the axis are the middles of rings. With ``form="none"`` the heights are measured from zero.
+    Height parameters are averages over the valid points, weighted by area on a polar map; see `area_rms`. With
+    ``form="none"`` the heights are measured from zero.
 
-    Gradients are differences of valid neighbours divided by their distance (on a full polar turn the last row meets
-    the first): ``sdq`` sums the two directions' mean squares, ``sdr`` averages the two ways to cut each pixel cell
-    with four valid corners into triangles (ISO 25178-2:2021, D.15). A sine of n pixels per period therefore
-    loses a share of :math:`\pi^2 / 6 n^2` of its ``sdq``.
+    Gradients are differences of valid neighbours divided by their distance: ``sdq`` sums the two directions' mean
+    squares, ``sdr`` averages the two ways to cut each pixel cell with four valid corners into triangles
+    (ISO 25178-2:2021, D.15). A sine of n pixels per period therefore loses a share of :math:`\pi^2 / 6 n^2` of its
+    ``sdq``.
 
-    The autocorrelation at a lag is the mean product over the points that overlap, divided by its value at lag 0. It is
-    interpolated by a cubic spline along straight rays (ISO 25178-2:2021, 4.3.1 and 4.3.2) over lags up to half of the
-    field at which a tenth of the valid points overlap. Where it does not fall to 0.2 along a ray, the full length of
-    the ray counts, so ``str`` is an upper bound, as ``notes`` states. If it falls along no ray, or the grid is polar or
-    uneven (resampling would change the autocorrelation), ``sal`` and ``str`` are nan.
+    The autocorrelation is interpolated by a cubic spline along straight rays (ISO 25178-2:2021, 4.3.1 and 4.3.2) over
+    lags up to half of the field at which a tenth of the valid points overlap. Where it does not fall to 0.2 along a
+    ray, the full length of the ray counts, so ``str`` is an upper bound. If it falls along no ray, or the grid is
+    polar or uneven, ``sal`` and ``str`` are nan.
 
     Parameters
     ----------
     heights
-        Measured map. 2000 x 2000 points take a few seconds.
+        Measured map.
     form
         See `remove_form`.
 
@@ -233,14 +224,9 @@ def _autocorrelation(z: Floats) -> tuple[Floats, Bools]:
 
 
 def _decay(correlation: Floats, known: Bools, dx: float, dy: float) -> tuple[Floats, Bools]:
-    """Return how far the autocorrelation stays above `DECAY_THRESHOLD` along rays over half a turn.
+    """Return how far the autocorrelation stays above `DECAY_THRESHOLD` along rays, and whether it falls. (n,) [mm].
 
     The rays end half a pixel apart on the border. Each is searched every half pixel and then bisected.
-
-    Returns
-    -------
-    lengths, fallen
-        Length of each ray [mm], and whether the threshold was reached. Each (n,)
     """
     from scipy import ndimage  # noqa: PLC0415 - only this needs it
 

@@ -16,8 +16,6 @@ from turnwright.metrology.grid import measure, valid_points
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
 
-__all__ = ["Bearing", "bearing"]
-
 NM = 1e6
 CORE_AREA_SHARE = 0.4
 """Share of the area over which the core line is fitted (ISO 25178-2)."""
@@ -71,8 +69,8 @@ class Bearing:
 def bearing(heights: HeightMap, *, form: Form = "plane") -> Bearing:
     """Return the bearing curve of a map after its form is removed; each valid point counts with its area.
 
-    The core is the flattest part of the curve, with the least drop over 40 % of the area. The line of best fit over it
-    gives the top and the foot of the core at 0 and at 100 %. Peaks and valleys beyond are triangles of equal area.
+    The line of best fit over the flattest 40 % of the curve gives the top and the foot of the core at 0 and at 100 %.
+    Peaks and valleys beyond are triangles of equal area.
 
     Parameters
     ----------

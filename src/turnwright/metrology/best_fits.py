@@ -1,8 +1,4 @@
-"""Planes, spheres, conics and even aspheres of best fit, with uncertainties; and Fizeau interferograms.
-
-Two distances can be minimised: along z, as sag is specified in a prescription, and along the normal of the fitted
-surface, as an interferometer measures at normal incidence. They differ by the cosine of the slope.
-"""
+"""Planes, spheres, conics and even aspheres of best fit, with uncertainties; and Fizeau interferograms."""
 
 from __future__ import annotations
 
@@ -15,6 +11,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 
 from turnwright._arrays import Floats, frozen
+from turnwright._validate import one_of
 from turnwright.errors import InputError
 from turnwright.metrology.grid import valid_points
 from turnwright.metrology.least_squares import Cloud, Sums, solve, sums_over
@@ -23,8 +20,6 @@ from turnwright.surface import Conic, EvenAsphere, Placed, Plane, Sphere, Surfac
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
-
-__all__ = ["BestFit", "Distance", "best_fit", "interferogram", "without_sphere"]
 
 Distance: TypeAlias = Literal["vertical", "normal"]
 
@@ -87,14 +82,11 @@ def best_fit(
 ) -> BestFit:
     r"""Fit a plane, a sphere, a conic or an even asphere by least squares over the valid points.
 
-    The sum of squared distances, weighted by the area of each point, is minimised by Gauss-Newton with exact
-    derivatives: along z (``"vertical"``, least squares in sag), or from each point to the foot of its normal on the
-    form (``"normal"``, total least squares).
+    The sum of squared distances, weighted by the area of each point, is minimised along z (``"vertical"``, least
+    squares in sag), or to the foot of the normal on the form (``"normal"``, total least squares).
 
-    The parameters are the radius of curvature, the conic constant, the position of the vertex and the tilt of the axis
-    (`turnwright.Pose`). Tilt and decentre of a sphere are equivalent, so its vertex is where its normal is along z. On
-    a small aperture other parameters are nearly equivalent too, which ``condition`` and ``correlation`` show;
-    parameters that the heights cannot separate raise an error.
+    The vertex of a sphere is where its normal is along z. Nearly equivalent parameters show in ``condition`` and
+    ``correlation``; parameters that the heights cannot separate raise an error.
 
     Parameters
     ----------
@@ -116,8 +108,7 @@ def best_fit(
 
     Notes
     -----
-    The uncertainties assume that the residuals are independent from point to point; where form error prevails, which
-    is spatially correlated, they are too small.
+    The uncertainties assume independent residuals; where form error prevails, they are too small.
 
     >>> from turnwright.heightmap import HeightMap
     >>> x = np.linspace(-1, 1, 41)
@@ -126,8 +117,7 @@ def best_fit(
     >>> round(fit.parameters["radius"], 6), round(fit.parameters["x"], 6)
     (100.0, 0.1)
     """
-    if distance not in ("vertical", "normal"):
-        raise InputError(f'the distance is {distance!r}, it can be "vertical" or "normal": choose one of them')
+    one_of(distance, "the distance", ("vertical", "normal"))
     if form not in ("plane", "sphere", "conic") and not isinstance(form, Sphere | Conic | EvenAsphere):
         raise InputError(
             f'the form of a best fit is {form!r}, it can be "plane", "sphere", "conic", or a Sphere, Conic or '
@@ -145,24 +135,21 @@ def best_fit(
             raise InputError(
                 f"the best-fit sphere of the map is flat, a {form} needs curvature: give a surface to start from"
             )
-        initial: Surface = Sphere(radius=start.parameters["radius"])
+        initial: Sphere | Conic | EvenAsphere = Sphere(radius=start.parameters["radius"])
         if form == "conic":
             initial = Conic(radius=start.parameters["radius"], conic=0.0)
         vertex = [start.parameters[name] for name in ("x", "y", "z")]
     else:
         initial = form
         vertex = [0.0, 0.0, float(np.nanmedian(heights.z - _sag(form, heights)))]
-    return _fitted(heights, _Revolved.of(initial, vertex, along_normal=along_normal), free, distance)
+    return _fitted(heights, _Revolved(initial, vertex, along_normal=along_normal), free, distance)
 
 
 def interferogram(heights: HeightMap, *, radius: float | None = None) -> BestFit:
     """Return the Fizeau interferogram of a map: its deviation from the best-fit sphere, along the normal.
 
-    The rays of the transmission sphere meet the part along the normals of the sphere whose centre is their focus. The
-    operator nulls the interferogram by moving the part, which is the fit. ``residual`` is positive where the part lies
-    above the sphere; one fringe is half a wavelength. x and y are those of the map: the foot of a ray differs from them
-    by the deviation times the slope, which is nanometres. An instrument shows the same lateral scale, x = R sin(angle),
-    only if its lens obeys the sine condition; its own distortion is not modelled.
+    ``residual`` is positive where the part lies above the sphere; one fringe is half a wavelength. x and y are those of
+    the map; the distortion of an instrument is not modelled.
 
     Parameters
     ----------
@@ -198,11 +185,8 @@ class _Model(ABC):
     names: tuple[str, ...]  # of the parameters that are stated
     default: tuple[str, ...]
     what: str
-
-    @property
-    @abstractmethod
-    def start(self) -> Floats:
-        """The parameters to start from. (k,)."""
+    start: Floats  # parameters (k,)
+    along_normal: bool
 
     @abstractmethod
     def terms(self, parameters: Floats, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats]:
@@ -227,12 +211,10 @@ class _Plane(_Model):
     names = default = ("z", "slope_x", "slope_y")
     what = "a plane"
 
+    start = np.zeros(3)
+
     def __init__(self, *, along_normal: bool) -> None:
         self.along_normal = along_normal
-
-    @property
-    def start(self) -> Floats:
-        return np.zeros(3)
 
     def terms(self, parameters: Floats, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats]:
         c, p, q = parameters
@@ -264,6 +246,8 @@ class _FreeSphere(_Model):
     names = default = ("x", "y", "z", "radius")
     what = "a sphere"
 
+    start = np.zeros(4)
+
     def __init__(self, middle: tuple[float, float], *, along_normal: bool) -> None:
         self.middle, self.along_normal = middle, along_normal
 
@@ -272,10 +256,6 @@ class _FreeSphere(_Model):
         valid = valid_points(heights, 4, "a sphere")
         x, y = Cloud.of(heights, valid).ends
         return cls((float(np.ptp(x) / 2 + x.min()), float(np.ptp(y) / 2 + y.min())), along_normal=along_normal)
-
-    @property
-    def start(self) -> Floats:
-        return np.zeros(4)
 
     def terms(self, parameters: Floats, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats]:
         c, p, q, k = parameters
@@ -336,36 +316,26 @@ class _FreeSphere(_Model):
 class _Revolved(_Model):
     """A conic with even terms and free vertex and axis; internally the curvature replaces the radius."""
 
-    default: tuple[str, ...]
-
-    def __init__(self, given: Surface, powers: tuple[int, ...], start: Floats, *, along_normal: bool) -> None:
-        self.given, self.powers, self._start, self.along_normal = given, powers, start, along_normal
-        shape = ("radius",) if isinstance(given, Sphere) else ("radius", "conic", *(f"a{power}" for power in powers))
-        self.names = (*(POSE_NAMES[:3] if isinstance(given, Sphere) else POSE_NAMES), *shape)
+    def __init__(self, given: Sphere | Conic | EvenAsphere, vertex: Sequence[float], *, along_normal: bool) -> None:
+        self.given, self.along_normal = given, along_normal
+        self.is_sphere = isinstance(given, Sphere)
+        terms = dict(given.terms) if isinstance(given, EvenAsphere) else {}
+        self.powers = tuple(terms)
+        shape = ("radius",) if self.is_sphere else ("radius", "conic", *(f"a{power}" for power in terms))
+        self.names = (*(POSE_NAMES[:3] if self.is_sphere else POSE_NAMES), *shape)
         self.default = ("x", "y", "z", *shape)
         self.what = {Sphere: "a sphere", Conic: "a conic"}.get(type(given), "an even asphere")
-
-    @classmethod
-    def of(cls, given: Surface, vertex: Sequence[float], *, along_normal: bool) -> _Revolved:
-        assert isinstance(given, Sphere | Conic | EvenAsphere)  # noqa: S101 - checked where it comes in
-        terms = dict(given.terms) if isinstance(given, EvenAsphere) else {}
-        shape = [given.base[0]] if isinstance(given, Sphere) else [*given.base, *terms.values()]
-        tilt = [] if isinstance(given, Sphere) else [0.0, 0.0]
-        powers = tuple(terms)
-        return cls(given, powers, np.array([*vertex, *tilt, *shape]), along_normal=along_normal)
-
-    @property
-    def start(self) -> Floats:
-        return self._start
+        values = (given.base[0],) if self.is_sphere else (0.0, 0.0, *given.base, *terms.values())
+        self.start = np.array([*vertex, *values])
 
     def _pose(self, parameters: Floats) -> Pose:
         x, y, z = parameters[:3].tolist()
-        tilt = (0.0, 0.0) if isinstance(self.given, Sphere) else (float(parameters[3]), float(parameters[4]))
+        tilt = (0.0, 0.0) if self.is_sphere else (float(parameters[3]), float(parameters[4]))
         return Pose.within_a_turn((x, y, z), 0.0, tilt)
 
     def _shape(self, parameters: Floats) -> tuple[float, float, Floats]:
         """Return curvature, conic constant and the even terms' coefficients."""
-        if isinstance(self.given, Sphere):
+        if self.is_sphere:
             return float(parameters[3]), 0.0, np.empty(0)
         return float(parameters[5]), float(parameters[6]), parameters[7:]
 
@@ -376,7 +346,7 @@ class _Revolved(_Model):
         root = np.sqrt(np.maximum(1 - (1 + k) * c * c * s, MIN_COS_SQUARED))
         base = c * s / (1 + root)
         by_shape = [(s + (1 + k) * base * base) / (2 * root)]
-        if not isinstance(self.given, Sphere):
+        if not self.is_sphere:
             by_shape.append(c * base * base / (2 * root))
         height, slope = base, c / root
         for power, value in zip(self.powers, coefficients, strict=True):
@@ -411,7 +381,7 @@ class _Revolved(_Model):
                 break
         fixed = np.stack([turn[i] @ normal for i in range(3)])  # the normal in the frame of the map
         columns = [*fixed]
-        if not isinstance(self.given, Sphere):
+        if not self.is_sphere:
             alpha, beta = (float(parameters[3]), float(parameters[4]))
             ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
             about_x = np.array([[1, 0, 0], [0, ca, -sa], [0, sa, ca]])
@@ -435,11 +405,10 @@ class _Revolved(_Model):
         c, conic, coefficients = self._shape(parameters)
         radius = 1 / c if c else float("inf")
         pose = self._pose(parameters)
-        if isinstance(self.given, Sphere):
-            shape: Surface = Sphere(radius=radius)
-        elif isinstance(self.given, Conic):
+        shape: Surface = Sphere(radius=radius)
+        if isinstance(self.given, Conic):
             shape = Conic(radius=radius, conic=conic)
-        else:
+        elif isinstance(self.given, EvenAsphere):
             terms = dict(zip(self.powers, coefficients.tolist(), strict=True))
             shape = EvenAsphere(radius=radius, conic=conic, terms=terms)
         return Placed(surface=shape, shift=pose.shift, tilt=pose.tilt)

@@ -7,18 +7,16 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints, is_even, robust_scatter
+from turnwright._arrays import STEP_TOL, Bools, Floats, Ints, is_even, robust_scatter
 from turnwright._kernels.neighbours import prominent, second_differences, stand_out
-from turnwright._validate import positive
+from turnwright._validate import one_of, positive
 from turnwright.errors import InputError
-from turnwright.metrology.grid import measure, valid_points
+from turnwright.metrology.grid import even_rectangle, measure, valid_points
 from turnwright.progress import run_chunks
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
     from turnwright.surface import Surface
-
-__all__ = ["Filled", "OutlierRemoval", "crop_to_aperture", "fill_holes", "remove_outliers", "trim_edge"]
 
 Rule: TypeAlias = Literal["robust", "kong"]
 
@@ -27,9 +25,6 @@ DEFAULT_THRESHOLD_SIGMA: dict[str, float] = {"robust": 5.0, "kong": 3.0}
 
 MIN_NOISE_MM = 1e-9
 """Lower bound of the noise: 1 pm, below the resolution of any instrument."""
-
-LENGTH_TOL = 1e-6
-"""Relative rounding of a length."""
 
 CHUNK_POINTS = 1 << 16
 """Points that a thread processes at a time."""
@@ -52,7 +47,7 @@ class OutlierRemoval:
     threshold
         Threshold of an outlier in standard deviations. [1]
     unjudged
-        Number of valid points not tested: too few neighbours, or within ``spare`` of a border. They stay in the map.
+        Number of valid points with too few neighbours to be tested. They stay in the map.
     """
 
     heights: HeightMap
@@ -79,22 +74,19 @@ def remove_outliers(
     rule: Rule = "robust",
     threshold: float | None = None,
     design: Surface | None = None,
-    spare: float = 0.0,
 ) -> OutlierRemoval:
     r"""Remove outliers: single points and small groups that stand out from their neighbours.
 
-    ``"robust"`` takes the deviation of a point from the mean of its two neighbours along the row, the column and both
-    diagonals (on a polar grid along the first two); at borders and holes, from the line through the next two points on
-    one side. The smallest of these deviations counts, so that scratches, ridges and straight edges stay. A deviation
-    that the median of 5 x 5 neighbours shares is form. The noise is the median absolute deviation of the second
-    differences. The largest of touching outliers is removed first, and its neighbours are tested again without it.
+    ``"robust"`` takes the least deviation of a point from the mean of its two neighbours along the row, the column and
+    both diagonals (on a polar grid along the first two), so that scratches, ridges and straight edges stay; at borders
+    and holes, from the line through the next two points on one side. A deviation that the median of 5 x 5 neighbours
+    shares is form. The largest of touching outliers is removed first, and its neighbours are tested again without it.
 
-    ``"kong"`` is the published rule, applied once: a point is an outlier if its second difference along the row or the
-    column is more than 3 standard deviations from the mean. An outlier increases that deviation and makes its
-    neighbours outliers too.
+    ``"kong"`` is the published rule: a point is an outlier if its second difference along the row or the column is more
+    than 3 standard deviations from the mean.
 
     Both rules mistake edges of lenses and steps for outliers. With ``design`` they test the residual and compare points
-    of the same smooth piece only; a map with a registration error needs a ``spare`` of that size.
+    of the same smooth piece only.
 
     Parameters
     ----------
@@ -106,14 +98,11 @@ def remove_outliers(
         Standard deviations beyond which a point is an outlier, by default 5 (robust) and 3 (Kong). [1]
     design
         Nominal surface in the frame of the map.
-    spare
-        Distance from the borders of the pieces of the design within which no point is tested. [mm]
 
     Raises
     ------
     InputError
-        If the rule is unknown, the threshold is not positive, the points are scattered, or ``spare`` is given without
-        a design.
+        If the rule is unknown, the threshold is not positive, or the points are scattered.
     DomainError
         If the design is not defined at a point of the map.
 
@@ -128,39 +117,30 @@ def remove_outliers(
     >>> found.places.tolist()
     [[30.0, 20.0]]
     """
-    if rule not in DEFAULT_THRESHOLD_SIGMA:
-        raise InputError(f'the rule is {rule!r}, it can be "robust" or "kong": choose one of them')
+    one_of(rule, "the rule", DEFAULT_THRESHOLD_SIGMA)
     threshold = (
         DEFAULT_THRESHOLD_SIGMA[rule] if threshold is None else positive(threshold, "the threshold", "deviations")
     )
     valid = valid_points(heights, 3, "outlier removal")
     grid = measure(heights)
-    if not spare >= 0 or (spare > 0 and design is None):
-        raise InputError(f"spare must be at least 0 mm, and 0 mm without a design, got {spare:g} mm")
     z, piece = np.array(heights.z), np.zeros(heights.z.shape, dtype=np.int64)
-    judged = valid.copy()
     if design is not None:
         z = np.array(heights.minus(design).z)
         x, y = heights.points()
         pieces = design.piece(x[valid], y[valid])
         if pieces is not None:
             piece[~valid], piece[valid] = -1, pieces
-            if spare > 0:
-                judged &= _distance(heights, _borders(piece, closed=grid.closed)) > spare
     if rule == "kong":
         outliers, scale, open_points = _kong(z, piece, threshold)
     else:
-        outliers, scale, open_points = _robust(
-            z, piece, judged, threshold, closed=grid.closed, ways=2 if heights.polar else 4
-        )
-    outliers &= judged
+        outliers, scale, open_points = _robust(z, piece, threshold, closed=grid.closed, ways=2 if heights.polar else 4)
     outliers.flags.writeable = False
     return OutlierRemoval(
         heights=replace(heights, z=np.where(outliers, np.nan, heights.z)),
         outliers=outliers,
         scale=scale,
         threshold=threshold,
-        unjudged=int(np.count_nonzero(valid & (open_points | ~judged))),
+        unjudged=int(np.count_nonzero(valid & open_points)),
     )
 
 
@@ -192,11 +172,11 @@ def _kong(z: Floats, piece: Ints, threshold: float) -> tuple[Bools, tuple[float,
 
 
 def _robust(
-    z: Floats, piece: Ints, judged: Bools, threshold: float, *, closed: bool, ways: int
+    z: Floats, piece: Ints, threshold: float, *, closed: bool, ways: int
 ) -> tuple[Bools, tuple[float, ...], Bools]:
     """Return the outliers, the noise and the points not tested; removes the outliers from ``z``."""
-    spread = [np.abs(d - np.median(d)) for values in _differences(z) if (d := values[~np.isnan(values)]).size]
-    scale = max(robust_scatter(np.concatenate(spread)) / 6**0.5 if spread else 0.0, MIN_NOISE_MM)
+    spread = [d - np.median(d) for values in _differences(z) if (d := values[~np.isnan(values)]).size]
+    scale = max(robust_scatter(np.concatenate([[], *spread])) / 6**0.5, MIN_NOISE_MM)
     least = 2 if min(z.shape) > 1 else 1
     amount = np.full(z.shape, np.nan)
     outliers = np.zeros(z.shape, dtype=bool)
@@ -207,7 +187,7 @@ def _robust(
             stand_out(z, piece, closed, ways, least, index[start:stop], amount)
 
         run_chunks(judge, index.size, CHUNK_POINTS)
-        high = np.flatnonzero((np.abs(amount) > threshold * scale) & judged)
+        high = np.flatnonzero(np.abs(amount) > threshold * scale)
         chosen = np.zeros(high.size, dtype=bool)
         prominent(amount, closed, threshold * scale, high, chosen)
         gone = high[chosen]
@@ -215,7 +195,7 @@ def _robust(
         z.flat[gone] = amount.flat[gone] = np.nan
         index = _around(gone, z, closed=closed)
     alone = np.isnan(amount) & ~np.isnan(z)
-    lost = alone & judged & _left_alone(z, outliers, closed=closed)
+    lost = alone & _left_alone(z, outliers, closed=closed)
     return outliers | lost, (scale,), alone & ~lost
 
 
@@ -243,10 +223,8 @@ def _left_alone(z: Floats, outliers: Bools, *, closed: bool) -> Bools:
     return touched & ~near
 
 
-def trim_edge(heights: HeightMap, width: float, *, holes: bool = False) -> HeightMap:
-    """Return the map without the points within ``width`` of its edge.
-
-    The edge is the nearest point that is missing and connected to the outside, or the first place beyond the grid.
+def trim_edge(heights: HeightMap, width: float) -> HeightMap:
+    """Return the map without the points within ``width`` of its edge: of missing points connected to the outside.
 
     Parameters
     ----------
@@ -254,8 +232,6 @@ def trim_edge(heights: HeightMap, width: float, *, holes: bool = False) -> Heigh
         On a rectangular or polar grid.
     width
         Distance from the edge within which points are removed. [mm]
-    holes
-        Whether to trim around inner holes too.
 
     Raises
     ------
@@ -270,8 +246,7 @@ def trim_edge(heights: HeightMap, width: float, *, holes: bool = False) -> Heigh
     positive(width, "the width to trim", "mm")
     valid = valid_points(heights, 1, "trimming")
     missing = np.pad(~valid, 1, constant_values=True)
-    outside = missing if holes else _outside(missing, closed=measure(heights).closed)
-    near = _distance(heights, outside, padded=True) <= width
+    near = _distance(heights, _outside(missing, closed=measure(heights).closed)) <= width
     if not (valid & ~near).any():
         raise InputError(f"trimming {width:g} mm leaves no point of the map {heights.name!r}: trim less")
     return replace(heights, z=np.where(near, np.nan, heights.z))
@@ -297,19 +272,13 @@ def _outside(missing: Bools, *, closed: bool) -> Bools:
     return np.isin(label, list(out))
 
 
-def _distance(heights: HeightMap, targets: Bools, *, padded: bool = False) -> Floats:
-    """Return the distance of every point from the nearest target, inf without targets. The shape of the map [mm].
-
-    ``padded`` targets have a frame around the map, one step wide.
-    """
+def _distance(heights: HeightMap, targets: Bools) -> Floats:
+    """Return the distance of every point from the nearest target, of which a frame surrounds the map. [mm]."""
     from scipy import ndimage  # noqa: PLC0415 - only this needs it
     from scipy.spatial import cKDTree  # noqa: PLC0415
 
     grid = measure(heights)
     axes = [_one_more(axis) for axis in (grid.columns, grid.rows)]
-    targets = targets.copy() if padded else np.pad(targets, 1)
-    if not targets.any():
-        return np.full(heights.z.shape, np.inf)
     steps = [np.diff(axis) for axis in axes]
     if not heights.polar and all(is_even(axis) for axis in axes):
         sampling = float(steps[1].mean()), float(steps[0].mean())
@@ -336,20 +305,8 @@ def _one_more(axis: Floats) -> Floats:
     return np.concatenate([[2 * axis[0] - axis[1]], axis, [2 * axis[-1] - axis[-2]]])
 
 
-def _borders(piece: Ints, *, closed: bool) -> Bools:
-    """Return the points next to another piece in the row or column; missing points, -1, belong to none."""
-    border = np.zeros(piece.shape, dtype=bool)
-    for axis in (0, 1):
-        following = np.roll(piece, -1, axis=axis)
-        differ = (piece != following) & (piece >= 0) & (following >= 0)
-        if axis == 1 or not closed:
-            differ[(-1,) if axis == 0 else (slice(None), -1)] = False
-        border |= differ | np.roll(differ, 1, axis=axis)
-    return border
-
-
-def crop_to_aperture(heights: HeightMap, radius: float, *, centre: tuple[float, float] = (0.0, 0.0)) -> HeightMap:
-    """Return the map within a round clear aperture.
+def crop_to_aperture(heights: HeightMap, radius: float) -> HeightMap:
+    """Return the map within a round clear aperture about the origin.
 
     Parameters
     ----------
@@ -357,8 +314,6 @@ def crop_to_aperture(heights: HeightMap, radius: float, *, centre: tuple[float, 
         On any grid, or scattered.
     radius
         Semi-diameter of the aperture. [mm]
-    centre
-        Its centre, x and y. [mm]
 
     Raises
     ------
@@ -373,12 +328,9 @@ def crop_to_aperture(heights: HeightMap, radius: float, *, centre: tuple[float, 
     heights.require_calibrated()
     positive(radius, "the radius of the aperture", "mm")
     x, y = heights.points()
-    z = np.where(np.hypot(x - centre[0], y - centre[1]) <= radius, heights.z, np.nan)
+    z = np.where(np.hypot(x, y) <= radius, heights.z, np.nan)
     if np.isnan(z).all():
-        raise InputError(
-            f"no valid height lies within {radius:g} mm of ({centre[0]:g}, {centre[1]:g}) mm: give the aperture in the "
-            "frame of the map"
-        )
+        raise InputError(f"no valid height lies within {radius:g} mm of the origin: move the map into the part's frame")
     return replace(heights, z=z)
 
 
@@ -408,8 +360,8 @@ def fill_holes(heights: HeightMap, largest: float) -> Filled:
     """Fill the holes inside a map with a thin plate of least bending energy.
 
     The plate is the biharmonic surface through the two rings of points around a hole; it reproduces polynomials of
-    degree 3 exactly where both rings are valid. Missing points connected to the outside stay missing. Filled heights
-    are not measured: fill only for evaluations that need complete maps.
+    degree 3 exactly. Missing points connected to the outside stay missing. Filled heights are not measured: fill only
+    for evaluations that need complete maps.
 
     Parameters
     ----------
@@ -438,20 +390,14 @@ def fill_holes(heights: HeightMap, largest: float) -> Filled:
 
     positive(largest, "the largest hole to fill", "mm")
     valid = valid_points(heights, 1, "filling holes")
-    grid = measure(heights)
-    steps = [np.diff(axis) for axis in (grid.columns, grid.rows)]
-    if heights.polar or any(axis.size < 3 or not is_even(axis) for axis in (grid.columns, grid.rows)):
-        raise InputError(
-            "filling holes needs an even rectangular grid of at least 3 x 3 points, the map has another: resample it"
-        )
-    dx, dy = (float(step.mean()) for step in steps)
+    dx, dy = even_rectangle(heights, "filling holes", 3)
     missing = np.pad(~valid, 1, constant_values=True)
     inside = (missing & ~_outside(missing, closed=False))[1:-1, 1:-1]
     label, count = ndimage.label(inside, EIGHT_NEIGHBOURS)
     small = [False]
     for rows, columns in ndimage.find_objects(label):
         extent = max((rows.stop - rows.start) * dy, (columns.stop - columns.start) * dx)
-        small.append(extent <= largest * (1 + LENGTH_TOL))
+        small.append(extent <= largest * (1 + STEP_TOL))
     filled = np.array(small)[label]
     z = np.array(heights.z)
     if filled.any():

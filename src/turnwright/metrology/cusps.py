@@ -1,17 +1,10 @@
-r"""Cusps of a turned profile: spacing, which is the feed, and height.
+"""Cusps of a turned profile: spacing, which is the feed, and height.
 
-A crest is located by the parabola of best fit around it. In a stretch of constant feed the crests lie on a line over
-their number,
-
-.. math:: c_k = c_0 + f\,k + \varepsilon_k,
-
-so :math:`f` is the slope of the line of best fit, and its uncertainty falls with the number of cusps to the power of
-3/2. Correlated residuals, as for a drifting feed, increase it.
-
-The height of a scallop is that of the best-fit curves of its two valleys at the crest, above the line between their
-lowest points. Unlike the highest point, this estimate is not biased by noise or by points that miss the tip. If the
-edge is wavy, or the instrument rounds the crests, the curves do not follow the valleys to the crest: the highest and
-the lowest points are then used, and their difference from the curves is an uncertainty.
+In a stretch of constant feed the crests lie on a line over their number, and the feed is its slope. The height of a
+scallop is that of the best-fit curves of its two valleys at the crest, above the line between their lowest points;
+unlike the highest point, it is not biased by noise or by points that miss the tip. If the edge is wavy, or the
+instrument rounds the crests, the curves do not follow the valleys to the crest: the highest and the lowest points are
+then used, and their difference from the curves is an uncertainty.
 """
 
 from __future__ import annotations
@@ -30,8 +23,6 @@ from turnwright.metrology.spectrum import line_psd
 
 if TYPE_CHECKING:
     from turnwright.profile import Profile
-
-__all__ = ["Cusps", "Stretch", "find_cusps"]
 
 NM = 1e6
 
@@ -166,19 +157,17 @@ class Cusps:
     run
         Number, from 0, of the uninterrupted run of neighbours to which each crest belongs. (n,)
     feed, feed_std
-        Mean spacing of the cusps, and its standard uncertainty; see `Stretch`. Runs whose spacing is more than a
-        quarter off that of the longest are not in it, only in ``stretches``. [mm]
+        Mean spacing of the cusps, and its standard uncertainty; see `Stretch`. Runs whose spacing deviates by more than
+        a quarter from that of the longest are not in it. [mm]
     stretches
         Where the feed does not change: one for each run, several for one in which it does.
     height_at, height_nm
-        Where each crest with a valley on either side stands [mm], and how high it is above the line between the
-        lowest points of the valleys: by the curves of best fit where these are those of a round nose, by the highest
-        and the lowest points where the edge has waves. (m,) [nm]
+        Position of each crest with a valley on either side [mm], and its height above the line between the lowest
+        points of the valleys. (m,) [nm]
     height_bias_nm
         Common uncertainty of these heights from noise and sampling. (m,) [nm]
     axis
-        Where the profile crosses the spindle axis. A crest within half a feed of it stands between two sides of one
-        pass, and does not count for the feed. [mm]
+        Where the profile crosses the spindle axis. A crest within half a feed of it does not count for the feed. [mm]
     gaps
         Start and end of parts of two feeds or more without cusps. [mm]
     """
@@ -242,9 +231,7 @@ class Cusps:
         off = self.height_nm - self.scallop_mean_nm
         if off.size < MIN_CUSPS:
             return float("nan")
-        square = float(off @ off)
-        correlation = float(np.clip(off[1:] @ off[:-1] / square, 0.0, 0.9)) if square > 0 else 0.0
-        scatter = spread * float(np.sqrt((1 + correlation) / (1 - correlation) / off.size))
+        scatter = spread * float(np.sqrt(inflation(off[1:], off[:-1], off @ off) / off.size))
         return float(np.hypot(scatter, self.height_bias_nm.mean()))
 
     def between(self, start: float, end: float) -> Cusps:
@@ -268,10 +255,9 @@ class Cusps:
 def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | None = None) -> Cusps:
     """Find the cusps of a profile across the lay, and measure their spacing and their height.
 
-    The first guess of the feed is the strongest period of the slope spectrum that exceeds the noise around it; the
-    spacing of the crests gives the result. The crests must be spaced more evenly than those of noise. Where a spacing
-    deviates from the local median by more than a quarter, as at the spindle axis or at damage, a run ends. Parts
-    without cusps of that feed are searched for another feed, unless the first guess is given.
+    The crests must be spaced more evenly than those of noise. Where a spacing deviates from the local median by more
+    than a quarter, as at the spindle axis or at damage, a run ends. Parts without cusps of that feed are searched for
+    another feed, unless the first guess is given.
 
     Parameters
     ----------
@@ -362,18 +348,22 @@ def _gaps(lines: list[Floats], distance: Floats) -> list[tuple[float, float]]:
 
 
 def _prepared(profile: Profile) -> Profile:
-    """Return the profile without its spikes."""
     profile.step  # noqa: B018 - refuses uneven distances
+    valid, z = _bridged(profile)
+    if np.std(_without_form(profile.distance, z)) <= ROUNDING_TOL * np.abs(z).max():
+        raise InputError("the profile is flat, it shows no cusps: give one across the lay")
+    return replace(profile, z=np.where(valid & ~spikes(z), profile.z, np.nan))
+
+
+def _bridged(profile: Profile) -> tuple[Bools, Floats]:
+    """Return which heights are valid, and the heights with the missing ones bridged. Each (n,)."""
     valid = ~np.isnan(profile.z)
     if np.count_nonzero(valid) < MIN_POINTS_PER_CUSP * MIN_CUSPS:
         raise InputError(
             f"the profile has {np.count_nonzero(valid)} valid heights, cusps need {MIN_POINTS_PER_CUSP * MIN_CUSPS}: "
             "measure a longer one"
         )
-    z = np.interp(profile.distance, profile.distance[valid], profile.z[valid])
-    if np.std(_without_form(profile.distance, z)) <= ROUNDING_TOL * np.abs(z).max():
-        raise InputError("the profile is flat, it shows no cusps: give one across the lay")
-    return replace(profile, z=np.where(valid & ~spikes(z), profile.z, np.nan))
+    return valid, np.interp(profile.distance, profile.distance[valid], profile.z[valid])
 
 
 def spikes(z: Floats) -> Bools:
@@ -385,16 +375,10 @@ def spikes(z: Floats) -> Bools:
 
 
 def _search(profile: Profile, feed: float | None, axis: float | None) -> _Crests:
-    """Find the cusps of one feed."""
     from scipy import ndimage, signal  # noqa: PLC0415 - costly to import
 
     step = profile.step
-    valid = ~np.isnan(profile.z)
-    if np.count_nonzero(valid) < MIN_POINTS_PER_CUSP * MIN_CUSPS:
-        raise InputError(
-            f"the profile has {np.count_nonzero(valid)} valid heights, cusps need {MIN_POINTS_PER_CUSP * MIN_CUSPS}"
-        )
-    z = np.interp(profile.distance, profile.distance[valid], profile.z[valid])
+    valid, z = _bridged(profile)
     guess = _strongest_period(profile, z, step) if feed is None else positive(feed, "the feed", "mm")
     if guess < MIN_POINTS_PER_CUSP * step or guess * MIN_CUSPS > np.ptp(profile.distance):
         raise InputError(
@@ -418,7 +402,7 @@ def _search(profile: Profile, feed: float | None, axis: float | None) -> _Crests
             "guess, or a profile across the lay"
         )
     scallops = _scallops(profile.distance[valid], level[valid], (z - level)[valid], crest, run, half)
-    if feed is None and _alternating(scallops.crest, scallops.run, scallops.height_at, scallops.height_nm):
+    if feed is None and _alternating(scallops):
         if 2 * guess * MIN_PERIODS > np.ptp(profile.distance):
             raise InputError(
                 f"every second crest is lower, and {2e3 * guess:.3g} um is more than the profile over {MIN_PERIODS}: "
@@ -494,10 +478,10 @@ def _even(relative: Floats, apart: Bools, guess: float, *, given: bool) -> Bools
     return even
 
 
-def _alternating(crest: Floats, run: Ints, at: Floats, heights: Floats) -> bool:
+def _alternating(found: _Crests) -> bool:
     """Return whether every second crest of the longest run is much lower: a wave of the edge within each cusp."""
-    longest = crest[run == np.argmax(np.bincount(run))] if run.size else crest
-    inside = heights[(at >= longest[0]) & (at <= longest[-1])] if longest.size else heights
+    longest = found.crest[found.run == np.argmax(np.bincount(found.run))]
+    inside = found.height_nm[(found.height_at >= longest[0]) & (found.height_at <= longest[-1])]
     if inside.size < 2 * MIN_STRETCH_CRESTS:
         return False
     low, high = sorted((float(np.median(inside[::2])), float(np.median(inside[1::2]))))
@@ -539,15 +523,10 @@ def _surroundings(density: Floats) -> Floats:
     """Return the mean density of the noise around each frequency, from the median: a few lines do not move it."""
     size = density.size
     centres = np.unique(np.rint(np.geomspace(1, size - 1, int(4 * np.log2(size)))).astype(np.int64))
-    means = [
-        float(
-            np.median(
-                density[max(int(c / NOISE_BAND_FACTOR), 1) : max(int(NOISE_BAND_FACTOR * c), c + MIN_NOISE_BINS) + 1]
-            )
-        )
-        / np.log(2)
-        for c in centres
-    ]
+    lows = np.maximum((centres / NOISE_BAND_FACTOR).astype(np.int64), 1)
+    highs = np.maximum((NOISE_BAND_FACTOR * centres).astype(np.int64), centres + MIN_NOISE_BINS)
+    medians = [np.median(density[low : high + 1]) for low, high in zip(lows, highs, strict=True)]
+    means = np.array(medians) / np.log(2)
     return np.asarray(np.interp(np.log(np.maximum(np.arange(size), 1)), np.log(centres), means))
 
 
@@ -567,14 +546,8 @@ def _turning_point(at: Floats, z: Floats, index: int, half: int) -> tuple[float,
 def _scallops(at: Floats, level: Floats, form: Floats, crest: Floats, run: Ints, half: int) -> _Crests:
     """Return the crests where the curves through their valleys cross, and the scallops.
 
-    Parameters
-    ----------
-    at, level, form
-        The valid points, their heights over what is longer than a cusp, and that. Each (n,) [mm]
-    crest, run
-        The crests as they stand out, and their runs. Each (k,)
-    half
-        Points to either side of a crest or a valley that belong to it.
+    ``form`` is what was removed from the heights to get their ``level``; ``half`` is the number of points to either
+    side of a crest or a valley that belong to it.
     """
     place, fit = crest, _valley_curves(at, level, crest, run, VALLEY_DEGREES)
     # Parabolas cross at the tip of a sharp crest, also in noise; curves through waves of the edge need not.
@@ -614,17 +587,13 @@ def _extremes(at: Floats, level: Floats, crest: Floats, half: int) -> tuple[Floa
     """Return the height of each crest, and place and height of each valley after one. (n,), (n - 1,), (n - 1,) [mm]."""
     index = np.clip(np.searchsorted(at, crest), 0, at.size - 1)
     # The tip of a crest is sharp: the highest point near it, not the parabola.
-    top = [_turning_point(at, level, _highest(level, k, half), 1)[1] for k in index]
+    highest = [first + int(np.argmax(level[first : first + 2 * half + 1])) for first in np.maximum(index - half, 0)]
+    top = [_turning_point(at, level, one, 1)[1] for one in highest]
     lows = []
     for first, last in pairwise(index):
         lowest = first + int(np.argmin(level[first : max(last, first + 1)]))
         lows.append(_turning_point(at, level, lowest, half))
     return np.array(top), *np.array(lows).reshape(-1, 2).T
-
-
-def _highest(z: Floats, index: int, half: int) -> int:
-    first = max(index - half, 0)
-    return first + int(np.argmax(z[first : index + half + 1]))
 
 
 class _ValleyCurves(NamedTuple):
@@ -650,12 +619,10 @@ class _ValleyCurves(NamedTuple):
 
     def tops(self, crest: Floats) -> Floats:
         """Return the mean height of the two curves at each crest, or the one at an end of a run. (n,) [mm]."""
-        both = np.full((2, crest.size), np.nan)
-        both[0, 1:] = self.values(np.arange(crest.size - 1), crest[1:])
-        both[1, :-1] = self.values(np.arange(crest.size - 1), crest[:-1])
-        valid = np.isfinite(both)
-        total = np.where(valid, both, 0.0).sum(axis=0)
-        return np.where(valid.any(axis=0), total / np.maximum(valid.sum(axis=0), 1), np.nan)
+        before, after = np.full((2, crest.size), np.nan)
+        before[1:] = self.values(np.arange(crest.size - 1), crest[1:])
+        after[:-1] = self.values(np.arange(crest.size - 1), crest[:-1])
+        return np.where(np.isnan(before), after, np.where(np.isnan(after), before, (before + after) / 2))
 
     def crossings(self, crest: Floats) -> Floats:
         """Return where the curves on either side of each crest cross, or the crest where they do not. (n,) [mm]."""
@@ -820,13 +787,15 @@ def _slope(lines: list[Floats]) -> tuple[float, float, float]:
     if freedom < 1:
         return slope, float("nan"), float(residual @ residual)
     variance = float(residual @ residual) / freedom
-    before, after = (
-        np.concatenate([part[side] for part in np.split(residual, np.cumsum([line.size for line in lines])[:-1])])
-        for side in (slice(None, -1), slice(1, None))
-    )
-    correlation = float(np.clip(before @ after / max(residual @ residual, 1e-300), 0.0, 0.9))
-    inflation = (1 + correlation) / (1 - correlation)
-    return slope, float(np.sqrt(variance * inflation / square)), float(residual @ residual)
+    same = np.diff(np.repeat(np.arange(len(lines)), [line.size for line in lines])) == 0
+    inflated = variance * inflation(residual[:-1][same], residual[1:][same], residual @ residual)
+    return slope, float(np.sqrt(inflated / square)), float(residual @ residual)
+
+
+def inflation(before: Floats, after: Floats, square: float) -> float:
+    """Return the factor of the variance of a mean of correlated values, from pairs of neighbours and all squares."""
+    correlation = float(np.clip(before @ after / max(square, 1e-300), 0.0, 0.9))
+    return (1 + correlation) / (1 - correlation)
 
 
 def _stretches(line: Floats, scatter: float) -> list[Stretch]:
@@ -837,13 +806,11 @@ def _stretches(line: Floats, scatter: float) -> list[Stretch]:
     freedom = line.size - 2 * len(parts)
     if len(parts) > 1 and freedom > 0:
         parts = _parted(line, max(scatter, float(np.sqrt(square / freedom))))
-    stretches = []
-    for part in parts:
-        feed, feed_std, _ = _slope([part])
-        stretches.append(
-            Stretch(start=float(part[0]), end=float(part[-1]), feed=feed, feed_std=feed_std, count=int(part.size))
-        )
-    return stretches
+    slopes = [_slope([part]) for part in parts]
+    return [
+        Stretch(start=float(part[0]), end=float(part[-1]), feed=feed, feed_std=feed_std, count=int(part.size))
+        for part, (feed, feed_std, _) in zip(parts, slopes, strict=True)
+    ]
 
 
 def _parted(line: Floats, scatter: float) -> list[Floats]:

@@ -4,9 +4,9 @@ Every point belongs to the hill on which the steepest ascent from it ends (water
 5 % of Sz above its highest saddle is merged with the hill beyond that saddle, the lowest first (Wolf pruning). Dales
 are the hills of the inverted surface.
 
-Holes of a few missing points are filled first (`fill_holes`); otherwise a missing point would exclude its hill. Hills
-that reach the border of the map or a larger hole are left out, as their peak may lie beyond. As usual, the area of
-hills at the border counts; hills next to a hole are assumed to be as dense as the others.
+Holes of a few missing points are filled first. Hills that reach the border of the map or a larger hole are left out, as
+their peak may lie beyond. The area of hills at the border counts; hills next to a hole are assumed to be as dense as
+the others.
 """
 
 from __future__ import annotations
@@ -16,18 +16,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints, is_even
+from turnwright._arrays import Bools, Floats, Ints
 from turnwright._validate import between
-from turnwright.errors import InputError
 from turnwright.metrology.clean import fill_holes
 from turnwright.metrology.form import Form, remove_form
-from turnwright.metrology.grid import measure, valid_points
+from turnwright.metrology.grid import even_rectangle, valid_points
 from turnwright.progress import cores
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
-
-__all__ = ["Features", "features"]
 
 NM = 1e6
 
@@ -108,8 +105,7 @@ def features(heights: HeightMap, *, form: Form = "plane", pruning: float = 0.05,
     Notes
     -----
     Holes of up to five points across are filled with the plate of least bending. Hills and dales next to larger
-    holes are left out with their area; where these cover more than the complete ones, the parameters are nan. Wide
-    hills reach a hole more often: with a third of a random surface left out, the densities are about 10 % too high.
+    holes are left out with their area; where these cover more than the complete ones, the parameters are nan.
 
     Raises
     ------
@@ -130,16 +126,7 @@ def features(heights: HeightMap, *, form: Form = "plane", pruning: float = 0.05,
     """
     between(pruning, "the pruning", 0.0, 1.0, "")
     valid_points(heights, 9, "feature parameters")
-    grid = measure(heights)
-    if heights.polar:
-        raise InputError(
-            "the map has a polar grid, feature parameters need a rectangular one: resample a rectangular patch"
-        )
-    if any(axis.size < 3 or not is_even(axis) for axis in (grid.columns, grid.rows)):
-        raise InputError(
-            "feature parameters need an even grid of at least 3 x 3 points, the map has another: resample it first"
-        )
-    dx, dy = (float(np.diff(axis).mean()) for axis in (grid.columns, grid.rows))
+    dx, dy = even_rectangle(heights, "feature parameters", 3)
     flat = remove_form(heights, form)
     mean, least = float(np.nanmean(flat.z)), pruning * float(np.nanmax(flat.z) - np.nanmin(flat.z))
     filling = fill_holes(flat, MAX_HOLE_POINTS * max(dx, dy))

@@ -11,19 +11,17 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, is_even
+from turnwright._arrays import STEP_TOL, Bools, Floats
 from turnwright._kernels.regression import advance, biweight, spline
-from turnwright._validate import check_numbers, positive
+from turnwright._validate import check_numbers, one_of, positive
 from turnwright.errors import InputError
 from turnwright.metrology.form import Form, remove_form
-from turnwright.metrology.grid import measure, valid_points
+from turnwright.metrology.grid import even_step, measure, valid_points
 from turnwright.metrology.regression import GAUSSIAN_WIDTHS, regress
 from turnwright.progress import run_chunks
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
-
-__all__ = ["Along", "Bands", "Nesting", "filter_map", "separate_bands"]
 
 Kind: TypeAlias = Literal["gaussian", "robust", "spline"]
 Along: TypeAlias = Literal["x", "y", "radius"]
@@ -34,9 +32,6 @@ DEFAULT_ORDERS: dict[str, int] = {"gaussian": 1, "robust": 2}
 MIN_CUTOFF_STEPS = 5
 """Grid steps in the shortest cutoff (ISO 25178-3): the sampled Gaussian still transmits 0.5000 at the cutoff
 (0.501 at 4 steps)."""
-
-LENGTH_TOL = 1e-6
-"""Relative rounding of a length."""
 
 TUKEY_BOUND = 4.4478
 """Tukey's bound over the median absolute residual: three standard deviations of Gaussian noise (ISO 16610-31)."""
@@ -65,16 +60,11 @@ def filter_map(
     r"""Return the mean line or surface: waves longer than the cutoff. Missing points have zero weight.
 
     ``"gaussian"`` fits, at every point, a polynomial of degree ``order`` to its neighbourhood with Gaussian weights:
-    order 0 is the weighted mean, order 1 follows planes and order 2 curved forms up to borders and holes. Away from
-    them orders 0 and 1 are the Gaussian filter, which transmits :math:`2^{-(\lambda_c/\lambda)^2}` of a wave, and order
-    2 transmits more of longer and less of shorter waves; all transmit 0.50 at the cutoff, in every direction.
-    ``"robust"`` iterates with reduced weights for points far from the mean surface, by Tukey's biweight with a bound of
-    4.4478 times the median distance, until bound and mean surface change by less than 0.3 % of the bound. ``"spline"``,
-    along lines only, is the natural cubic smoothing spline, which transmits :math:`1/(1 + (\sin(\pi d/\lambda)/\sin(\pi
-    d/\lambda_c))^4)` at the step d.
-
-    Sums run over the whole map: the Gaussian is cut only where it is below the rounding of doubles, not at the
-    cutoff, where the standard allows it.
+    order 0 is the weighted mean, order 1 follows planes and order 2 curved forms up to borders and holes. Orders 0 and
+    1 transmit :math:`2^{-(\lambda_c/\lambda)^2}` of a wave; all transmit 0.50 at the cutoff, in every direction.
+    ``"robust"`` repeats this with Tukey's weights, with a bound of 4.4478 times the median distance. ``"spline"``,
+    along lines only, is the natural cubic smoothing spline, which transmits :math:`1/(1 + (\sin(\pi
+    d/\lambda)/\sin(\pi d/\lambda_c))^4)` at the step d.
 
     Parameters
     ----------
@@ -93,8 +83,7 @@ def filter_map(
     Raises
     ------
     InputError
-        If kind, order and direction do not fit the map or each other, the cutoff does not fit the grid, or a robust
-        filter does not converge.
+        If the options do not fit the map or each other, or a robust filter does not converge.
 
     Sources
     -------
@@ -139,22 +128,20 @@ def filter_map(
 
 def _order(kind: str, order: int | None, along: str | None) -> int:
     """Return the order, and raise unless kind, order and direction go together."""
-    if kind not in {"gaussian", "robust", "spline"}:
-        raise InputError(f'the kind of filter is {kind!r}, it can be "gaussian", "robust" or "spline": choose one')
+    one_of(kind, "the kind of filter", ("gaussian", "robust", "spline"))
     if kind == "spline" and (order is not None or along is None):
         raise InputError(
             "a spline filter works along lines and has no order: give along and leave the order out, or take a Gaussian"
         )
-    if order is not None and (isinstance(order, bool) or order not in (0, 1, 2)):
-        raise InputError(f"the order of the filter is {order!r}, it can be 0, 1 or 2: choose one of them")
-    return DEFAULT_ORDERS.get(kind, 0) if order is None else order
+    order = DEFAULT_ORDERS.get(kind, 0) if order is None else order
+    one_of(order, "the order of the filter", (0, 1, 2))
+    return order
 
 
 def _steps(heights: HeightMap, along: str | None) -> tuple[float, ...]:
-    """Return the steps of the grid in the directions that are filtered, and raise unless they are even. [mm]."""
+    """Return the steps of the grid in the directions that are filtered. [mm]."""
     grid = measure(heights)
-    if along is not None and along not in ("x", "y", "radius"):
-        raise InputError(f'the direction of the lines is {along!r}, it can be "x", "y" or "radius": choose one')
+    one_of(along or "x", "the direction of the lines", ("x", "y", "radius"))
     if heights.polar != (along == "radius"):
         lines = 'take its lines with along="radius"' if heights.polar else 'take along="x" or "y"'
         way = "areas" if along is None else f"lines along {along}"
@@ -163,36 +150,25 @@ def _steps(heights: HeightMap, along: str | None) -> tuple[float, ...]:
             + (", or bring it to a rectangular grid" if heights.polar else "")
         )
     axes = {"x": grid.columns, "y": grid.rows, "radius": grid.columns}
-    mean_steps = []
-    for name in ("x", "y") if along is None else (along,):
-        steps = np.diff(axes[name])
-        if steps.size == 0:
-            if along is not None:
-                raise InputError(f"the map has 1 value of {name}, a filter along it needs 2: filter along the other")
-            mean_steps.append(np.inf)
-            continue
-        if not is_even(axes[name]):
-            raise InputError(
-                f"the steps of {name} are {steps.min():g} to {steps.max():g} mm, a filter needs them even to 1e-6: "
-                "bring the map to an even grid first"
-            )
-        mean_steps.append(float(steps.mean()))
-    if not np.isfinite(mean_steps).any():
-        raise InputError("the map has 1 point, a filter needs 2: measure more of the part")
-    return tuple(mean_steps)
+    # A map of one line is filtered along it.
+    return tuple(
+        np.inf
+        if along is None and axes[name].size == 1 < heights.z.size
+        else even_step(axes[name], f"the map along {name}", "a filter")
+        for name in (("x", "y") if along is None else (along,))
+    )
 
 
 def _check_cutoff(heights: HeightMap, cutoff: float, along: str | None, steps: tuple[float, ...], name: str) -> None:
-    """Raise unless the grid is fine enough and wide enough for a cutoff."""
     coarsest = max(step for step in steps if np.isfinite(step))
-    if cutoff < MIN_CUTOFF_STEPS * coarsest * (1 - LENGTH_TOL):
+    if cutoff < MIN_CUTOFF_STEPS * coarsest * (1 - STEP_TOL):
         raise InputError(
             f"{name} must be at least {MIN_CUTOFF_STEPS * coarsest:g} mm ({MIN_CUTOFF_STEPS} steps of the grid), got "
             f"{cutoff:g} mm: filter longer waves, or measure with smaller pixels"
         )
     axes = [getattr(heights, axis) for axis in (("x", "y") if along is None else (along,))]
     extent = max(float(np.ptp(axis) + step) for axis, step in zip(axes, steps, strict=True) if axis.size > 1)
-    if cutoff > extent * (1 + LENGTH_TOL):
+    if cutoff > extent * (1 + STEP_TOL):
         raise InputError(
             f"{name} must be at most {extent:g} mm (the extent of the map), got {cutoff:g} mm: filter shorter "
             "waves, or remove a form instead"
@@ -264,11 +240,6 @@ class Nesting:
         Nesting index of the L-filter, which removes longer waves; ``None`` for none. [mm]
     kind, order, along
         Type of filter; see `filter_map`. The S-filter of a robust L-filter is Gaussian.
-
-    Raises
-    ------
-    InputError
-        If an index is not positive, or the S-filter's is not below the L-filter's.
     """
 
     s_filter: float | None
@@ -320,11 +291,6 @@ class Bands:
         """Waviness and roughness: the surface after S-filter and F-operation."""
         return replace(self.roughness, z=self.waviness.z + self.roughness.z)
 
-    @property
-    def sl_surface(self) -> HeightMap:
-        """The roughness, under its name in the standard."""
-        return self.roughness
-
 
 def separate_bands(heights: HeightMap, nesting: Nesting) -> Bands:
     """Separate a surface into bands: S-filter, F-operation, L-filter.
@@ -366,7 +332,7 @@ def separate_bands(heights: HeightMap, nesting: Nesting) -> Bands:
         waviness = filter_map(flat, nesting.l_filter, kind=nesting.kind, order=nesting.order, along=nesting.along).z
 
     def part(z: Floats, what: str) -> HeightMap:
-        return replace(heights, z=z, name=_named(heights, what))
+        return replace(heights, z=z, name=f"{heights.name} {what}".strip())
 
     return Bands(
         nesting=nesting,
@@ -375,7 +341,3 @@ def separate_bands(heights: HeightMap, nesting: Nesting) -> Bands:
         waviness=part(waviness, "waviness"),
         roughness=part(flat.z - waviness, "roughness"),
     )
-
-
-def _named(heights: HeightMap, what: str) -> str:
-    return f"{heights.name} {what}".strip()

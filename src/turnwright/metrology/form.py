@@ -13,8 +13,6 @@ from turnwright.metrology.separable import subtract_polynomial
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
 
-__all__ = ["Form", "remove_form"]
-
 Form: TypeAlias = str | int
 
 MAX_DEGREE = 10
@@ -23,9 +21,8 @@ MAX_DEGREE = 10
 def remove_form(heights: HeightMap, form: Form) -> HeightMap:
     r"""Return the map without its form, fitted by least squares over the valid points.
 
-    On a polar map every point counts with its area, :math:`r\,dr\,d\theta`. Combinations of polynomial terms whose
-    effect on the valid points is below 1/3,000,000 of the largest, as at degree 10 over a narrow slice, cannot be
-    distinguished from rounding and stay in the map.
+    On a polar map every point counts with its area. Combinations of polynomial terms whose effect on the valid points
+    is below 1/3,000,000 of the largest, as at degree 10 over a narrow slice, stay in the map.
 
     Parameters
     ----------

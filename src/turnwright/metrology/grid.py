@@ -5,24 +5,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
-from turnwright._arrays import Bools, Floats
+from turnwright._arrays import STEP_TOL, Bools, Floats, is_even
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
 
-__all__ = ["Grid", "area_rms", "mean", "measure", "valid_points"]
-
-EVEN_STEP_TOL = 1e-6
-"""Relative difference of steps that still counts as even: files state six digits or more."""
-
 
 class Grid(NamedTuple):
     """Steps of a rectangular or polar grid, and areas of its points and cells.
 
-    A point of a rectangular grid is the centre of a pixel. A polar map extends from its first to its last radius, and
-    a sector from its first to its last azimuth: see `_ring_areas` and `_azimuth_widths`.
+    A point of a rectangular grid is the centre of a pixel. For polar maps see `_ring_areas` and `_azimuth_widths`.
     """
 
     columns: Floats
@@ -75,12 +70,12 @@ def _ring_areas(radii: Floats) -> Floats:
     """Return the area per radian of each radius, exact for values that are linear between radii.
 
     The rings extend from the first radius to the last. Evenly spaced radii that start half a step from the axis are
-    instead the middles of rings from the axis to half a step beyond the last. Both are of second order in the step.
+    instead the middles of rings from the axis to half a step beyond the last.
     """
     if radii.size == 1:
         return np.ones(1)
     steps = np.diff(radii)
-    if np.ptp(steps) <= EVEN_STEP_TOL * steps[0] and abs(2 * radii[0] - steps[0]) <= EVEN_STEP_TOL * steps[0]:
+    if is_even(radii) and abs(2 * radii[0] - steps[0]) <= STEP_TOL * steps[0]:
         return np.asarray(radii * steps[0])
     areas = np.zeros_like(radii)
     areas[:-1] += steps * (2 * radii[:-1] + radii[1:]) / 6
@@ -117,8 +112,7 @@ def area_rms(heights: HeightMap, *, like: HeightMap | None = None) -> float:
     """Return the root mean square of a map over its area. [mm].
 
     A point of a rectangular map counts with its pixel. A polar map extends from its first to its last radius; evenly
-    spaced radii that start half a step from the axis are the middles of rings. Values are interpolated linearly between
-    radii, so the error falls with the square of the step.
+    spaced radii that start half a step from the axis are the middles of rings.
 
     Parameters
     ----------
@@ -158,6 +152,38 @@ def point_areas(heights: HeightMap) -> Floats:
         return np.ones(heights.z.shape)
     grid = measure(heights)
     return np.asarray(grid.row_width[:, None] * grid.column_area)
+
+
+def even_step(axis: Floats, name: str, what: str, least: int = 2) -> float:
+    """Return the step of an axis, and raise unless it has ``least`` points or more in even steps. [mm]."""
+    if axis.size < least or not is_even(axis):
+        raise InputError(
+            f"{name} has {axis.size} points{'' if axis.size < least else ' in uneven steps'}, {what} needs at least "
+            f"{least} in even steps: bring the map to an even grid first"
+        )
+    return float(np.diff(axis).mean())
+
+
+def even_rectangle(heights: HeightMap, what: str, least: int) -> tuple[float, float]:
+    """Return the steps along x and y of a rectangular grid, and raise unless it is even. [mm]."""
+    grid = measure(heights)
+    if heights.polar:
+        raise InputError(f"the map has a polar grid, {what} needs a rectangular one: resample a rectangular patch")
+    return even_step(grid.columns, "the map along x", what, least), even_step(grid.rows, "the map along y", what, least)
+
+
+def disc_points(radius: float, count: int = 41) -> tuple[Floats, Floats]:
+    """Return the points of a square grid within a radius of the origin. Each (n,) [mm]."""
+    x, y = np.meshgrid(*2 * [np.linspace(-radius, radius, count)])
+    disc = x * x + y * y <= radius * radius
+    return x[disc], y[disc]
+
+
+def polynomial_terms(x: Floats, y: Floats, degree: int) -> Floats:
+    """Return the products of Legendre polynomials up to a total degree. (..., k)."""
+    along_x, along_y = legvander(x, degree), legvander(y, degree)
+    pairs = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+    return np.stack([along_x[..., i] * along_y[..., j] for i, j in pairs], axis=-1)
 
 
 def valid_points(heights: HeightMap, needed: int, what: str) -> Bools:

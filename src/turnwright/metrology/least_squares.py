@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import Lock
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats
+from turnwright._arrays import Bools, Floats, Ints
 from turnwright._kernels import least_squares
 from turnwright.errors import InputError
 from turnwright.metrology.grid import measure
@@ -17,8 +17,6 @@ from turnwright.progress import run_chunks
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
-
-__all__ = ["Cloud", "Sums", "solve", "sums_over"]
 
 CHUNK_POINTS = 8000
 """Points processed at a time, so that a few dozen terms stay in the cache."""
@@ -75,14 +73,7 @@ class Cloud:
         else:
             step = int(np.ceil(np.sqrt(number / count)))
             used[::step, ::step] = self.used[::step, ::step]
-        return Cloud(
-            heights=self.heights,
-            used=used,
-            columns=self.columns,
-            rows=self.rows,
-            column_weight=self.column_weight,
-            row_weight=self.row_weight,
-        )
+        return replace(self, used=used)
 
     @property
     def chunk(self) -> int:
@@ -217,6 +208,18 @@ def sums_over(
         square=float(totals[1]),
         count=int(totals[2]),
     )
+
+
+def clustered_covariance(slopes: Floats, residual: Floats, weight: Floats, blocks: Ints, terms: int) -> Floats:
+    """Return the covariance of fitted parameters for errors correlated within blocks. (k, k).
+
+    The fit of so many terms has reduced the scatter of the blocks in proportion to their number.
+    """
+    weighted = slopes * weight[:, None]
+    inverse = np.linalg.pinv(weighted.T @ slopes, rcond=1e-15)
+    score = np.stack([np.bincount(blocks, weights=column * residual) for column in weighted.T], axis=1)
+    count = int(np.count_nonzero(np.bincount(blocks)))
+    return np.asarray(inverse @ (score.T @ score) @ inverse * (count / max(count - terms, 1)))
 
 
 def solve(normal: Floats, right: Floats, names: Sequence[str], what: str) -> tuple[Floats, float]:

@@ -4,28 +4,25 @@ A lenslet is fitted with its design form :math:`f` (or a sphere) on the base :ma
 
 .. math:: z = b(x, y) + h + f_0 + s\,[f(u/s, v/s) - f_0] + a\,u + c\,v, \qquad u = x - x_c,\; v = y - y_c
 
-by least squares of the vertical distance over the points within ``inner`` lens radii of the measured centre, with exact
-derivatives. The centre :math:`(x_c, y_c)` and the height :math:`h` are always free. The scale :math:`s` of all
-lengths turns a sphere of radius R into one of radius s R; the slopes a, c tilt the form.
+by least squares of the vertical distance. The scale :math:`s` of all lengths turns a sphere of radius R into one of
+radius s R; the slopes a, c tilt the form.
 
 Sources
 -------
-[Kong2019]_ separates lenses and base by the factors 0.95 and 1.05 of the lens radius, and takes the base first. The
-lowest pixel of a lens is not its centre: noise of 20 nm moves it by :math:`\sqrt{2 R \cdot 20\,\mathrm{nm}}`, 20 um on
-a lens of R 10 mm. Uncertainties follow [Liang1986]_, which allows for spatially correlated
-errors.
+[Kong2019]_ separates lenses and base by the factors 0.95 and 1.05 of the lens radius. Uncertainties follow
+[Liang1986]_, which allows for spatially correlated errors.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from turnwright._arrays import Bools, Floats
-from turnwright._validate import between
+from turnwright._validate import between, one_of
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology.alignment import Alignment
@@ -49,29 +46,24 @@ from turnwright.metrology.lenslet_fit import (
     take_apart,
     without_form,
 )
-from turnwright.metrology.registration import register
+from turnwright.metrology.registration import register, sample
+from turnwright.metrology.weak import rim_forms
 from turnwright.pose import Pose
 from turnwright.progress import cores, run_chunks
 from turnwright.surface import Zernike
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from turnwright.part import Part
     from turnwright.surface import Surface
 
-__all__ = ["Lenslet", "Lenslets", "base_forms", "has_lenslets", "lenslets"]
-
 DEFAULT_BASE_DEGREE = 4
 
-SUMMARY_TERMS, NM = 3, 1e6
-"""Number of base form terms in a summary; nanometres in a millimetre."""
-
+NM = 1e6
+SUMMARY_TERMS = 3
 MAX_BASE_DEGREE = 12
-"""Highest degree of the base form that the surface between the lenslets determines."""
-
 MAX_REGISTRATION_POINTS = 100_000
-"""Points used to register an array before it is levelled on its base."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -154,10 +146,10 @@ class Lenslets(Sequence[Lenslet]):
     base_points
         Number of points of the base, more than ``outer`` lens radii from every lenslet.
     base_sq_nm, base_pv_nm
-        Of the base minus its design at up to 300,000 of its points, without outliers; nan without a base.
+        Of the base minus its design, without outliers; nan without a base.
     base_form
-        Form error of the base in its own frame, as Zernike terms by ANSI number, each with its height at the rim; it
-        was subtracted under the lenslets. ``None`` if none was fitted. [mm]
+        Form error of the base in its own frame, as Zernike terms by ANSI number, each with its height at the rim;
+        ``None`` if none was fitted. [mm]
     base_form_std
         Standard uncertainty of each of these. [mm]
     """
@@ -176,11 +168,7 @@ class Lenslets(Sequence[Lenslet]):
     def __len__(self) -> int:
         return len(self.items)
 
-    @overload
-    def __getitem__(self, index: int) -> Lenslet: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Lenslet]: ...
-    def __getitem__(self, index: int | slice) -> Lenslet | Sequence[Lenslet]:
+    def __getitem__(self, index: Any) -> Any:
         """Return a lenslet, or several."""
         return self.items[index]
 
@@ -310,26 +298,23 @@ def lenslets(
         The design: a `LensArray`, alone or added to a base, placed as a whole or on its base.
     inner, outer
         Points within ``inner`` lens radii of a measured centre belong to the lenslet, those beyond ``outer`` lens radii
-        of all lenslets to the base. The rim in between, which instruments measure poorly, is left out.
+        of all lenslets to the base.
     pose
-        From the map's frame to the part's; ``Pose()`` if the map is in the part's frame already. By default the map
-        is registered, see `register`.
+        From the map's frame to the part's. By default the map is registered, see `register`.
     form
         ``"design"``, the design form; ``"sphere"``, the best sphere, its radius free.
     radius
-        Whether the radius of the design form is free; the form error is then without radius error.
+        Whether the radius of the design form is free.
     tilt
         Whether the tilt of each lenslet is free; not on a sphere, where tilt and shift are equivalent.
     aperture
-        Semi-diameter of a lenslet; by default that of the array or, where lenslets fill their cells, that of the
-        largest circle in the cell. [mm]
+        Semi-diameter of a lenslet; by default that of the array or of the largest circle in the cell. [mm]
     level
         Whether tilt and height are taken from the base, and rotation too where the base determines it better than the
-        lenslets. Otherwise they are those of the pose. `Lenslets.frame` states the result.
+        lenslets. `Lenslets.frame` states the result.
     base_degree
-        Highest degree of the form error of the base, in Zernike terms from the second degree on. It is fitted together
-        with the level between the lenslets, and subtracted under them. 0 for none; without ``level``, or where lenslets
-        fill their cells, there is none.
+        Highest degree of the form error of the base, in Zernike terms from the second degree on, which is fitted with
+        the level and subtracted under the lenslets; 0 for none.
 
     Raises
     ------
@@ -351,7 +336,13 @@ def lenslets(
     >>> found[0].dislocation[0].__round__(9), found[3].measured
     (0.003, True)
     """
-    _check(inner, outer, form, base_degree)
+    between(inner, "inner, the share of its radius that belongs to a lenslet,", 0.1, 1.0, "lens radii")
+    between(outer, "outer, where the base begins,", inner, 10.0, "lens radii")
+    one_of(form, "form", ("design", "sphere"))
+    if not 0 <= base_degree <= MAX_BASE_DEGREE or base_degree == 1:
+        raise InputError(
+            f"base_degree must be 0 or 2 to {MAX_BASE_DEGREE} (degree 1 is part of the pose), got {base_degree!r}"
+        )
     degree = base_degree if level else 0
     design = take_apart(part, form, aperture, degree)
     free = free_parameters(design, inner, radius=radius or form == "sphere", tilt=tilt)
@@ -364,11 +355,14 @@ def lenslets(
     starts[:, :2] = design.centres
     seen = np.zeros(starts.shape[0], dtype=np.bool_)
 
-    def find(k: int) -> None:
-        if (rough := find_roughly(points, design, k, inner)) is not None:
-            starts[k], seen[k] = rough, True
+    chunk = max(1, starts.shape[0] // (8 * cores()))
 
-    _each(starts.shape[0], find)
+    def find(start: int, stop: int) -> None:
+        for k in range(start, stop):
+            if (rough := find_roughly(points, design, k, inner)) is not None:
+                starts[k], seen[k] = rough, True
+
+    run_chunks(find, starts.shape[0], chunk)
     base = points_of_base(points, design, starts, outer)
     frame = "the part's frame: shift, rotation, tilt and height by the pose"
     base_form = BaseForm(np.empty(0), np.empty((0, 0)), np.empty(0))
@@ -379,14 +373,14 @@ def lenslets(
         points = place_points(heights, pose, design)
         starts[:, 0], starts[:, 1], _ = correction.apply(starts[:, 0], starts[:, 1], 0.0)
         base = points_of_base(points, design, starts, outer)
-    plain, points = points, without_form(points, design, base_form)
+    formless = without_form(points, design, base_form)
     lenslets: dict[int, Found] = {}
 
-    def fit(k: int) -> None:
-        lenslets[k] = fit_lenslet(points, design, k, starts, free, inner, base_form)
+    def fit(start: int, stop: int) -> None:
+        for k in range(start, stop):
+            lenslets[k] = fit_lenslet(formless, design, k, starts, free, inner, base_form)
 
-    _each(starts.shape[0], fit)
-    points = plain
+    run_chunks(fit, starts.shape[0], chunk)
     items = tuple(_lenslet(k, lenslets[k], design) for k in range(starts.shape[0]))
     measured = [one for one in items if one.measured]
     alignment = None
@@ -414,18 +408,6 @@ def lenslets(
     )
 
 
-def _check(inner: float, outer: float, form: str, base_degree: int) -> None:
-    """Validate the options of `lenslets`."""
-    between(inner, "inner, the share of its radius that belongs to a lenslet,", 0.1, 1.0, "lens radii")
-    between(outer, "outer, where the base begins,", inner, 10.0, "lens radii")
-    if form not in ("design", "sphere"):
-        raise InputError(f'form is {form!r}, it can be "design" or "sphere": choose one of them')
-    if not 0 <= base_degree <= MAX_BASE_DEGREE or base_degree == 1:
-        raise InputError(
-            f"base_degree must be 0 or 2 to {MAX_BASE_DEGREE} (degree 1 is part of the pose), got {base_degree!r}"
-        )
-
-
 def base_forms(part: Part, degree: int = DEFAULT_BASE_DEGREE) -> tuple[Zernike, ...]:
     """Return the form error terms of the base of a lens array, each 1 mm at the rim; none without a base.
 
@@ -436,17 +418,11 @@ def base_forms(part: Part, degree: int = DEFAULT_BASE_DEGREE) -> tuple[Zernike, 
     degree
         Highest degree of the Zernike terms, which start at the second.
     """
-    return tuple(
-        Zernike(terms={number: 1.0}, radius=part.radius, indexing="ansi", normalised=False)
-        for number in take_apart(part, "design", None, degree).terms
-    )
+    return tuple(rim_forms(take_apart(part, "design", None, degree).terms, part.radius))
 
 
 def _registered(heights: HeightMap, part: Part, degree: int) -> tuple[Pose, float, str]:
-    """Return the part pose, the standard deviation of its rotation [rad], and a warning if it is ambiguous.
-
-    The form of the base is fitted together with the pose.
-    """
+    """Return the part pose, the standard deviation of its rotation [rad], and a warning if it is ambiguous."""
     # A robust loss, so that displaced lenslets do not rotate the others.
     registration = register(
         _thinned(heights, MAX_REGISTRATION_POINTS), part, loss="huber", terms=base_forms(part, degree), form_error=0.0
@@ -463,8 +439,6 @@ def has_lenslets(surface: Surface) -> bool:
 
 
 def _lenslet(k: int, found: Found, design: Design) -> Lenslet:
-    """Return the result of a fit in the frame of the part."""
-
     def place(at: Floats, height: float) -> tuple[float, float]:
         x, y = at[:1].copy(), at[1:2].copy()
         base = float(design.base.evaluate(x, y, 0)[0][0]) if design.base is not None else 0.0
@@ -506,19 +480,8 @@ def _lenslet(k: int, found: Found, design: Design) -> Lenslet:
 
 
 def _thinned(heights: HeightMap, most: int) -> HeightMap:
-    """Return a random sample of the valid points of a map; a regular one could alias with the raster."""
+    """Return a random sample of the valid points of a map."""
     valid = np.flatnonzero(~np.isnan(heights.z).ravel())
-    if valid.size > most:
-        valid = np.sort(np.random.default_rng(0).choice(valid, most, replace=False))
+    valid = valid[sample(valid.size, most)]
     x, y, z = (part.ravel()[valid] for part in (*heights.points(), heights.z))
     return HeightMap(x=x, y=y, z=z, name=heights.name)
-
-
-def _each(count: int, work: Callable[[int], None]) -> None:
-    """Run the work for every lenslet on all cores."""
-
-    def some(start: int, stop: int) -> None:
-        for k in range(start, stop):
-            work(k)
-
-    run_chunks(some, count, max(1, count // (8 * cores())))

@@ -5,44 +5,25 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 
 from turnwright._arrays import Bools, Floats, Ints, robust_scatter
 from turnwright._validate import positive
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology.alignment import Alignment
-from turnwright.metrology.grid import measure
+from turnwright.metrology.grid import disc_points, point_areas, polynomial_terms
+from turnwright.metrology.least_squares import clustered_covariance
+from turnwright.metrology.rigid import about
+from turnwright.metrology.weak import rim_form_heights
 from turnwright.pose import Pose
 from turnwright.surface import LensArray, Placed, Plane, Sphere, Sum, Surface, Zernike
 
 if TYPE_CHECKING:
     from turnwright.part import Part
 
-__all__ = [
-    "MAX_LEVELLING_POINTS",
-    "MIN_POINTS",
-    "BaseForm",
-    "Design",
-    "Found",
-    "arrays_in",
-    "errors_of_base",
-    "find_roughly",
-    "fit_lenslet",
-    "fit_smooth",
-    "free_parameters",
-    "level_on_base",
-    "place_points",
-    "points_of_base",
-    "size_nm",
-    "take_apart",
-    "without_form",
-]
-
 NM = 1e6
 
 MIN_POINTS = 30
-"""Least number of points for the fit of a lenslet."""
 
 MIN_COVERAGE = 0.5
 """Share of the aperture that must hold points."""
@@ -54,7 +35,6 @@ MIN_INDEPENDENT_SHARE = 1e-4
 """Least share of the squared effect of a parameter that the others cannot imitate: 100 times the uncertainty."""
 
 MAX_SEARCH_POINTS = 4000
-"""Points of a lenslet used to find it."""
 
 MAX_ITERATIONS = 12
 """Iterations of fit and separation; each reduces the error of the centre about five times."""
@@ -75,10 +55,7 @@ BLOCKS_PER_LENSLET = 12
 """Blocks across a lenslet (twice as many across the base) within which errors may be correlated."""
 
 POINTS_PER_BLOCK = 8
-"""Least number of points for each block."""
-
 MAX_LEVELLING_POINTS = 300_000
-"""Points of the base used to level it."""
 
 MIN_HIDDEN_FORM_MM = 50e-6
 """Lower bound, at the rim, of a form error that cannot be distinguished from a rotation."""
@@ -195,19 +172,9 @@ def arrays_in(surface: Surface) -> list[Surface]:
     return [surface] if isinstance(surface, LensArray) else []
 
 
-def terms_up_to(degree: int) -> tuple[int, ...]:
-    """Return the ANSI numbers of the Zernike terms from the second degree up to one."""
-    return tuple(range(3, (degree + 1) * (degree + 2) // 2))
-
-
 def shapes_at(design: Design, x: Floats, y: Floats) -> Floats:
     """Return the terms of the base's form, each 1 mm at the rim. (k, n)."""
-    x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
-    shapes = np.empty((len(design.terms), x.size))
-    for k, number in enumerate(design.terms):
-        one = Zernike(terms={number: 1.0}, radius=design.reach, indexing="ansi", normalised=False)
-        shapes[k] = one.evaluate(x, y, 0)[0]
-    return shapes
+    return rim_form_heights(design.terms, design.reach, x, y)
 
 
 def take_apart(part: Part, form: str, aperture: float | None, degree: int) -> Design:
@@ -240,7 +207,7 @@ def take_apart(part: Part, form: str, aperture: float | None, degree: int) -> De
         lens = lens.placed(shift=(0.0, 0.0, inside.shift[2]), rotation=inside.rotation)
         if surround is not None:
             surround = surround.placed(shift=inside.shift, rotation=inside.rotation)
-    radii = lens_radii(centres, array.aperture if aperture is None else aperture, part.radius)
+    radii = _lens_radii(centres, array.aperture if aperture is None else aperture, part.radius)
     z, zx, zy, zxx, zxy, zyy = (float(value[0]) for value in lens.evaluate(np.zeros(1), np.zeros(1), 2))
     mean = ((1 + zy * zy) * zxx - 2 * zx * zy * zxy + (1 + zx * zx) * zyy) / (2 * (1 + zx * zx + zy * zy) ** 1.5)
     vertex = z if np.isfinite(z) else 0.0
@@ -262,11 +229,11 @@ def take_apart(part: Part, form: str, aperture: float | None, degree: int) -> De
         radius=1 / mean if curved else float("nan"),
         surround=surround,
         reach=part.radius,
-        terms=terms_up_to(degree) if surround is not None else (),
+        terms=tuple(range(3, (degree + 1) * (degree + 2) // 2)) if surround is not None else (),
     )
 
 
-def lens_radii(centres: Floats, aperture: float | None, reach: float) -> Floats:
+def _lens_radii(centres: Floats, aperture: float | None, reach: float) -> Floats:
     """Return the radius of every lenslet: the aperture, or that of the largest circle in its cell. (n,) [mm]."""
     if aperture is not None:
         return np.full(centres.shape[0], positive(aperture, "aperture of a lenslet", "mm"))
@@ -282,9 +249,7 @@ def free_parameters(design: Design, inner: float, *, radius: bool, tilt: bool) -
     """Return the fitted parameters, and raise if the form does not determine them."""
     free = [0, 1, 2, *([3] if radius else []), *([4, 5] if tilt else [])]
     reach = inner * float(design.radii.min())
-    u, v = (part.ravel() for part in np.meshgrid(*2 * [np.linspace(-reach, reach, 41)]))
-    within = u * u + v * v <= reach**2
-    _, slopes = model(design, np.zeros(6), u[within], v[within], [0, 1, 2, 3, 4, 5])
+    _, slopes = model(design, np.zeros(6), *disc_points(reach), [0, 1, 2, 3, 4, 5])
     slopes = slopes[np.isfinite(slopes).all(axis=1)]
     names = ("centre along x", "centre along y", "height", "radius", "tilt along x", "tilt along y")
 
@@ -324,32 +289,16 @@ def model(design: Design, parameters: Floats, x: Floats, y: Floats, free: list[i
     z, zx, zy = design.lens.evaluate(u, v, 1)
     z -= design.vertex
     value = design.vertex + height + (1 + growth) * z + slope_x * dx + slope_y * dy
-    slopes = np.empty((x.size, len(free)))
-    for place, column in enumerate(free):
-        match column:
-            case 0:
-                slopes[:, place] = -zx - slope_x
-            case 1:
-                slopes[:, place] = -zy - slope_y
-            case 2:
-                slopes[:, place] = 1.0
-            case 3:
-                slopes[:, place] = z - u * zx - v * zy
-            case _:
-                slopes[:, place] = dx if column == 4 else dy
-    return value, slopes
+    slopes = -zx - slope_x, -zy - slope_y, np.ones(x.size), z - u * zx - v * zy, dx, dy
+    return value, np.stack([slopes[column] for column in free], axis=1)
 
 
 def place_points(heights: HeightMap, pose: Pose, design: Design) -> Points:
     """Return the points of the map within the clear aperture, in the frame of the base, sorted by cells."""
     valid = ~np.isnan(heights.z)
     x, y, z = (part[valid] for part in (*heights.points(), heights.z))
-    if heights.scattered:
-        weight = np.ones(x.size)
-    else:
-        grid = measure(heights)
-        weight = (grid.row_width[:, None] * grid.column_area)[valid]
-        weight /= weight.max()
+    weight = point_areas(heights)[valid]
+    weight /= weight.max()
     x, y, z = pose.apply(x, y, z)
     part_x, part_y, _ = design.outer.apply(x, y, z)
     used = (part_x**2 + part_y**2 <= design.reach**2) & (weight > 0)
@@ -422,8 +371,7 @@ def fit_smooth(x: Floats, y: Floats, error: Floats) -> Smooth:
     degree = SMOOTH_DEGREE
     while degree and (degree + 1) * (degree + 2) // 2 * POINTS_PER_BLOCK > error.size:
         degree -= 1
-    along_x, along_y = legvander(x, degree), legvander(y, degree)
-    terms = np.stack([along_x[:, i] * along_y[:, j] for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1)
+    terms = polynomial_terms(x, y, degree)
     off = np.abs(error - np.median(error))
     # Twice the threshold at first, as the form is not yet removed.
     keep = off <= max(2 * OUTLIER_SIGMA * robust_scatter(off), MIN_OUTLIER_MM)
@@ -448,17 +396,6 @@ def number_blocks(u: Floats, v: Floats, most: int) -> tuple[Ints, float]:
     disc = (np.hypot(middle, middle[:, None]) <= 1).ravel()
     filled = np.bincount(number, minlength=count * count) > 0
     return number, float(np.count_nonzero(filled & disc) / np.count_nonzero(disc))
-
-
-def clustered_covariance(slopes: Floats, rest: Floats, weight: Floats, blocks: Ints, terms: int) -> Floats:
-    """Return the covariance of fitted parameters for errors correlated within blocks. (k, k)."""
-    weighted = slopes * weight[:, None]
-    inverse = np.linalg.pinv(weighted.T @ slopes, rcond=1e-15)
-    score = np.stack([np.bincount(blocks, weights=column * rest) for column in weighted.T], axis=1)
-    count = int(np.count_nonzero(np.bincount(blocks)))
-    # The removed polynomial has reduced the scatter in proportion to its number of terms.
-    together = score.T @ score * (count / max(count - terms, 1))
-    return np.asarray(inverse @ together @ inverse)
 
 
 def size_nm(error: Floats, weight: Floats) -> tuple[float, float]:
@@ -596,20 +533,13 @@ def points_of_base(points: Points, design: Design, centres: Floats, outer: float
 
 
 def errors_of_base(points: Points, base: Ints, design: Design) -> tuple[Floats, Floats]:
-    """Return the form error of the base, and its derivatives by rotations about x, y, a shift along z, and about z.
-
-    Returns
-    -------
-    error, slopes
-        (m,) [mm] and (m, 4).
-    """
+    """Return the form error of the base (m,), and its derivatives by rx, ry, a shift along z, and rz. (m, 4)."""
     x, y, z, error = points.x[base], points.y[base], points.z[base], points.departure[base]
-    zx, zy = np.zeros(x.size), np.zeros(x.size)
+    zx, zy = np.zeros((2, x.size))
     for surface in (design.base, design.surround):
         if surface is not None:
             height, slope_x, slope_y = surface.evaluate(x, y, 1)
-            zx += slope_x
-            zy += slope_y
+            zx, zy = zx + slope_x, zy + slope_y
             if surface is design.surround:
                 error = error - height
     slopes = np.stack([y + zy * z, -x - zx * z, np.ones(x.size), zx * y - zy * x], axis=1)
@@ -641,9 +571,7 @@ def level_on_base(
     alike = least_squares_step(slopes, turned, weight)[3:]
     chosen, by_base = np.append(-least_squares_step(slopes, error, weight), 0.0), False
     lattice = Alignment.of(design.centres[seen], starts[seen, :2]) if np.count_nonzero(seen) > 2 else None
-    unsure = rotation_std
-    if lattice is not None:
-        unsure = float(np.hypot(lattice.rotation, lattice.rotation_std))
+    unsure = rotation_std if lattice is None else float(np.hypot(lattice.rotation, lattice.rotation_std))
     tells = _rotation_of_base(design, (u, v, error, weight, blocks), level, shapes, turned, alike)
     if tells is not None:
         rotation_known, base_std = tells
@@ -657,20 +585,14 @@ def level_on_base(
     residual = error + slopes @ chosen[:-1] + turned * chosen[-1]
     spread = fit_smooth(u, v, residual)
     covariance = clustered_covariance(slopes, residual, weight, blocks, spread.terms)[3:, 3:]
-    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - scipy is costly to import
-
-    matrix = Rotation.from_rotvec([chosen[0], chosen[1], chosen[-1]]).as_matrix()
+    matrix = about([chosen[0], chosen[1], chosen[-1]])
+    within = f" within {unsure * 1e6:.2g} urad" if np.isfinite(unsure) else ""
     words = (
-        f"the part's frame: tilt and height by the base, shift by the pose, rotation by the {_words(by_base, unsure)}"
+        "the part's frame: tilt and height by the base, shift by the pose, rotation by the "
+        f"{'base' if by_base else 'pose'}{within}"
     )
     base_form = BaseForm(chosen[3:-1], covariance, alike * unsure if np.isfinite(unsure) else 0.0 * alike)
     return Pose.of(matrix, (0.0, 0.0, chosen[2])), words, base_form
-
-
-def _words(by_base: bool, unsure: float) -> str:
-    """Return the reference of the rotation and its uncertainty, in words."""
-    name = "base" if by_base else "pose"
-    return f"{name} within {unsure * 1e6:.2g} urad" if np.isfinite(unsure) else name
 
 
 def _rotation_of_base(

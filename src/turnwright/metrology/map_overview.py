@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright.errors import InputError
+from turnwright._validate import one_of
 from turnwright.metrology.form import Form, remove_form
 from turnwright.metrology.grid import area_rms
 from turnwright.units import say_length
@@ -15,12 +15,9 @@ from turnwright.units import say_length
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
 
-__all__ = ["level", "overview"]
-
 NM = 1e6
 
 MAX_VALUE_CHARACTERS = 120
-"""Longest value of the header that is shown."""
 
 
 def level(heights: HeightMap, form: Form = "plane") -> HeightMap:
@@ -36,8 +33,7 @@ def level(heights: HeightMap, form: Form = "plane") -> HeightMap:
     if not heights.scattered:
         plain = remove_form(replace(heights, calibrated=True), form)
         return replace(plain, calibrated=heights.calibrated)
-    if form not in ("none", "mean", "plane"):
-        raise InputError(f'the form of scattered heights is {form!r}, it can be "none", "mean" or "plane": choose one')
+    one_of(form, "the form of scattered heights", ("none", "mean", "plane"))
     valid = np.isfinite(heights.z)
     x, y = heights.points()
     terms = np.column_stack([np.ones(x.size), x - x.mean(), y - y.mean()])[

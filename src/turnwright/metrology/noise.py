@@ -5,22 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.polynomial.legendre import legvander2d
+from numpy.lib.stride_tricks import sliding_window_view
 
 from turnwright._arrays import robust_scatter
+from turnwright.metrology.grid import polynomial_terms
 from turnwright.metrology.rigid import MIN_SCATTER_MM, Problem, residuals, rows, turns
 
 if TYPE_CHECKING:
     from turnwright._arrays import Bools, Floats, Ints
     from turnwright.heightmap import HeightMap
 
-__all__ = ["MapNoise", "map_noise"]
-
 RUN_LENGTH = 4
 """Points of a third difference, which is free of height, slope and curvature."""
 
 MAX_RUNS = 4000
-"""Runs evaluated along each axis of a grid."""
 
 THIRD_DIFFERENCE_VARIANCE = 20.0
 """Variance of the third difference of independent heights, relative to that of a height."""
@@ -35,7 +33,6 @@ PLANE_POINTS = 6
 """Neighbouring scattered points to which a plane is fitted."""
 
 POINTS_PER_CELL = 10
-"""Mean number of scattered points in a search cell."""
 
 CHI2_3_MEDIAN = 2.365974
 """Median of chi-square with three degrees of freedom, as for the residuals of six points about a plane."""
@@ -47,7 +44,6 @@ OUTLIER_SIGMA = 6.0
 """Robust standard deviations beyond which a residual is not noise."""
 
 MIN_CORRELATION_POINTS = 400
-"""Least number of points for an estimate of the correlation."""
 
 MIN_NOISE_SHARE = 0.3
 """Lower bound of the share of the correlated noise that remains after the smooth terms are removed."""
@@ -76,19 +72,10 @@ class MapNoise(NamedTuple):
 def map_noise(problem: Problem, some: Problem, state: Floats, heights: HeightMap, which: Ints) -> MapNoise:
     """Return the noise of a map about a pose so close that the residual is smooth between neighbours.
 
-    Parameters
-    ----------
-    problem, some
-        All points, and the sample for the correlation.
-    state
-        The pose.
-    heights, which
-        The map, and the index of each point in it.
+    ``some`` is the sample for the correlation; ``which`` is the index of each point in the map.
     """
     scatter = _in_cells(problem, state) if heights.scattered else _in_runs(problem, state, heights, which)
-    white = max(scatter, MIN_SCATTER_MM)
-    count = problem.points.shape[1]
-    return _correlated(some, state, white, count)
+    return _correlated(some, state, max(scatter, MIN_SCATTER_MM), problem.points.shape[1])
 
 
 def _in_runs(problem: Problem, state: Floats, heights: HeightMap, which: Ints) -> float:
@@ -133,20 +120,13 @@ def _begins(known: Bools, axis: int) -> Ints:
     """Return the flat index of the first of every run of valid neighbours along an axis."""
     if known.shape[axis] < RUN_LENGTH:
         return np.empty(0, dtype=np.int64)
-    count = known.shape[axis] - RUN_LENGTH + 1
-    complete = np.zeros(known.shape, dtype=np.bool_)
-    head = tuple(slice(0, count) if k == axis else slice(None) for k in (0, 1))
-    complete[head] = True
-    for step in range(RUN_LENGTH):
-        complete[head] &= known[tuple(slice(step, step + count) if k == axis else slice(None) for k in (0, 1))]
-    return np.flatnonzero(complete)
+    complete = sliding_window_view(known, RUN_LENGTH, axis=axis).all(axis=-1)
+    return np.ravel_multi_index(np.nonzero(complete), known.shape)
 
 
 def _scatter(size: Floats) -> float:
     """Return the robust standard deviation of magnitudes; their rms where most are zero."""
-    if size.size == 0:
-        return 0.0
-    return robust_scatter(size) or float(np.sqrt(np.mean(size**2)))
+    return robust_scatter(size) or (float(np.sqrt(np.mean(size**2))) if size.size else 0.0)
 
 
 def _in_cells(problem: Problem, state: Floats) -> float:
@@ -188,9 +168,7 @@ def _correlated(some: Problem, state: Floats, white: float, count: int) -> MapNo
     x, y, residual = sample.at[0], sample.at[1], sample.residual
     low, high = np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
     u, v = 2 * (x - low[0]) / max(high[0] - low[0], 1e-300) - 1, 2 * (y - low[1]) / max(high[1] - low[1], 1e-300) - 1
-    terms = legvander2d(u, v, (SMOOTH_DEGREE, SMOOTH_DEGREE)).reshape(residual.size, -1)
-    degree = np.add.outer(np.arange(SMOOTH_DEGREE + 1), np.arange(SMOOTH_DEGREE + 1)).ravel()
-    terms = terms[:, degree <= SMOOTH_DEGREE]
+    terms = polynomial_terms(u, v, SMOOTH_DEGREE)
     keep = np.ones(residual.size, dtype=np.bool_)
     for _ in range(2):
         solved = np.linalg.lstsq(terms[keep], residual[keep], rcond=1e-12)[0]

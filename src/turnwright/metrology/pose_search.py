@@ -10,13 +10,10 @@ import numpy as np
 from turnwright._arrays import Bools, Floats
 from turnwright._kernels.registration import misfit, settle
 from turnwright.errors import InputError
-from turnwright.metrology.rigid import Fit, Problem, fit, residuals, rows, turns
-from turnwright.pose import Pose
+from turnwright.metrology.rigid import Fit, Problem, about, fit, placed_at, residuals, rows, turns, wrapped
 from turnwright.progress import run_chunks
 from turnwright.surface import LensArray, Placed, Sum, Surface
 from turnwright.units import say_length
-
-__all__ = ["Lattice", "axisymmetric", "costs", "lattice_of", "ranked", "search"]
 
 MIN_TABLE_SIZE, MAX_TABLE_SIZE = 256, 1000
 
@@ -159,13 +156,7 @@ def axisymmetric(surface: Surface, radius: float) -> bool:
 
 
 def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach: float, clocking: float) -> list[Fit]:
-    """Return fits to the problem's (few) points from every valley within reach, the best first: see `costs`.
-
-    Parameters
-    ----------
-    state
-        The start (6 + terms,); lateral places up to ``reach`` mm and turns up to ``clocking`` rad from it count.
-    """
+    """Return fits to the problem's (few) points from every valley within reach of the state, the best first."""
     pattern = lattice_of(problem.surface)
     start = level(problem, state, free, size)
     lateral = [k for k in (0, 1, 3) if k in free]
@@ -176,7 +167,8 @@ def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach
     step = min(pattern.fine * STEP_IN_FEATURES if np.isfinite(pattern.fine) else np.inf, a / MIN_STEPS_ON_RADIUS)
     if 3 not in free:
         clocking = 0.0
-    tabled = _Tabled(points, start, *_table(problem.surface, problem.within, step), _moves(free))
+    moves = np.array([k in free for k in (0, 1, 2, 4, 5, 3)])
+    tabled = _Tabled(points, start, *_table(problem.surface, problem.within, step), moves)
     # A turn about the middle of the map moves the frame that the reach is stated in.
     reach += 2 * np.sin(min(clocking, np.pi) / 2) * min(float(np.hypot(*state[:2])), a) if reach > 0 else 0.0
     turn_step = min(step / a * 1.5, 0.35)
@@ -198,7 +190,9 @@ def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach
         fits += _repeats(problem, fits, pattern.steps, state, reach, free, size, tabled)
     if fits:
         fits += _twins(problem, ranked(problem, fits)[0], state, free, size, clocking)
-    fits = _covering(problem, fits)
+    fits = ranked(problem, fits)
+    # Those that leave more of the map beyond the part than the best one do not count.
+    fits = [one for one in fits if one.used >= MIN_COVER_SHARE * fits[0].used]
     near = [one for one in fits if np.abs(one.state[:2] - state[:2]).max() <= reach + step / 2]
     return near if near and near[0].cost <= MAX_COST_RATIO * fits[0].cost + MIN_MISFIT_MM**2 else fits
 
@@ -241,7 +235,7 @@ def _twins(problem: Problem, best: Fit, state: Floats, free: list[int], size: Fl
             twin = best.state.copy()
             c, s = np.cos(turn), np.sin(turn)
             twin[:2] = c * twin[0] - s * twin[1], s * twin[0] + c * twin[1]
-            twin[3] = state[3] + (twin[3] + turn - state[3] + np.pi) % (2 * np.pi) - np.pi
+            twin[3] = state[3] + wrapped(twin[3] + turn - state[3])
             if abs(twin[3] - state[3]) > clocking:
                 continue
             residual = residuals(problem, twin)
@@ -252,12 +246,6 @@ def _twins(problem: Problem, best: Fit, state: Floats, free: list[int], size: Fl
             ):
                 fits.append(fit(problem, twin, free, size, steps=25, close=1e-9))
     return fits
-
-
-def _covering(problem: Problem, fits: list[Fit]) -> list[Fit]:
-    """Return the fits, the best first, that leave no more of the map beyond the part than the best one does."""
-    fits = ranked(problem, fits)
-    return [one for one in fits if one.used >= MIN_COVER_SHARE * fits[0].used]
 
 
 def level(problem: Problem, state: Floats, free: list[int], size: Floats) -> Floats:
@@ -271,8 +259,7 @@ def level(problem: Problem, state: Floats, free: list[int], size: Floats) -> Flo
     residual = residual[np.isfinite(residual)]
     if 2 in free and residual.size:
         state[2] -= float(np.median(residual))
-    untilted = fit(calm, state[:6], tilts, size, steps=12, close=1e-6)
-    state[:6] = untilted.state
+    state[:6] = fit(calm, state[:6], tilts, size, steps=12, close=1e-6).state
     return state
 
 
@@ -291,13 +278,7 @@ def _places(
     pattern: Lattice, start: Floats, free: list[int], *, reach: float, step: float, clocking: float, turn_step: float,
     rim: float, within: float,
 ) -> tuple[Floats, Lattice]:  # fmt: skip
-    """Return places and turns to look at (n, 3), and the pattern if they are those of one of its cells.
-
-    Raises
-    ------
-    InputError
-        If they are more than can be looked at.
-    """
+    """Return places and turns to look at (n, 3), and the pattern if they are those of one of its cells."""
     turns_tried = _turns(clocking, turn_step)
     # Farther from the part's axis nothing of the map lies on the part.
     farthest = within + rim
@@ -353,11 +334,6 @@ def _turns(clocking: float, step: float) -> _Marks:
     return _Marks(-np.pi, count, 2 * np.pi / count)
 
 
-def _moves(free: list[int]) -> Bools:
-    """Return which of shift (x, y, z) and turns about x, y, z the kernels may move."""
-    return np.array([k in free for k in (0, 1, 2, 4, 5, 3)])
-
-
 def _table(surface: Surface, within: float, step: float) -> tuple[Floats, float, float]:
     """Tabulate the surface over the part, nan outside; return its lower corner and its step too."""
     count = int(min(max(2 * within / (step / 4), MIN_TABLE_SIZE), MAX_TABLE_SIZE))
@@ -389,10 +365,16 @@ def _scores(tabled: _Tabled, places: Floats, *, share: float = MIN_ON_PART_SHARE
         out[:, start:stop] = part
 
     run_chunks(work, places.shape[0], CHUNK_PLACES)
-    most = max(out[0].max(initial=0.0), 1.0)
-    # A flat valley is the same everywhere: there the more of the map lies on the part, the better.
-    score = np.where(out[0] >= share * most, out[1] * (most / np.maximum(out[0], 1)) ** 2, np.inf)
-    return np.concatenate([score[None], out[2:]])
+    return np.concatenate([_covered(out[0], out[1], share)[None], out[2:]])
+
+
+def _covered(count: Floats, square: Floats, share: float) -> Floats:
+    """Return mean squares with a price for points off the part, inf where too few of the points lie on it.
+
+    A flat valley is the same everywhere: there the more of the map lies on the part, the better.
+    """
+    most = max(count.max(initial=0.0), 1.0)
+    return np.where(count >= share * most, square * (most / np.maximum(count, 1)) ** 2, np.inf)
 
 
 def _peaks(places: Floats, score: Floats, apart: float, turn_apart: float, most: int) -> list[int]:
@@ -405,7 +387,7 @@ def _peaks(places: Floats, score: Floats, apart: float, turn_apart: float, most:
         first = int(np.argmax(open_))
         chosen.append(int(order[first]))
         best = sorted_places[first]
-        turn = np.abs((sorted_places[:, 2] - best[2] + np.pi) % (2 * np.pi) - np.pi)
+        turn = np.abs(wrapped(sorted_places[:, 2] - best[2]))
         open_ &= (np.hypot(sorted_places[:, 0] - best[0], sorted_places[:, 1] - best[1]) > apart) | (turn > turn_apart)
     return chosen
 
@@ -426,21 +408,14 @@ def _valleys(
         )  # fmt: skip
         out[start:stop] = part
 
-    begin = begin.copy()
     run_chunks(work, begin.shape[0], 2)
-    most = max(out[:, 0].max(), 1.0)
-    cost = np.where(out[:, 0] >= MIN_ON_PART_SHARE * most, out[:, 1] * (most / np.maximum(out[:, 0], 1)) ** 2, np.inf)
+    cost = _covered(out[:, 0], out[:, 1], MIN_ON_PART_SHARE)
     levelled = turns(tabled.start)[0]
     states: list[Floats] = []
     for k in np.argsort(cost):
         if not np.isfinite(cost[k]) or len(states) >= MAX_REFINED:
             break
-        pose = Pose.of(out[k, 5:].reshape(3, 3) @ levelled, (0.0, 0.0, 0.0))
-        state = tabled.start.copy()
-        fitted = np.array([*out[k, 2:5], pose.rotation, *pose.tilt])
-        pose_numbers = [one for one in free if one < 6]
-        state[pose_numbers] = fitted[pose_numbers]
-        state[3] = tabled.start[3] + (state[3] - tabled.start[3] + np.pi) % (2 * np.pi) - np.pi
+        state = placed_at(tabled.start, free, out[k, 2:5], out[k, 5:].reshape(3, 3) @ levelled)
         gaps = [np.abs(state[:6] - other[:6]) for other in states]
         if all(max(gap[:2].max(), problem.within * gap[3:].max()) > step / 20 for gap in gaps):
             states.append(state)
@@ -485,17 +460,7 @@ def _repeats(
     repeats = []
     for k in chosen:
         # Where a repeat is another cell of the pattern, the tilt that goes with its place is another.
-        turn = _matrix_of(scores[2, k], scores[3, k], places[k, 2]) @ turns(start)[0]
-        pose = Pose.of(turn, (0.0, 0.0, 0.0))
-        moved = start.copy()
-        numbers = [one for one in free if one < 6]
-        moved[numbers] = np.array([*places[k, :2], scores[1, k], pose.rotation, *pose.tilt])[numbers]
+        turn = about((*scores[2:, k], 0.0)) @ about((0.0, 0.0, places[k, 2])) @ turns(start)[0]
+        moved = placed_at(start, free, np.array([*places[k, :2], scores[1, k]]), turn)
         repeats.append(_refined(problem, moved, free, size))
     return [one for one in repeats if one is not None]
-
-
-def _matrix_of(a: float, b: float, turn: float) -> Floats:
-    """Return the matrix of a turn about z and then about the axis (a, b, 0) by its length. (3, 3)."""
-    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - scipy is costly to import
-
-    return np.asarray((Rotation.from_rotvec([a, b, 0.0]) * Rotation.from_rotvec([0.0, 0.0, turn])).as_matrix())

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 
 from turnwright._arrays import Floats
-from turnwright._validate import check_angle, finite_tuple, positive
+from turnwright._validate import check_angle, finite_tuple, one_of, positive
 from turnwright.errors import InputError
 from turnwright.metrology.grid import Grid, measure
 from turnwright.profile import Profile
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
     from turnwright.metrology.form import Form
 
-__all__ = ["Method", "line_profile", "without_form"]
-
 Method: TypeAlias = Literal["linear", "cubic"]
 
 NODES = {"linear": 2, "cubic": 4}
@@ -25,13 +23,7 @@ MAX_POINTS = 10_000_000
 
 
 def without_form(profile: Profile, form: Form) -> Profile:
-    """Remove a form from a profile: none, the mean, a line or a polynomial, as `remove_form` for maps.
-
-    Raises
-    ------
-    InputError
-        If a profile has no such form.
-    """
+    """Remove a form from a profile: none, the mean, a line or a polynomial, as `remove_form` for maps."""
     if form == "none":
         return profile
     degree = {"mean": 0, "plane": 1}.get(form) if isinstance(form, str) else form
@@ -62,11 +54,9 @@ def line_profile(
     end
         Where it ends (x, y). [mm]
     angle
-        Instead of ``end``: the line's direction from +x toward +y, from border to border of the map. 0 is a horizontal
-        line, π/2 a vertical one; with the axis of the part as ``start`` it is a diameter. [rad]
+        Instead of ``end``: the line's direction from +x toward +y, from border to border of the map. [rad]
     step
-        Distance of the points; with ``end`` slightly reduced to fit a whole number of steps. By default the finer
-        mean step of the grid, or the radial one. [mm]
+        Distance of the points; with ``end`` slightly reduced to fit. By default the finer mean step of the grid. [mm]
     method
         ``"linear"``, between 2 x 2 points: exact for planes. ``"cubic"``, through 4 x 4 points: exact for cubics, but
         widens holes more.
@@ -82,8 +72,7 @@ def line_profile(
     >>> line_profile(wedge, (0.0, 0.0), angle=0.0).z.tolist()
     [-1.0, -0.5, 0.0, 0.5, 1.0]
     """
-    if method not in NODES:
-        raise InputError(f'the method is {method!r}, it can be "linear" or "cubic": choose one of them')
+    one_of(method, "the method", NODES)
     if (end is None) == (angle is None):
         raise InputError(
             f"a line needs either end or angle, got {'neither' if end is None else 'both'}: give the end, or the "

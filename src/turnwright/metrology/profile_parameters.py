@@ -21,12 +21,9 @@ from turnwright.metrology.filters import filter_map
 if TYPE_CHECKING:
     from turnwright.profile import Profile
 
-__all__ = ["ProfileRoughness", "profile_roughness"]
-
 NM = 1e6
 
 DEFAULT_SECTIONS = 5
-"""Default number of sections in the evaluation length."""
 
 MIN_HEIGHT_SHARE = 0.10
 """Least height of a hill above the mean line, or depth of a dale below it, relative to Rz."""
@@ -79,10 +76,9 @@ def profile_roughness(
 ) -> ProfileRoughness:
     r"""Return Ra, Rq, Rsk, Rku, Rp, Rv, Rz, Rt and RSm of a profile.
 
-    Rz is the mean over the sections of highest minus lowest. For RSm the profile is divided where it crosses its mean
-    line; a hill or dale below 10 % of Rz in height, or 1 % of the section in length, is merged with the preceding one.
-    Missing heights have zero weight. Elements that reach a gap of 1 % of the section or more, which could hide a hill
-    or a dale, do not count for RSm.
+    Rz is the mean over the sections of highest minus lowest. For RSm a hill or dale below 10 % of Rz in height, or 1 %
+    of the section in length, is merged with the preceding one. Elements that reach a gap of 1 % of the section or more
+    do not count for RSm.
 
     Parameters
     ----------

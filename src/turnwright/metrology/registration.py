@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from turnwright._arrays import Bools, Floats, Ints
-from turnwright._validate import between, check_angle, positive
+from turnwright._arrays import STEP_TOL, Bools, Floats, Ints
+from turnwright._validate import between, check_angle, one_of, positive
 from turnwright.errors import InputError
-from turnwright.metrology.grid import EVEN_STEP_TOL, point_areas, valid_points
+from turnwright.metrology.grid import disc_points, point_areas, valid_points
 from turnwright.metrology.noise import MapNoise, map_noise
 from turnwright.metrology.pose_search import MIN_COVER_SHARE, axisymmetric, costs, level, ranked, search
 from turnwright.metrology.rigid import (
@@ -32,6 +31,7 @@ from turnwright.metrology.rigid import (
     state_of,
     turns,
     weights,
+    wrapped,
 )
 from turnwright.metrology.weak import UNDETERMINED_STD_MM, Doubt, doubt, held
 from turnwright.pose import Pose
@@ -45,10 +45,7 @@ if TYPE_CHECKING:
 DoubtKind: TypeAlias = Literal["undetermined", "tails", "held", "lost", "ambiguous", "symmetric"]
 """Kinds of findings that make a pose uncertain."""
 
-__all__ = ["PoseCandidate", "Registration", "Undetermined", "register"]
-
 SEARCH_POINTS = 3000
-"""Points used by the search."""
 
 STATISTICS_POINTS = 20_000
 """Points used for uncertainties and for the comparison of candidates."""
@@ -101,6 +98,9 @@ OUTLIER_SIGMA = 6.0
 EDGE = 1e-6
 """Tolerance of the rim, relative to the radius of the part: a pose is not known more exactly."""
 
+HEIGHT_QUANTILE = 0.99
+"""Quantile of the heights that is free of gross outliers."""
+
 NM = 1e6
 DEFAULT_CLOCKING_RAD = np.deg2rad(30)
 """Default range of the rotation about the start."""
@@ -115,13 +115,11 @@ class PoseCandidate:
     pose
         From the map's frame to the part's, as `Registration.pose`.
     rms_nm
-        Root mean square of the residual there, along z or the normal as fitted. [nm]
+        Root mean square of the residual there. [nm]
     ratio
-        Mean square of the residual there over that at `Registration.pose`: 1 fits as well; with white noise alone it
-        has an F distribution.
+        Mean square of the residual there over that at `Registration.pose`: 1 fits as well.
     symmetric
-        Whether a symmetry of the design makes the two poses equivalent, so that no measurement of the surface can
-        distinguish them.
+        Whether a symmetry of the design makes the two poses equivalent.
     """
 
     pose: Pose
@@ -141,8 +139,7 @@ class Undetermined:
     std
         Standard deviation along it, as movement of the rim; inf if only rounding changes. [mm]
     cause
-        "surface", if the design is invariant along it; "form", if a plausible form error cannot be distinguished from
-        it; "noise", if noise alone leaves it undetermined.
+        Whether the invariance of the design, a plausible form error, or noise leaves it undetermined.
     words
         The finding in a sentence.
     """
@@ -160,18 +157,15 @@ class Registration:
     Parameters
     ----------
     pose
-        From the frame of the map to that of the part: ``pose.apply(x, y, z)`` are the part coordinates of a measured
-        point.
+        From the frame of the map to that of the part.
     names
         Fitted degrees of freedom, of "x", "y", "z", "rotation", "tilt_x", "tilt_y". The first three are the position of
-        the ``pivot`` in the part frame [mm]; the others are the angles of `Pose` [rad], counter-clockwise about the
-        part's z, then about x and y as `Pose` says.
+        the ``pivot`` in the part frame [mm]; the others are the angles of `Pose` [rad].
     pivot
         Point of the map, in its own frame, about which it was rotated: the centre of its valid points. [mm]
     covariance
-        Covariance of the fitted degrees of freedom from noise alone. Stated noise is independent from point to point;
-        otherwise the noise is ``noise_nm`` and, by independent cells, ``correlated_nm``; on a lens array, residuals may
-        be correlated within a lenslet or an eighth of the map. (k, k) [mm, rad]
+        Covariance of the fitted degrees of freedom from noise alone; on a lens array, residuals may be correlated
+        within a lenslet or an eighth of the map. (k, k) [mm, rad]
     form_covariance
         The same from form errors of size ``form_error``. (k, k) [mm, rad]
     form_error
@@ -181,17 +175,16 @@ class Registration:
     residual
         Measured minus design, without the fitted terms, at the points of the map. ``x`` and ``y`` are in the frame of
         the map, heights along z of the part (with ``distance="normal"``, along the normal of the design). nan where the
-        map has no height, was masked, or lies off the part. [mm]
+        map has no height or lies off the part. [mm]
     error
         The same including the fitted terms: measured minus design at this pose.
     candidates
         Other poses that fit as well or nearly so, the best first. Empty if the pose is unique within the search.
     undetermined
-        Directions in which the position of the rim is uncertain by more than 0.1 mm, because of noise or of a form
-        error that acts like a movement. They are fitted nevertheless if the noise allows it.
+        Directions in which the position of the rim is uncertain by more than 0.1 mm. They are fitted nevertheless if
+        the noise allows it.
     held
-        Degrees of freedom that nothing determines. They are fixed at ``start``, at a position within the edge of the
-        part, or where the search ended; all other results and uncertainties hold for these values.
+        Degrees of freedom that nothing determines, and which are fixed.
     start
         Start of the search.
     outliers
@@ -203,11 +196,9 @@ class Registration:
     rms_nm
         Root mean square of ``residual`` over its area, without outliers: the form error if nothing is fixed. [nm]
     noise_nm
-        Standard deviation of the white noise: as stated, or from differences of neighbours, along the cutting direction
-        where the grid allows it, so that cusps do not contribute. [nm]
+        Standard deviation of the white noise, as stated or from differences of neighbours. [nm]
     correlated_nm, correlation_length
-        Standard deviation of the correlated noise, the residual of smooth terms of degree 6 beyond the white noise, and
-        its correlation radius: an independent cell is a circle of that radius. 0 if the noise is stated. [nm], [mm]
+        Standard deviation of the correlated noise and its correlation radius; 0 if the noise is stated. [nm], [mm]
     iterations
         Steps of least squares over all points.
     distance
@@ -267,7 +258,7 @@ class Registration:
             f"frame to the part's; {self.count} points fit to {self.rms_nm:.4g} nm rms along the {along}."
         )
         remedies = {
-            "tails": 'Clean the map, mask it, reduce within, or take loss="huber".',
+            "tails": 'Clean the map, mask it, or take loss="huber".',
             "ambiguous": "Measure the edge of the part or a fiducial, and give a start and a reach that leave one.",
         }
         return first, *(" ".join(filter(None, (fact, remedies.get(kind)))) for kind, fact in self.findings)
@@ -275,55 +266,34 @@ class Registration:
     @property
     def findings(self) -> tuple[tuple[DoubtKind, str], ...]:
         """Findings that make the pose uncertain: kind and sentence."""
-        findings: list[tuple[DoubtKind, str]] = [("undetermined", one.words) for one in self.undetermined]
-        most = scatter(self.residual.z[~self.outliers]) * NM
-        if self.rms_nm > MAX_TAIL_RATIO * most and self.rms_nm > 1:
-            findings.append(
-                (
-                    "tails",
-                    (
-                        f"Most points scatter by only {most:.3g} nm: outliers, displaced lenslets or points off the "
-                        "part bias the pose."
-                    ),
-                )
-            )
+        return tuple(self._findings())
+
+    def _findings(self) -> Iterator[tuple[DoubtKind, str]]:
+        for direction in self.undetermined:
+            yield "undetermined", direction.words
+        typical = scatter(self.residual.z[~self.outliers]) * NM
+        if self.rms_nm > MAX_TAIL_RATIO * typical and self.rms_nm > 1:
+            words = "outliers, displaced lenslets or points off the part bias the pose."
+            yield "tails", f"Most points scatter by only {typical:.3g} nm: {words}"
         if self.held:
-            findings.append(("held", f"Not determined by the fit and {self._held_where}: {', '.join(self.held)}."))
+            yield "held", f"Not determined by the fit and {self._held_where}: {', '.join(self.held)}."
         if self.lost > MIN_LOST_SHARE * (self.count + self.lost):
             total = np.count_nonzero(self.outliers) + self.count + self.lost
-            findings.append(
-                ("lost", f"{self.lost} of the {total} points of the map lie off the part and do not count.")
-            )
-        near = self.rivals
-        if near:
-            first = ", ".join(f"{one:.4g}" for one in near[0].pose.shift)
-            turn = np.rad2deg(near[0].pose.rotation)
+            yield "lost", f"{self.lost} of the {total} points of the map lie off the part and do not count."
+        if near := self.rivals:
+            shift = ", ".join(f"{one:.4g}" for one in near[0].pose.shift)
+            rotation = np.rad2deg(near[0].pose.rotation)
             count = "Another pose fits" if len(near) == 1 else f"{len(near)} other poses fit"
-            findings.append(
-                (
-                    "ambiguous",
-                    (
-                        f"{count} nearly as well, the best with shift ({first}) mm and rotation {turn:.4g} deg at "
-                        f"{near[0].rms_nm:.4g} nm rms."
-                    ),
-                )
-            )
+            place = f"with shift ({shift}) mm and rotation {rotation:.4g} deg at {near[0].rms_nm:.4g} nm rms."
+            yield "ambiguous", f"{count} nearly as well, the best {place}"
         turned = sorted(
             float((np.rad2deg(one.pose.rotation - self.pose.rotation) + 180.001) % 360 - 180.001)
             for one in self.candidates
             if one.symmetric
         )
         if turned:
-            findings.append(
-                (
-                    "symmetric",
-                    (
-                        f"The part is symmetric: rotated by {', '.join(f'{one:.4g}' for one in turned)} deg the pose "
-                        "is equivalent, and only a fiducial on the part distinguishes them."
-                    ),
-                )
-            )
-        return tuple(findings)
+            words = "deg the pose is equivalent, and only a fiducial on the part distinguishes them."
+            yield "symmetric", f"The part is symmetric: rotated by {', '.join(f'{one:.4g}' for one in turned)} {words}"
 
     @property
     def _held_where(self) -> str:
@@ -342,8 +312,6 @@ class Registration:
 
 
 class _Task(NamedTuple):
-    """Validated input of a registration."""
-
     problem: Problem
     pivot: Floats
     start: Floats
@@ -366,20 +334,16 @@ def register(
     start: Pose | None = None,
     reach: float = 5.0,
     clocking: float = DEFAULT_CLOCKING_RAD,
-    within: float | None = None,
-    mask: ArrayLike | None = None,
     noise_nm: float | None = None,
     form_error: float | None = None,
     weak: Literal["fit", "hold", "raise"] = "fit",
 ) -> Registration:
     r"""Find the pose of a measured map on a part by least squares of its distance to the exact prescription.
 
-    The map is compared with the design at every lateral position within ``reach`` and every rotation within
-    ``clocking`` (for a lens pattern over one cell first, then over its repeats), levelled at each. A descent from the
-    best positions finds the minima. They are compared over all points: a point off the part costs as much as an
-    outlier. The best minimum is fitted to all points, weighted by their areas on the grid of the map; scattered points
-    have equal weights. Every direction that the heights determine at their noise is fitted. Other poses that fit nearly
-    as well are listed, and so are directions that cannot be distinguished from a form error.
+    All poses within ``reach`` and ``clocking`` are compared; a point off the part costs as much as an outlier. Points
+    of a grid are weighted by area, scattered points equally. Every direction that the heights determine at their noise
+    is fitted. Other poses that fit nearly as well are listed, and so are directions that cannot be distinguished from
+    a form error.
 
     Parameters
     ----------
@@ -390,34 +354,27 @@ def register(
     free
         Free degrees of freedom: any of "x", "y", "z", "rotation", "tilt_x", "tilt_y"; see `Registration.names`.
     terms
-        Form errors to fit together with the pose, each a surface in the part frame whose amplitude is fitted:
-        Zernike(terms={5: 1.0}, ...) has its amplitude in mm.
+        Form errors to fit together with the pose, each a surface in the part frame whose amplitude is fitted.
     distance
-        Along the part's z, or along the normal of the design.
+        Along the part's z, or along the normal of the design: to the tangent plane at the foot of the perpendicular.
     loss
         "linear" for least squares; "huber" or "tukey" to limit the effect of dust and outliers. For a lens array with
         displaced lenslets use "huber": Tukey's loss would reject the lenslets.
     start
-        Approximate pose of the map. By default the frames of map and part coincide, or, if the map then extends beyond
-        the part by more than 5 mm, its centre is on the axis of the part.
+        Approximate pose of the map. By default the frames coincide, or, if the map then extends beyond the part by
+        more than 5 mm, its centre is on the axis of the part.
     reach
         Range of the search about the start along x and along y; 0 with ``clocking=0`` skips the search. [mm]
     clocking
         Range of the search in rotation about the start, 30 degrees by default, π for all. [rad]
-    within
-        Radius about the part's axis inside which points count; by default that of the part. [mm]
-    mask
-        True where heights count. The shape of the map.
     noise_nm
-        Standard deviation of a height, independent from point to point; by default estimated from the map, see
-        `Registration.noise_nm`. [nm]
+        Standard deviation of a height, independent from point to point; by default estimated from the map. [nm]
     form_error
-        Standard deviation of each low-order form error (Zernike degrees 2 to 4), as height at the rim, from which the
+        Standard deviation of each form error of Zernike degrees 2 to 4, as height at the rim, from which the
         uncertainty of the pose is computed. By default 1 um; 0 if ``terms`` contain all form errors. [mm]
     weak
         Treatment of directions in which a form error may move the rim by more than 0.1 mm: fit and report them ("fit"),
-        fix as many degrees of freedom at the start ("hold"), or "raise". Directions left undetermined by the noise are
-        always fixed at the start, unless the heights contradict it.
+        fix as many degrees of freedom at the start ("hold"), or "raise".
 
     Raises
     ------
@@ -425,22 +382,17 @@ def register(
         If the map has too few heights on the part, an option is out of range, or with ``weak="raise"`` the surface does
         not determine the pose.
 
-    Notes
-    -----
-    The normal distance is that to the tangent plane at the foot of the perpendicular, found by three steps.
-
     Sources
     -------
     [Troutman2016]_ 7.3.1 (registration of 360 points). [Kong2019]_ (two-step matching of a compound surface).
     [Nocedal2006]_ 10.3 (Levenberg-Marquardt). Oracles: SciPy's least squares on residuals of its own, closed forms.
     """
-    task = _task(heights, part, free, terms, distance, loss, start, within, mask, noise_nm, form_error)
+    task = _task(heights, part, free, terms, distance, loss, start, noise_nm, form_error)
     between(reach, "reach of the search", 0, np.inf, "mm")
     check_angle(clocking, "clocking of the search", 0.0, np.pi * (1 + 1e-9))
-    if weak not in ("hold", "fit", "raise"):
-        raise InputError(f'weak is {weak!r}, it can be "hold", "fit" or "raise": choose one of them')
+    one_of(weak, "weak", ("hold", "fit", "raise"))
     few, some = (
-        task.problem.only(_sample(task.problem.points.shape[1], count)) for count in (SEARCH_POINTS, STATISTICS_POINTS)
+        task.problem.only(sample(task.problem.points.shape[1], count)) for count in (SEARCH_POINTS, STATISTICS_POINTS)
     )
     # The rotation of an axisymmetric part is not searched for.
     alike = not task.problem.terms and axisymmetric(part.surface, task.problem.within)
@@ -473,40 +425,19 @@ def _task(
     distance: str,
     loss: Loss,
     start: Pose | None,
-    within: float | None,
-    mask: ArrayLike | None,
     noise_nm: float | None,
     form_error: float | None,
 ) -> _Task:
-    """Validate the input and centre the points."""
     heights.require_calibrated()
     unknown = sorted(set(free) - set(NAMES))
     if unknown or not free:
         raise InputError(f"free holds {unknown or 'nothing'}, known are {', '.join(NAMES)}: choose among them")
-    if distance not in ("vertical", "normal"):
-        raise InputError(f'distance is {distance!r}, it can be "vertical" or "normal": choose one of them')
-    if loss != "linear" and loss not in LOSS_WIDTHS:
-        raise InputError(f'loss is {loss!r}, it can be "linear", "huber" or "tukey": choose one of them')
-    for term in terms:
-        if not isinstance(term, Surface):
-            raise InputError(f"terms hold {term!r}, which is not a surface: give surfaces whose amplitude is sought")
-    radius = part.radius if within is None else positive(within, "within, the radius that counts,", "mm")
+    one_of(distance, "distance", ("vertical", "normal"))
+    one_of(loss, "loss", ("linear", *LOSS_WIDTHS))
     noise = None if noise_nm is None else positive(noise_nm, "noise", "nm") / NM
     form = DEFAULT_FORM_ERROR_MM if form_error is None else between(form_error, "form_error", 0, np.inf, "mm")
     valid = valid_points(heights, len(free) + len(terms) + 1, "a registration")
-    if mask is not None:
-        chosen = np.asarray(mask)
-        if chosen.shape != heights.z.shape or chosen.dtype != np.bool_:
-            raise InputError(
-                f"the mask has the shape {chosen.shape} of {chosen.dtype}, the map {heights.z.shape}: give one bool "
-                "for each height, True where it counts"
-            )
-        valid = valid & chosen
     index = np.flatnonzero(valid)
-    if index.size <= len(free) + len(terms):
-        raise InputError(
-            f"the mask leaves {index.size} heights for {len(free) + len(terms)} unknowns: let more of them count"
-        )
     x, y = heights.points()
     points = np.stack([one.ravel()[index] for one in (x, y, heights.z)])
     area = point_areas(heights).ravel()[index]
@@ -515,43 +446,34 @@ def _task(
     points -= pivot[:, None]
     rim = float(np.hypot(np.hypot(points[0], points[1]).max(), np.quantile(np.abs(points[2]), HEIGHT_QUANTILE))) or 1.0
     if start is None:
-        far = np.hypot(points[0] + pivot[0], points[1] + pivot[1]).max() > radius + 5
+        far = np.hypot(points[0] + pivot[0], points[1] + pivot[1]).max() > part.radius + 5
         start = Pose(shift=(-pivot[0], -pivot[1], 0.0)) if far else Pose()
-    heights_of_terms: list[float] = [_largest(term, radius) for term in terms]
     return _Task(
         problem=Problem(
             points=np.ascontiguousarray(points),
-            area=None if np.ptp(area) <= EVEN_STEP_TOL * area.max() else area / area.mean(),
+            area=None if np.ptp(area) <= STEP_TOL * area.max() else area / area.mean(),
             surface=part.surface,
             terms=tuple(terms),
-            within=radius * (1 + EDGE),
-            is_complete=radius <= part.radius,
+            within=part.radius * (1 + EDGE),
             normal=distance == "normal",
             loss=loss,
-            bends=_bends(part.surface, radius),
+            bends=_bends(part.surface, part.radius),
         ),
         pivot=pivot,
         start=state_of(start, pivot, len(terms)),
         free=[k for k, name in enumerate(NAMES) if name in free] + list(range(6, 6 + len(terms))),
-        size=np.array([1, 1, 1, 1 / rim, 1 / rim, 1 / rim, *[1 / one for one in heights_of_terms]]),
+        size=np.array([1, 1, 1, 1 / rim, 1 / rim, 1 / rim, *[1 / _largest(term, part.radius) for term in terms]]),
         noise=noise,
         form=form,
         which=index,
     )
 
 
-HEIGHT_QUANTILE = 0.99
-"""Quantile of the heights that is free of gross outliers."""
-
-
 def _bends(surface: Surface, radius: float) -> Floats:
     """Return the centres of curvature of a surface, see `turnwright._kernels.registration.bend`. (6,)."""
-    axis = np.linspace(-radius, radius, 41)
-    x, y = np.meshgrid(axis, axis)
-    disc = x * x + y * y <= radius * radius
+    x, y = disc_points(radius)
     if (inside := surface.inside(x, y)) is not None:
-        disc &= inside
-    x, y = x[disc], y[disc]
+        x, y = x[inside], y[inside]
     z = surface.evaluate(x, y, 0)[0]
     valid = np.isfinite(z)
     x, y, z = x[valid], y[valid], z[valid]
@@ -572,10 +494,7 @@ def _bends(surface: Surface, radius: float) -> Floats:
 
 def _largest(term: Surface, radius: float) -> float:
     """Return the largest height of a term over the part, which scales the steps. [mm]."""
-    axis = np.linspace(-radius, radius, 41)
-    x, y = np.meshgrid(axis, axis)
-    disc = x * x + y * y <= radius * radius
-    (z,) = term.evaluate(x[disc], y[disc], 0)
+    (z,) = term.evaluate(*disc_points(radius), 0)
     largest = float(np.nanmax(np.abs(z), initial=0.0))
     if not 0 < largest < np.inf:
         raise InputError(
@@ -585,7 +504,7 @@ def _largest(term: Surface, radius: float) -> float:
     return largest
 
 
-def _sample(count: int, most: int) -> Ints:
+def sample(count: int, most: int) -> Ints:
     """Return a reproducible stratified random sample of the points."""
     if count <= most:
         return np.arange(count)
@@ -595,7 +514,6 @@ def _sample(count: int, most: int) -> Ints:
 
 
 def _enough(one: Fit) -> bool:
-    """Return whether more points lie on the part than there are unknowns."""
     return one.used > one.state.size + 1
 
 
@@ -643,7 +561,6 @@ def _noise(task: _Task) -> float:
 
 
 def _doubt(task: _Task, some: Problem, one: Fit, free: list[int], count: int) -> Doubt:
-    """Return the covariance of the free degrees of freedom at a pose."""
     return doubt(
         some, one, free, task.size, noise=_noise(task), count=count, form=task.form, white=task.noise is not None
     )
@@ -651,27 +568,17 @@ def _doubt(task: _Task, some: Problem, one: Fit, free: list[int], count: int) ->
 
 def _decide(
     task: _Task, some: Problem, best: Fit, weak: str
-) -> tuple[list[int], dict[int, float], list[tuple[Floats, float, str]]]:
-    """Return the degrees of freedom to fit, those to fix and their values, and the undetermined directions.
-
-    A direction has six components, a standard deviation and a cause.
-    """
+) -> tuple[list[int], dict[int, float], tuple[Undetermined, ...]]:
+    """Return the degrees of freedom to fit, those to fix and their values, and the undetermined directions."""
     pose = [k for k in task.free if k < 6]
     count = int(task.which.size * best.used / some.points.shape[1])
     unsure = _doubt(task, some, best, task.free, count)
     parts = Doubt(*(one[: len(pose), : len(pose)] for one in unsure))
     vectors, pivots = held(parts.total, MAX_RIM_STD_MM)
-    directions: list[tuple[Floats, float, str]] = []
-    for vector in vectors.T:
-        by_noise, by_form = (float(vector @ one @ vector) / float(vector @ vector) for one in parts)
-        std = np.sqrt(by_noise + by_form)
-        cause = "surface" if std > UNDETERMINED_STD_MM / 10 else "form" if by_form > by_noise else "noise"
-        full = np.zeros(6)
-        full[pose] = vector / np.linalg.norm(vector) * task.size[pose] * np.sign(vector[np.argmax(np.abs(vector))])
-        directions.append((full, np.inf if cause == "surface" else std, cause))
+    directions = tuple(_undetermined(task, pose, vector, parts) for vector in vectors.T)
     if directions and weak == "raise":
         raise InputError(
-            " ".join(_words(task, *one) for one in directions)[:-1]
+            " ".join(one.words for one in directions)[:-1]
             + f", the limit is {MAX_RIM_STD_MM:g} mm: reduce free, give terms, a smaller form_error or a fiducial"
         )
     lateral = [k for k in (0, 1, ROTATION_INDEX) if k in task.free]
@@ -682,11 +589,7 @@ def _decide(
         and np.argmin(costs(some, [best, levelled])) == 1
     ):
         # The shifted fit does not outweigh the points that it loses.
-        return (
-            [k for k in task.free if k not in lateral],
-            {k: float(task.start[k]) for k in lateral},
-            directions,
-        )
+        return [k for k in task.free if k not in lateral], {k: float(task.start[k]) for k in lateral}, directions
     # Directions undetermined by noise are always fixed; those confused with form only if requested.
     if weak == "fit":
         pivots = held(parts.noise, MAX_RIM_STD_MM)[1]
@@ -709,7 +612,7 @@ def _decide(
                 ):
                     return free, dict(zip(fixed, where.tolist(), strict=True)), directions
     # The start contradicts the heights: directions undetermined by the surface are fixed where the search ended.
-    fixed_there = _where_it_ended(some, best, wanted[: sum(cause == "surface" for _, _, cause in directions)])
+    fixed_there = _where_it_ended(some, best, wanted[: sum(one.cause == "surface" for one in directions)])
     return [k for k in task.free if k not in fixed_there], fixed_there, directions
 
 
@@ -738,8 +641,12 @@ def _places(task: _Task, some: Problem, best: Fit, fixed: tuple[int, ...]) -> li
     return [start] if np.array_equal(moved, start) else [start, moved]
 
 
-def _words(task: _Task, direction: Floats, std: float, cause: str) -> str:
-    """Return a sentence about an undetermined direction."""
+def _undetermined(task: _Task, pose: list[int], vector: Floats, covariances: Doubt) -> Undetermined:
+    """Return an undetermined direction, which moves the pose along a vector (k,), with its sentence."""
+    by_noise, by_form = (float(vector @ one @ vector) / float(vector @ vector) for one in covariances)
+    std = float(np.sqrt(by_noise + by_form))
+    direction = np.zeros(6)
+    direction[pose] = vector / np.linalg.norm(vector) * task.size[pose] * np.sign(vector[np.argmax(np.abs(vector))])
     share = np.abs(direction / task.size[:6])
     named = [
         f"{NAMES[k]} {direction[k]:+.4g} mm" if k < 3 else f"{NAMES[k]} {1e3 * direction[k]:+.4g} mrad"
@@ -747,16 +654,17 @@ def _words(task: _Task, direction: Floats, std: float, cause: str) -> str:
         if share[k] > 0.003
     ]
     together = " with ".join(named)
-    if cause == "surface":
-        return f"The surface is the same when the part moves by {together}: nothing determines this direction."
-    why = f"a form error of {say_length(task.form)}" if cause == "form" else "noise"
-    return f"The surface hardly determines the direction {together}: {why} acts like {say_length(std)} at the rim."
+    if std > UNDETERMINED_STD_MM / 10:
+        words = f"The surface is the same when the part moves by {together}: nothing determines this direction."
+        return Undetermined(direction=direction, std=np.inf, cause="surface", words=words)
+    why = f"a form error of {say_length(task.form)}" if by_form > by_noise else "noise"
+    words = f"The surface hardly determines the direction {together}: {why} acts like {say_length(std)} at the rim."
+    return Undetermined(direction=direction, std=std, cause="form" if by_form > by_noise else "noise", words=words)
 
 
 def _distinct(
     task: _Task, few: Problem, some: Problem, found: list[Fit], best: Fit, kept: list[int], fixed: dict[int, float]
 ) -> list[Fit]:
-    """Return the distinct fits, with undetermined degrees of freedom fixed."""
     distinct: list[Fit] = []
     for one in found:
         if one.cost > 9 * found[0].cost + MIN_COMPARED_RMS_MM**2:
@@ -838,7 +746,7 @@ def _one_valley(some: Problem, one: Fit, other: Fit) -> bool:
 def _gap(one: Floats, other: Floats) -> Floats:
     """Return the difference of two states, with angles in [-π, π)."""
     gap = one - other
-    gap[3:6] = (gap[3:6] + np.pi) % (2 * np.pi) - np.pi
+    gap[3:6] = wrapped(gap[3:6])
     return gap
 
 
@@ -846,10 +754,7 @@ def _symmetric(task: _Task, one: Floats, other: Floats) -> bool:
     """Return whether the design is the same surface at both poses."""
     move = pose_of(other, task.pivot).after(pose_of(one, task.pivot).inverse)
     radius = task.problem.within
-    axis = np.linspace(-radius, radius, 61)
-    x, y = np.meshgrid(axis, axis)
-    disc = x * x + y * y <= (0.98 * radius) ** 2
-    x, y = x[disc], y[disc]
+    x, y = disc_points(0.98 * radius, 61)
     surface = task.problem.surface
     with np.errstate(all="ignore"):
         at = move.apply(x, y, surface.evaluate(x, y, 0)[0])
@@ -867,10 +772,9 @@ def _answer(
     some: Problem,
     kept: list[int],
     fixed: dict[int, float],
-    directions: list[tuple[Floats, float, str]],
+    undetermined: tuple[Undetermined, ...],
     candidates: list[tuple[Fit, float]],
 ) -> Registration:
-    """Assemble the result."""
     problem = task.problem
     residual = residuals(problem, final.state)
     names = [k for k in kept if k < 6]
@@ -907,10 +811,7 @@ def _answer(
             )
             for one, ratio in candidates
         ),
-        undetermined=tuple(
-            Undetermined(direction=vector, std=std, cause=cause, words=_words(task, vector, std, cause))  # type: ignore[arg-type]
-            for vector, std, cause in directions
-        ),
+        undetermined=undetermined,
         held=tuple(NAMES[k] for k in sorted(fixed)),
         start=pose_of(task.start, task.pivot),
         outliers=outliers,
@@ -934,7 +835,6 @@ def _terms(problem: Problem, state: Floats) -> Floats | float:
 
 
 def _filled(heights: HeightMap, index: Ints, values: Floats, what: str) -> HeightMap:
-    """Return values on the grid of a map, nan elsewhere."""
     z = np.full(heights.z.size, np.nan)
     z[index] = values
     return replace(heights, z=z.reshape(heights.z.shape), name=f"{heights.name} {what}".strip())

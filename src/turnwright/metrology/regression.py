@@ -16,8 +16,6 @@ from turnwright._arrays import Floats
 from turnwright._kernels.regression import solve
 from turnwright.progress import run_chunks
 
-__all__ = ["GAUSSIAN_WIDTHS", "regress"]
-
 GAUSSIAN_WIDTHS = (float(np.sqrt(np.log(2) / np.pi)),) * 2 + (0.7309134280946758,)
 """Width of the Gaussian relative to the cutoff, by order of the polynomial: exp(-pi a²) = 1/2 for orders 0 and 1,
 (1 + pi a²) exp(-pi a²) = 1/2 for order 2."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -14,8 +14,6 @@ from turnwright._kernels.registration import bend
 from turnwright.pose import Pose, rotation_matrix
 from turnwright.progress import run_chunks
 from turnwright.surface import Surface
-
-__all__ = ["NAMES", "Fit", "Loss", "Problem", "Rows", "fit", "pose_of", "state_of"]
 
 Loss: TypeAlias = Literal["linear", "huber", "tukey"]
 
@@ -67,9 +65,8 @@ class Problem:
     """Points relative to the pivot, and the design with which they are compared.
 
     ``points`` is (3, n); ``area`` (n,) holds their areas with a mean of 1, or ``None`` if they are equal; ``within`` is
-    the radius about the axis of the part inside which points count [mm]; ``is_complete`` states that the surface is
-    defined everywhere inside it. ``bends`` (6,) holds the centres of its principal curvatures, see
-    `turnwright._kernels.registration.bend`.
+    the radius about the axis of the part inside which points count [mm]. ``bends`` (6,) holds the centres of its
+    principal curvatures, see `turnwright._kernels.registration.bend`.
     """
 
     points: Floats
@@ -77,7 +74,6 @@ class Problem:
     surface: Surface
     terms: tuple[Surface, ...]
     within: float
-    is_complete: bool
     normal: bool
     loss: Loss
     bends: Floats
@@ -132,6 +128,11 @@ class _Sums(NamedTuple):
     used: int
 
 
+def wrapped(angle: Floats | float) -> Any:
+    """Return angles in [-π, π)."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
 def turns(state: Floats) -> tuple[Floats, Floats]:
     """Return the rotation matrix of a state, and the axes of its three angles, as rows. (3, 3) each."""
     rotation, about_x, about_y = (float(angle) for angle in state[3:6])
@@ -158,10 +159,6 @@ def rows(problem: Problem, state: Floats, span: slice) -> Rows:
     arm = turn @ problem.points[:, span]
     at = arm + state[:3, None]
     counts = at[0] * at[0] + at[1] * at[1] <= problem.within**2
-    if not problem.is_complete:
-        inside = problem.surface.inside(at[0], at[1])
-        if inside is not None:
-            counts &= inside
     index = np.arange(at.shape[1])
     if not counts.all():
         index = np.flatnonzero(counts)
@@ -201,11 +198,6 @@ def _design(problem: Problem, state: Floats, x: Floats, y: Floats) -> tuple[Floa
     return z, zx, zy, shapes
 
 
-def spans(count: int) -> list[slice]:
-    """Return the blocks of so many points."""
-    return [slice(start, min(start + BLOCK_POINTS, count)) for start in range(0, count, BLOCK_POINTS)]
-
-
 def weights(residual: Floats, scale: float, loss: Loss) -> tuple[Floats, Floats]:
     """Return the weight and the loss [mm²] of each residual."""
     if loss == "linear":
@@ -220,59 +212,52 @@ def weights(residual: Floats, scale: float, loss: Loss) -> tuple[Floats, Floats]
 
 
 def _sums(problem: Problem, state: Floats, scale: float) -> _Sums:
-    """Add up the normal equations over all points, on all cores."""
-    count = problem.points.shape[1]
-    blocks = spans(count)
-    parts: list[_Sums | None] = [None] * len(blocks)
+    """Add up the normal equations over all points."""
+    parts: dict[int, _Sums] = {}
 
-    def work(start: int, stop: int) -> None:
-        for k in range(start, stop):
-            block = rows(problem, state, blocks[k])
-            weight, cost = weights(block.residual, scale, problem.loss)
-            weight, cost = problem.weighed(weight, block.which), problem.weighed(cost, block.which)
-            alike = problem.loss == "linear" and problem.area is None
-            weighted = block.columns if alike else block.columns * weight
-            parts[k] = _Sums(
-                weighted @ block.columns.T,
-                weighted @ block.residual,
-                float(cost.sum()),
-                float((weight * block.residual) @ block.residual),
-                float(weight.sum()),
-                float(block.which.size if problem.area is None else problem.area[block.which].sum()),
-                block.which.size,
-            )
+    def add(start: int, block: Rows) -> None:
+        weight, cost = weights(block.residual, scale, problem.loss)
+        weight, cost = problem.weighed(weight, block.which), problem.weighed(cost, block.which)
+        alike = problem.loss == "linear" and problem.area is None
+        weighted = block.columns if alike else block.columns * weight
+        parts[start] = _Sums(
+            weighted @ block.columns.T,
+            weighted @ block.residual,
+            float(cost.sum()),
+            float((weight * block.residual) @ block.residual),
+            float(weight.sum()),
+            float(block.which.size if problem.area is None else problem.area[block.which].sum()),
+            block.which.size,
+        )
 
-    _each(work, len(blocks))
-    done = [part for part in parts if part is not None]
-    return _Sums(*(sum(values) for values in zip(*done, strict=True)))
+    _in_blocks(problem, state, add)
+    # In the order of the points, so that the sums are the same every time.
+    return _Sums(*(sum(values) for values in zip(*(parts[start] for start in sorted(parts)), strict=True)))
 
 
 def residuals(problem: Problem, state: Floats) -> Floats:
     """Return the residual of every point, nan where it does not count. (n,) [mm]."""
     out = np.full(problem.points.shape[1], np.nan)
-    blocks = spans(out.size)
 
-    def work(start: int, stop: int) -> None:
-        for k in range(start, stop):
-            block = rows(problem, state, blocks[k])
-            out[block.which] = block.residual
+    def fill(_: int, block: Rows) -> None:
+        out[block.which] = block.residual
 
-    _each(work, len(blocks))
+    _in_blocks(problem, state, fill)
     return out
 
 
-def _each(work: Callable[[int, int], object], count: int) -> None:
-    """Process blocks, on all cores if there are several."""
-    if count < 3:
-        work(0, count)
-    else:
-        run_chunks(work, count, max(count // 16, 1))
+def _in_blocks(problem: Problem, state: Floats, work: Callable[[int, Rows], None]) -> None:
+    """Call ``work(start, rows)`` for every block of points, on all cores if there are several."""
+    count = problem.points.shape[1]
+    threads = 1 if count <= 2 * BLOCK_POINTS else None
+    run_chunks(
+        lambda start, stop: work(start, rows(problem, state, slice(start, stop))), count, BLOCK_POINTS, threads=threads
+    )
 
 
 def scatter(residual: Floats) -> float:
     """Return the robust standard deviation of the residuals. [mm]."""
-    valid = residual[np.isfinite(residual)]
-    return max(robust_scatter(valid), MIN_SCATTER_MM) if valid.size else MIN_SCATTER_MM
+    return max(robust_scatter(residual[np.isfinite(residual)]), MIN_SCATTER_MM)
 
 
 def fit(
@@ -369,22 +354,30 @@ def _moved(problem: Problem, state: Floats, chosen: Ints, step: Floats) -> Float
     beyond = np.empty(3)
     bend(state[:3], turn, problem.bends, beyond)
     at = trial[:3] + beyond
-    pose = Pose.of(_about(turn) @ matrix, (0.0, 0.0, 0.0))
-    gap = (np.array([pose.rotation, *pose.tilt]) - state[3:6] + np.pi) % (2 * np.pi) - np.pi
+    matrix = about(turn) @ matrix
     if 3 not in chosen:
-        c, s = np.cos(gap[0]), np.sin(gap[0])
+        back = Pose.of(matrix, (0.0, 0.0, 0.0)).rotation - state[3]
+        c, s = np.cos(back), np.sin(back)
         at[:2] = c * at[0] + s * at[1], c * at[1] - s * at[0]
-    pose_numbers = chosen[chosen < 6]
-    trial[pose_numbers] = np.array([*at, *(state[3:6] + gap)])[pose_numbers]
-    return trial
+    return placed_at(trial, chosen, at, matrix)
 
 
-def _about(turn: Floats) -> Floats:
+def placed_at(state: Floats, free: Sequence[int] | Ints, at: Floats, matrix: Floats) -> Floats:
+    """Return a state whose free components put the pivot at a place and turn the points by a matrix."""
+    pose = Pose.of(matrix, (0.0, 0.0, 0.0))
+    angles = state[3:6] + wrapped(np.array([pose.rotation, *pose.tilt]) - state[3:6])
+    chosen = [k for k in free if k < 6]
+    moved = state.copy()
+    moved[chosen] = np.array([*at, *angles])[chosen]
+    return moved
+
+
+def about(turn: Floats | Sequence[float]) -> Floats:
     """Return the matrix that turns about a vector by its length. (3, 3)."""
-    angle = float(np.sqrt(turn @ turn))
+    angle = math.hypot(*turn)
     if angle == 0:
         return np.eye(3)
-    x, y, z = turn / angle
+    x, y, z = np.asarray(turn) / angle
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
 

@@ -17,8 +17,6 @@ from numpy.polynomial.legendre import leggauss, legvander
 from turnwright._arrays import Bools, Floats, Ints
 from turnwright.metrology.grid import Grid
 
-__all__ = ["subtract_polynomial"]
-
 BLOCK_POINTS = 1 << 15
 """Points processed at a time. They stay in the cache, and BLAS does not thread such small products: on matrices this
 narrow threads cost ten times what they save."""
@@ -72,15 +70,8 @@ def subtract_polynomial(z: Floats, valid: Bools, grid: Grid, degree: int, *, pol
     return remainder
 
 
-def legendre(axis: Floats, degree: int) -> Floats:
-    """Return the Legendre polynomials up to a degree. (n, degree + 1)."""
+def _legendre(axis: Floats, degree: int) -> Floats:
     return np.asarray(legvander(axis, degree), dtype=np.float64)
-
-
-def quadrature(degree: int) -> tuple[Floats, Floats]:
-    """Return nodes and weights exact for products of two polynomials of this degree and one of twice the degree."""
-    nodes, weight = leggauss(2 * degree + 1)
-    return np.asarray(nodes, dtype=np.float64), np.asarray(weight, dtype=np.float64)
 
 
 def _blocks(shape: tuple[int, ...]) -> Iterator[slice]:
@@ -137,15 +128,16 @@ def _products(values: Floats, moments: Floats, weight: Floats) -> Floats:
 def _rectangular(grid: Grid, valid: Bools, degree: int) -> Basis:
     """Legendre polynomials of x and y, over the rectangle that holds the valid points."""
     x, y = (_unit(axis, np.any(valid, axis=way)) for axis, way in ((grid.columns, 0), (grid.rows, 1)))
-    nodes, weight = quadrature(degree)
-    table = _products(legendre(nodes, degree), legendre(nodes, 2 * degree), weight)
+    # Exact for products of two polynomials of this degree and one of twice the degree.
+    nodes, weight = leggauss(2 * degree + 1)
+    table = _products(_legendre(nodes, degree), _legendre(nodes, 2 * degree), weight)
     terms = np.array([(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)], dtype=np.int64).T
     return Basis(
-        columns=legendre(x, degree),
-        rows=legendre(y, degree),
+        columns=_legendre(x, degree),
+        rows=_legendre(y, degree),
         terms=terms,
-        column_moments=legendre(x, 2 * degree),
-        row_moments=legendre(y, 2 * degree),
+        column_moments=_legendre(x, 2 * degree),
+        row_moments=_legendre(y, 2 * degree),
         column_products=table,
         row_products=table,
     )
@@ -165,15 +157,15 @@ def _polar(grid: Grid, valid: Bools, degree: int) -> Basis:
         return np.hstack([np.cos(angle[:, None] * m), np.sin(angle[:, None] * m[1:])])
 
     radius = grid.columns / (grid.columns[valid.any(axis=0)][-1] or 1.0)
-    nodes, weight = quadrature(degree)
+    nodes, weight = leggauss(2 * degree + 1)
     around = np.linspace(0, 2 * np.pi, 4 * degree + 2, endpoint=False)
     places = [(at, m, sine) for at, (_, m) in enumerate(orders) for sine in ((False, True) if m else (False,))]
     return Basis(
         columns=radial(radius),
         rows=turns(grid.rows, degree),
         terms=np.array([(at, degree + m if sine else m) for at, m, sine in places], dtype=np.int64).T,
-        column_moments=legendre(2 * radius - 1, 2 * degree),
+        column_moments=_legendre(2 * radius - 1, 2 * degree),
         row_moments=turns(grid.rows, 2 * degree),
-        column_products=_products(radial((nodes + 1) / 2), legendre(nodes, 2 * degree), weight),
+        column_products=_products(radial((nodes + 1) / 2), _legendre(nodes, 2 * degree), weight),
         row_products=_products(turns(around, degree), turns(around, 2 * degree), np.ones_like(around)),
     )

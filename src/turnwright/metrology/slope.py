@@ -7,15 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Floats, frozen, is_even
+from turnwright._arrays import Floats, frozen
 from turnwright._validate import positive
 from turnwright.errors import InputError
-from turnwright.metrology.grid import Grid, mean, measure, valid_points
+from turnwright.metrology.grid import Grid, even_step, mean, measure, valid_points
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
-
-__all__ = ["Slopes", "slope_error"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,9 +53,8 @@ def slope_error(heights: HeightMap, *, integration_length: float) -> Slopes:
 
     .. math:: s_x(x, y) = \frac{z(x + L, y) - z(x, y)}{L}
 
-    The mean slope over a length follows from the heights at its ends, without other smoothing. A sine of period p
-    retains a share sinc(L/p) of its slope, and height noise adds :math:`\sqrt{2}/L` times its standard deviation, so a
-    slope error is only defined together with its integration length.
+    A sine of period p retains a share sinc(L/p) of its slope, and height noise adds :math:`\sqrt{2}/L` times its
+    standard deviation, so a slope error is only defined together with its integration length.
 
     Parameters
     ----------
@@ -84,8 +81,12 @@ def slope_error(heights: HeightMap, *, integration_length: float) -> Slopes:
     valid_points(heights, 2, "a slope")
     positive(integration_length, "the integration length", "mm")
     grid = measure(heights)
-    steps = _step(grid.columns), _step(grid.rows)
-    across_count = _count(integration_length, steps[0], grid.columns.size, "radius" if heights.polar else "x")
+    names = ("radius", "angle") if heights.polar else ("x", "y")
+    steps = [
+        even_step(axis, f"the map along {name}", "a slope over a length")
+        for name, axis in zip(names, (grid.columns, grid.rows), strict=True)
+    ]
+    across_count = _count(integration_length, steps[0], grid.columns.size, names[0])
     across = np.full(heights.z.shape, np.nan)
     length = across_count * steps[0]
     across[:, :-across_count] = (heights.z[:, across_count:] - heights.z[:, :-across_count]) / length
@@ -119,15 +120,6 @@ def slope_error(heights: HeightMap, *, integration_length: float) -> Slopes:
     )
 
 
-def _step(axis: Floats) -> float:
-    if not is_even(axis):
-        raise InputError(
-            f"the {axis.size} points of an axis are {'not even' if axis.size > 1 else 'too few'}, slopes over a length "
-            "need at least 2 in even steps: bring the map to an even grid first"
-        )
-    return float(np.diff(axis).mean())
-
-
 def _count(length: float, step: float, size: int, name: str) -> int:
     count = round(length / step)
     if length < step * (1 - 1e-6) or count > size - 1:
@@ -141,8 +133,7 @@ def _count(length: float, step: float, size: int, name: str) -> int:
 def _around(heights: HeightMap, grid: Grid, step: float, length: float, along: Floats) -> float:
     """Set the slopes along the circles of a polar map, and return the mean length used. [mm].
 
-    The number of steps that make the length differs from radius to radius; close to the axis one step is as good as the
-    length, and where the circle is shorter than it there is no slope.
+    Close to the axis one step is as good as the length; where the circle is shorter than it there is no slope.
     """
     used = []
     for column, radius in enumerate(grid.columns):

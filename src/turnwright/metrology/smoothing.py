@@ -4,9 +4,8 @@ Among tensor products of cubic B-splines, the one that minimises
 
 .. math:: \sum_i (s(x_i, y_i) - z_i)^2 + \mu \iint s_{xx}^2 + 2 s_{xy}^2 + s_{yy}^2
 
-Where n points stand on a unit of area, a wave of angular frequency k keeps :math:`1/(1 + k^4 \mu / n)` of its height:
-half at the cutoff, and never more than all of it, so that noise is not amplified. Small holes and a narrow margin
-beyond the border are bridged with the least bending. Farther from the points the surface fades to zero.
+With n points per area a wave of angular frequency k keeps :math:`1/(1 + k^4 \mu / n)` of its height: half at the
+cutoff. Farther from the points the surface fades to zero.
 
 Sources
 -------
@@ -32,8 +31,6 @@ if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
     from turnwright.part import Part
 
-__all__ = ["Smooth", "form_compensation", "smooth_table", "sum_tables"]
-
 MIN_HEIGHTS = 100
 """Number of heights below which a form error cannot be distinguished from noise."""
 
@@ -41,7 +38,6 @@ MAX_CUTOFFS_PER_DIAMETER = 200
 """A finer correction would follow the cusps and the noise of any instrument."""
 
 STEPS_PER_CUTOFF = 5
-"""Grid steps in the cutoff wavelength."""
 
 TRIAL_STEPS_PER_CUTOFF = 4
 """Grid steps in the cutoff wavelength while cutoffs are compared."""
@@ -54,7 +50,6 @@ CORRELATION_TEST_RATIO = 2.5
 
 MIN_GAIN_SIGMA = 2.0
 """Standard errors by which a shorter cutoff must predict the held-out half of the points better."""
-
 
 FADE_START, FADE_END = 0.75, 1.5
 """Distance from the nearest point at which the table begins to fade, and at which it is zero. [cutoffs]"""
@@ -130,14 +125,11 @@ class _Points(NamedTuple):
     weight: Floats
 
 
-def smooth_table(
-    x: Floats, y: Floats, z: Floats, *, cutoff: float, reach: float, before: Gridded | None = None
-) -> Smooth:
+def smooth_table(x: Floats, y: Floats, z: Floats, *, cutoff: float, reach: float) -> Smooth:
     """Return the smoothed heights above a cutoff, on a square grid about the origin.
 
-    One half of the points is smoothed and compared with the other. From the longest cutoff to the requested one, the
-    next is accepted if it predicts the other half better than the last, and the first if it predicts it better than
-    zero; if none does, the heights are noise.
+    From the longest cutoff to the requested one, the next is accepted if one half of the points predicts the other
+    better than the last, and the first if it predicts it better than zero; if none does, the heights are noise.
 
     Parameters
     ----------
@@ -147,20 +139,15 @@ def smooth_table(
         Shortest wavelength that keeps half of its height. [mm]
     reach
         Half-width of the grid. [mm]
-    before
-        Existing correction. The cutoff is selected for the sum, and the table contains the sum: errors that no single
-        map shows above its noise can be found from several, and the residual of an earlier correction is corrected.
     """
-    existing = np.zeros(z.size) if before is None else before.evaluate(x, y, 0)[0]
     # Cells, not points, are split: neighbours share the cell's noise only.
     cell = cutoff / STEPS_PER_CUTOFF / 2
     column, row = (np.floor((at + reach) / cell).astype(np.int64) for at in (x, y))
     # With a coarse grid only some columns of cells hold points, so occupied columns are counted.
     odd = sum(np.unique(one, return_inverse=True)[1] for one in (column, row)) % 2 == 1
-    total = z + existing
-    halves = [_binned(x[chosen], y[chosen], total[chosen], cell, reach) for chosen in (odd, ~odd)]
+    halves = [_binned(x[chosen], y[chosen], z[chosen], cell, reach) for chosen in (odd, ~odd)]
     best: float | None = None
-    scale = robust_scatter(total - np.median(total))
+    scale = robust_scatter(z - np.median(z))
     inner = min(reach, float(max(np.abs(x).max(), np.abs(y).max())) + cutoff)
     residual = [half.z for half in halves]
     last = _losses(halves, residual, scale)
@@ -172,7 +159,7 @@ def smooth_table(
         ):
             break
         tables = [_smoothed(half, length, inner, TRIAL_STEPS_PER_CUTOFF) for half in halves]
-        off = [half.z - _at(table, half) for half, table in zip(halves, tables[::-1], strict=True)]
+        off = [half.z - table.evaluate(half.x, half.y, 0)[0] for half, table in zip(halves, tables[::-1], strict=True)]
         losses = _losses(halves, off, scale)
         better = last - losses
         if better.sum() > MIN_GAIN_SIGMA * better.std() * math.sqrt(better.size):
@@ -181,8 +168,7 @@ def smooth_table(
         flat = np.linspace(-reach, reach, 6)
         return Smooth(Gridded(x=flat, y=flat, z=np.zeros((6, 6))), None)
     means = _binned(x, y, z, cell, reach)
-    table = _faded(_smoothed(means, best, reach), means.x, means.y, best)
-    return Smooth(table if before is None else sum_tables(table, before), best)
+    return Smooth(_faded(_smoothed(means, best, reach), means.x, means.y, best), best)
 
 
 def sum_tables(table: Gridded, before: Gridded) -> Gridded:
@@ -206,8 +192,13 @@ def _faded(table: Gridded, x: Floats, y: Floats, cutoff: float) -> Gridded:
 
 
 def _losses(halves: Sequence[_Points], off: Sequence[Floats], scale: float) -> Floats:
-    """Return the loss of each cell of both halves."""
-    return np.concatenate([half.weight * _loss(one, scale) for half, one in zip(halves, off, strict=True)])
+    """Return the loss of each cell of both halves.
+
+    It grows linearly beyond two scales, so that a defect at the axis does not dominate.
+    """
+    size = np.abs(np.concatenate(off))
+    loss = np.where(size < 2 * scale, size**2, 4 * scale * (size - scale))
+    return np.concatenate([half.weight for half in halves]) * loss
 
 
 def _is_correlated(half: _Points, off: Floats, cell: float) -> bool:
@@ -218,12 +209,6 @@ def _is_correlated(half: _Points, off: Floats, cell: float) -> bool:
     grid[row, column] = np.clip(scaled, *(np.array([-4, 4]) * robust_scatter(scaled)))
     pairs = np.concatenate([(grid[1:, 1:] * grid[:-1, :-1]).ravel(), (grid[1:, :-1] * grid[:-1, 1:]).ravel()])
     return bool(pairs.sum() > MIN_GAIN_SIGMA * np.sqrt(pairs @ pairs))
-
-
-def _loss(off: Floats, scale: float) -> Floats:
-    """Return squares that grow linearly beyond two scales, so that a defect at the axis does not dominate."""
-    size = np.abs(off)
-    return np.where(size < 2 * scale, size**2, 4 * scale * (size - scale))
 
 
 def _binned(x: Floats, y: Floats, z: Floats, cell: float, reach: float) -> _Points:
@@ -240,13 +225,6 @@ def _binned(x: Floats, y: Floats, z: Floats, cell: float, reach: float) -> _Poin
 
 def _smoothed(points: _Points, cutoff: float, reach: float, fine: int = STEPS_PER_CUTOFF) -> Gridded:
     """Return the spline of least squares and bending, as a table of its heights at its knots."""
-    return _plates(points, points.z[None], cutoff, reach, fine)[0]
-
-
-def _plates(
-    points: _Points, heights: Floats, cutoff: float, reach: float, fine: int = STEPS_PER_CUTOFF
-) -> list[Gridded]:
-    """Return such a spline for each of several rows of heights over the same points. (k, n) in."""
     from scipy.interpolate import BSpline  # noqa: PLC0415 - scipy is costly to import
     from scipy.linalg import solveh_banded  # noqa: PLC0415
     from scipy.sparse import kron  # noqa: PLC0415
@@ -269,14 +247,9 @@ def _plates(
     lower = normal.row >= normal.col
     np.add.at(band, (normal.row[lower] - normal.col[lower], normal.col[lower]), normal.data[lower])
     band[0] += 1e-13 * band[0].max()
-    solution = solveh_banded(band, weighted.T @ heights.T, lower=True, overwrite_ab=True).T.reshape(-1, size, size)
+    solution = solveh_banded(band, weighted.T @ points.z, lower=True, overwrite_ab=True).reshape(size, size)
     at_knots = BSpline.design_matrix(knots, padded, 3)
-    return [Gridded(x=knots, y=knots, z=np.asarray(at_knots @ one @ at_knots.T)) for one in solution]
-
-
-def _at(table: Gridded, points: _Points) -> Floats:
-    """Return the heights of a table."""
-    return table.evaluate(points.x, points.y, 0)[0]
+    return Gridded(x=knots, y=knots, z=np.asarray(at_knots @ solution @ at_knots.T))
 
 
 def _area(points: _Points, cutoff: float) -> float:

@@ -7,19 +7,18 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Floats, frozen, is_even
+from turnwright._arrays import Floats, frozen
 from turnwright._kernels.rectangle import largest_rectangle
+from turnwright._validate import one_of
 from turnwright.errors import InputError
 from turnwright.metrology.form import Form, remove_form
-from turnwright.metrology.grid import measure, valid_points
+from turnwright.metrology.grid import even_rectangle, even_step, measure, valid_points
 from turnwright.metrology.profile import without_form
 from turnwright.profile import Profile
 from turnwright.progress import cores
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
-
-__all__ = ["AreaSpectrum", "Missing", "Spectrum", "Window", "area_psd", "line_psd"]
 
 Window: TypeAlias = Literal["none", "hann", "blackman"]
 Missing: TypeAlias = Literal["rectangle", "mask"]
@@ -65,12 +64,7 @@ class Spectrum:
         return "nm² mm²" if self.radial else "nm² mm"
 
     def band_rms_nm(self, low: float, high: float) -> float:
-        """Return the rms between two spatial frequencies; partial bins count in proportion. [nm].
-
-        Parameters
-        ----------
-        low, high
-            The band, for instance that of mid-spatial frequency errors; ``inf`` is the highest frequency. [1/mm]
+        """Return the rms between two spatial frequencies [1/mm]; partial bins count in proportion. [nm].
 
         Raises
         ------
@@ -121,29 +115,16 @@ class AreaSpectrum:
         return float(np.sqrt(self.density.sum() * np.prod(self._steps)))
 
     def band_rms_nm(self, low: float, high: float) -> float:
-        """Return the rms of spatial frequencies, in any direction, from ``low`` to below ``high``. [nm].
+        """Return the rms of spatial frequencies, in any direction, from ``low`` to below ``high`` [1/mm]. [nm].
 
         A bin counts if its middle lies in the band.
-
-        Parameters
-        ----------
-        low, high
-            The band. [1/mm]
-
-        Raises
-        ------
-        InputError
-            If the band is empty, or begins below 0.
         """
         _require_band(low, high)
         radius = self._radius
         return float(np.sqrt(self.density[(radius >= low) & (radius < high)].sum() * np.prod(self._steps)))
 
     def radial(self) -> Spectrum:
-        """Return the mean over all directions, in rings as wide as the coarser step of the frequencies.
-
-        It ends at the lower of the two highest frequencies, beyond which the rings are incomplete.
-        """
+        """Return the mean over all directions, in rings up to the lower of the two highest frequencies."""
         step = max(self._steps)
         ring = np.rint(self._radius / step).astype(np.int64)
         count = 1 + int(min(self.frequency_x[-1], self.frequency_y[-1]) / step + 1e-9)
@@ -174,8 +155,7 @@ def line_psd(
 
     .. math:: P(f) = \frac{2\,\Delta}{\sum w^2} \left|\sum_j w_j (z_j - \bar z)\,e^{-2\pi i f j\Delta}\right|^2
 
-    One-sided, in nm² mm: its integral over f is the mean square of the windowed line, exactly (Parseval). The
-    mean of each line, weighted with the window, is removed.
+    One-sided, in nm² mm. The mean of each line, weighted with the window, is removed.
 
     Parameters
     ----------
@@ -188,12 +168,11 @@ def line_psd(
         Removed first from all valid points, see `remove_form`; of a profile ``"none"``, ``"mean"``, ``"plane"`` (a
         line) or a degree.
     window
-        ``"hann"`` and ``"blackman"`` reduce the leakage from the ends of the line into all frequencies; a peak is then
-        two, or three, steps wide, and the ends have little weight. ``"none"`` suits a whole number of periods.
+        ``"hann"`` and ``"blackman"`` reduce the leakage from the ends of the line; a peak is then two, or three, steps
+        wide. ``"none"`` suits a whole number of periods.
     missing
-        ``"rectangle"`` uses the largest rectangle of valid points, without bias but with fewer points. ``"mask"`` uses
-        all points, with zero weight for missing ones: the spectrum of the mask then smears the density, so that a steep
-        one is too high where it is low.
+        ``"rectangle"`` uses the largest rectangle of valid points; ``"mask"`` uses all points, with zero weight for
+        missing ones, and smears a steep density.
 
     Raises
     ------
@@ -207,7 +186,7 @@ def line_psd(
     _require(window, missing)
     if isinstance(heights, Profile):
         profile = without_form(heights, form)
-        z, step = profile.z[None], _even(profile.distance, "the profile")
+        z, step = profile.z[None], even_step(profile.distance, "the profile", "a spectrum", FEWEST)
         if along is not None:
             raise InputError(f"along is {along!r}, a profile has one direction: leave it out")
     else:
@@ -218,7 +197,8 @@ def line_psd(
         valid_points(heights, FEWEST, "a spectrum")
         grid = measure(heights)
         z = remove_form(heights, form).z
-        step = _even(grid.rows if along == "y" else grid.columns, f"the map along {along}")
+        axis = grid.rows if along == "y" else grid.columns
+        step = even_step(axis, f"the map along {along}", "a spectrum", FEWEST)
         z = z.T if along == "y" else z
     z, notes = _cut(z, missing, (1.0, step), rows=1)
     from scipy import fft  # noqa: PLC0415 - only this needs it
@@ -249,9 +229,6 @@ def area_psd(
     .. math:: P(f_x, f_y) = \frac{\Delta_x \Delta_y}{\sum w^2}
         \left|\sum w (z - \bar z)\,e^{-2\pi i (f_x x + f_y y)}\right|^2
 
-    Its integral over both frequencies is the mean square under the window, exactly (Parseval). The weighted mean is
-    taken off, so that the mask and the window leak nothing from frequency zero.
-
     Parameters
     ----------
     heights
@@ -266,13 +243,8 @@ def area_psd(
         If the grid is uneven or polar, there are fewer than 8 x 8 points, or a choice is unknown.
     """
     _require(window, missing)
-    if heights.polar:
-        raise InputError(
-            "the map has a polar grid, the spectrum of an area needs a rectangular one: use line_psd along the radius"
-        )
     valid_points(heights, FEWEST, "a spectrum")
-    grid = measure(heights)
-    steps = _even(grid.rows, "the map along y"), _even(grid.columns, "the map along x")
+    steps = even_rectangle(heights, "the spectrum of an area", FEWEST)[::-1]
     z, notes = _cut(remove_form(heights, form).z, missing, steps, rows=FEWEST)
     from scipy import fft  # noqa: PLC0415 - only this needs it
 
@@ -281,16 +253,9 @@ def area_psd(
     weight[absent] = 0.0
     z = np.where(absent, 0.0, z)
     z = (z - np.vdot(weight, z) / weight.sum()) * weight * NM
-    half = fft.rfft2(z, workers=cores())
-    power = half.real**2 + half.imag**2
-    power *= steps[0] * steps[1] / np.vdot(weight, weight)
+    waves = fft.fftshift(fft.fft2(z, workers=cores()))
+    density = (waves.real**2 + waves.imag**2) * (steps[0] * steps[1] / np.vdot(weight, weight))
     frequency_x, frequency_y = (fft.fftshift(fft.fftfreq(z.shape[axis], steps[axis])) for axis in (1, 0))
-    # The other half is the mirror of this one: P(-f) = P(f).
-    mirrored = (np.roll(power[::-1], 1, axis=0))[:, 1 : (z.shape[1] + 1) // 2][:, ::-1]
-    middle = z.shape[1] // 2
-    upper = power[:, : z.shape[1] - middle]
-    lower = mirrored if z.shape[1] % 2 else np.concatenate([power[:, middle : middle + 1], mirrored], axis=1)
-    density = fft.fftshift(np.concatenate([lower, upper], axis=1), axes=0)
     return AreaSpectrum(
         frequency_x=frozen(frequency_x, "frequency_x"),
         frequency_y=frozen(frequency_y, "frequency_y"),
@@ -300,24 +265,13 @@ def area_psd(
 
 
 def _require(window: str, missing: str) -> None:
-    if window not in WINDOW_COEFFICIENTS:
-        raise InputError(f'the window is {window!r}, it can be "none", "hann" or "blackman": choose one of them')
-    if missing not in ("rectangle", "mask"):
-        raise InputError(f'missing is {missing!r}, it can be "rectangle" or "mask": choose one of them')
+    one_of(window, "the window", WINDOW_COEFFICIENTS)
+    one_of(missing, "missing", ("rectangle", "mask"))
 
 
 def _require_band(low: float, high: float) -> None:
     if not 0 <= low < high:
         raise InputError(f"the band is {low:g} to {high:g} /mm, it must rise from 0 /mm or more: correct it")
-
-
-def _even(axis: Floats, what: str) -> float:
-    if axis.size < FEWEST or not is_even(axis):
-        raise InputError(
-            f"{what} has {axis.size} points{'' if axis.size < FEWEST else ' in uneven steps'}, a spectrum needs at "
-            f"least {FEWEST} in even steps: bring it to an even grid first"
-        )
-    return float(np.diff(axis).mean())
 
 
 def _taper(size: int, window: str) -> Floats:

@@ -1,22 +1,16 @@
 r"""Nose radius, flanks and waviness of a diamond tool from a measured trace of its edge.
 
-The trace is compared with the model of `turnwright.Tool`, an arc and two straight flanks tangent to its ends. About
-the centre of the arc, the signed distance of a point :math:`p` from that edge is
+The trace is compared with the model of `turnwright.Tool`, an arc and two straight flanks tangent to its ends, with a
+robust loss, so that dust and the broken ends of the trace have little effect; this separates the nose from the flanks.
+Radius and waviness are then fitted to the nose alone.
 
-.. math:: d(p) = p \cdot n(\varphi) - R, \qquad \varphi = \min(\max(\angle p, -\alpha), \beta)
-
-with :math:`n(\varphi)` the normal at sweep :math:`\varphi` and :math:`-\alpha, \beta` the sweeps at which the flanks
-begin. Its five parameters are fitted with a robust loss, so that dust and the broken ends of the trace have little
-effect; this separates the nose from the flanks. Radius and waviness are then fitted to the nose alone.
-
-Instruments trace a nose in strokes, one from each side, that overlap near the tip and do not meet there: on measured
-edges they miss each other by micrometres. So the circle has one radius, and a centre for each stroke.
+Instruments trace a nose in strokes, one from each side, which on measured edges miss each other by micrometres. So the
+circle has one radius, and a centre for each stroke.
 
 Sources
 -------
-The noise of neighbouring points of a trace is correlated, and the waviness even more so; the uncertainty of the radius
-counts only as many points as are independent (A. Sokal, Monte Carlo methods, 1997). Oracles: traces made from known
-edges; the algebraic circle of G. Taubin (IEEE PAMI 13, 1991) on a measured one.
+The uncertainty of the radius counts only as many points as are independent (A. Sokal, Monte Carlo methods, 1997).
+Oracles: traces made from known edges; the algebraic circle of G. Taubin (IEEE PAMI 13, 1991) on a measured one.
 """
 
 from __future__ import annotations
@@ -24,12 +18,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints, frozen, robust_scatter
-from turnwright._validate import check_angle, positive
+from turnwright._arrays import Bools, Floats, Ints, frozen, robust_scatter, same_length
+from turnwright._validate import check_angle, one_of, positive
 from turnwright.errors import InputError
 from turnwright.tool import Tool, WavinessTable
 
@@ -37,8 +31,6 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from numpy.typing import ArrayLike
-
-__all__ = ["EdgeFit", "fit_edge", "read_edge_trace"]
 
 MIN_POINTS = 50
 """Least number of points for the separation of arc and flanks."""
@@ -69,10 +61,10 @@ class EdgeFit:
     Parameters
     ----------
     tool
-        The tool with its measured radius error and waviness, its tip at the lowest point of the fitted arc. Its
-        included angle is symmetric, so that of the shorter side counts.
+        The tool with its measured radius error and waviness, its tip at the lowest point of the fitted arc; of its
+        included angle the shorter side counts.
     radius, radius_std
-        Of the nose, and its standard uncertainty from scatter and waviness (not that of the instrument's scale). [mm]
+        Of the nose, and its standard uncertainty, without that of the instrument's scale. [mm]
     sweep
         Sweeps at which the arc ends and the flanks begin (lo, hi). [rad]
     tilt
@@ -86,8 +78,7 @@ class EdgeFit:
     noise_rms
         Of these points about the circle with its waviness. [mm]
     waviness_std
-        Standard uncertainty of the waviness at each sweep of ``tool.waviness``, from the scatter about it and how far
-        this is correlated; what the cutoff smooths away is not in it. (m,) [mm]
+        Standard uncertainty of the waviness at each sweep of ``tool.waviness``. (m,) [mm]
     cutoff
         Wavelength along the edge of which the waviness keeps half of the height. [mm]
     """
@@ -111,10 +102,10 @@ def read_edge_trace(path: str | PathLike[str], *, profile: int | None = None) ->
     Parameters
     ----------
     path
-        Lines of description, a line ``X,Y,Z``, then rows of X along the trace and Y across the edge in mm; or nothing
-        but rows of these two, separated by blanks or commas.
+        Lines of description, a line ``X,Y,Z``, then rows of X along the trace and Y across the edge in mm; or only
+        rows of these two, separated by blanks or commas.
     profile
-        Number of the profile, from 1, if the instrument has traced the edge several times side by side.
+        Number of the profile, from 1, if the file has several.
 
     Returns
     -------
@@ -149,7 +140,6 @@ def read_edge_trace(path: str | PathLike[str], *, profile: int | None = None) ->
 
 
 def _profile(path: Path, head: list[str], body: list[str], profile: int | None) -> list[str]:
-    """Return the rows of one profile."""
     profiles, size = 1, len(body)
     for line in head:
         cells = [cell.strip() for cell in line.split(",")]
@@ -174,12 +164,8 @@ def fit_edge(
     cutoff: float,
     nose_radius: float | None = None,
     tilt: float = 0.0,
-    name: str = "",
 ) -> EdgeFit:
-    r"""Find the nose in a measured trace of an edge, and return the tool with its radius and waviness.
-
-    The trace shows whether the edge points up or down, but not whether it runs toward +X of the machine, which
-    ``toward_x`` states.
+    """Find the nose in a measured trace of an edge, and return the tool with its radius and waviness.
 
     Parameters
     ----------
@@ -193,8 +179,6 @@ def fit_edge(
         Nominal radius of the tool; by default the measured one. [mm]
     tilt
         Turn of the mounted tool toward +X since it was traced; minus `EdgeFit.tilt` levels the flanks. [rad]
-    name
-        Name of the tool in the shop.
 
     Raises
     ------
@@ -208,24 +192,22 @@ def fit_edge(
     (True, array([-50.,  50.]))
     """
     along, across = frozen(u, "trace u"), frozen(height, "trace height")
-    if along.size != across.size:
-        raise InputError(f"a trace has {along.size} u and {across.size} heights: give as many of one as of the other")
+    same_length([("u", along), ("height", across)])
     if along.size < MIN_POINTS:
         raise InputError(f"a trace has {along.size} points, it needs at least {MIN_POINTS}: trace the edge more finely")
-    if toward_x not in (-1, 1):
-        raise InputError(f"toward_x is {toward_x!r}, it must be 1 or -1: say whether u grows toward the machine's +X")
+    one_of(toward_x, "toward_x", (1, -1))
     positive(cutoff, "cutoff", "mm")
     check_angle(tilt, "tilt", -np.pi / 4, np.pi / 4)
 
     # Along +X, and outward: the way the edge points, whichever of the two ways lets an arc fit better.
-    shapes = {sign: _fit_shape(toward_x * along, sign * across) for sign in (1.0, -1.0)}
-    sign = min(shapes, key=lambda way: shapes[way].cost)
-    a, b = toward_x * along, sign * across
-    shape = shapes[sign].shape
+    a = toward_x * along
+    fits = {sign: _fit_shape(a, sign * across) for sign in (1.0, -1.0)}
+    sign = min(fits, key=lambda way: fits[way][1])
+    b, shape = sign * across, fits[sign][0]
     radius, centre, stroke, nose = _fit_nose(a, b, shape, _strokes(along))
     sweep, off = _polar(a, b, radius, centre[stroke])
     low, high = _ends(sweep, off, shape)
-    inside, scatter = sweep[nose], _scatter(off[nose])
+    inside, scatter = sweep[nose], robust_scatter(off[nose])
     arc_height = radius * (1 - np.cos(np.ptp(inside) / 2)) if inside.size else 0.0
     if inside.size < MIN_POINTS or arc_height < MIN_ARC_HEIGHT_RATIO * scatter or min(-(low + tilt), high + tilt) <= 0:
         raise InputError(
@@ -241,7 +223,6 @@ def fit_edge(
             radius_error=radius - nominal,
             included=2 * min(-(low + tilt), high + tilt, np.pi / 2),
             waviness=table,
-            name=name,
         )
     except InputError as error:
         raise InputError(
@@ -263,18 +244,6 @@ def fit_edge(
     )
 
 
-class _Found(NamedTuple):
-    """The best arc with flanks: centre, radius, where the flanks begin; and what it costs."""
-
-    shape: Floats  # centre along and across, radius [mm], sweeps at which the flanks begin, as magnitudes [rad]
-    cost: float
-
-
-def _scatter(off: Floats) -> float:
-    """Return the standard deviation that the median of the magnitudes stands for."""
-    return robust_scatter(off) if off.size else 0.0
-
-
 def _polar(a: Floats, b: Floats, radius: float, centre: Floats) -> tuple[Floats, Floats]:
     """Return sweep [rad] and distance outside the circle [mm]; ``centre`` is one for all or one for each point."""
     across, out = a - centre[..., 0], b - centre[..., 1]
@@ -282,7 +251,7 @@ def _polar(a: Floats, b: Floats, radius: float, centre: Floats) -> tuple[Floats,
 
 
 def _strokes(along: Floats) -> Ints:
-    """Return the number of the stroke that each point of the trace belongs to. (n,)."""
+    """Return the number of the stroke of each point of the trace. (n,)."""
     steps = np.diff(along)
     steps = steps * np.sign(np.sum(np.sign(steps)) or 1.0)
     return np.concatenate([[0], np.cumsum(steps < -STROKE_JUMP_STEPS * np.median(np.abs(steps)))])
@@ -302,20 +271,16 @@ def _slopes_off_edge(shape: Floats, a: Floats, b: Floats) -> Floats:
     sweep = np.clip(angle, -shape[3], shape[4])
     sine, cosine = np.sin(sweep), np.cos(sweep)
     turn = across * cosine - out * sine  # 0 on the arc: its distance does not depend on where the flanks begin
-    return np.stack(
-        [
-            -sine,
-            -cosine,
-            np.full(a.size, -1.0),
-            np.where(angle < -shape[3], -turn, 0),
-            np.where(angle > shape[4], turn, 0),
-        ],
-        axis=1,
-    )
+    flanks = np.where(angle < -shape[3], -turn, 0), np.where(angle > shape[4], turn, 0)
+    return np.stack([-sine, -cosine, np.full(a.size, -1.0), *flanks], axis=1)
 
 
-def _fit_shape(a: Floats, b: Floats) -> _Found:
-    """Fit an arc with tangent flanks that points toward +b."""
+def _fit_shape(a: Floats, b: Floats) -> tuple[Floats, float]:
+    """Return the best arc with tangent flanks that points toward +b, and its cost.
+
+    The arc is its centre along and across, its radius [mm], and the sweeps, as magnitudes, at which the flanks begin
+    [rad]. (5,)
+    """
     from scipy.optimize import least_squares  # noqa: PLC0415 - costly to import
 
     extent = max(np.ptp(a), np.ptp(b))
@@ -325,10 +290,9 @@ def _fit_shape(a: Floats, b: Floats) -> _Found:
     high = [np.inf, np.inf, 100 * extent, np.pi / 2, np.pi / 2]
 
     def fit(start: Floats, few: int, scale: float) -> Any:
-        chosen = a[::few], b[::few]
         return least_squares(
             _off_edge, start, _slopes_off_edge, bounds=(low, high), loss="soft_l1", f_scale=scale,
-            x_scale=[extent, extent, extent, 1.0, 1.0], args=chosen, max_nfev=200,
+            x_scale=[extent, extent, extent, 1.0, 1.0], args=(a[::few], b[::few]), max_nfev=200,
         )  # fmt: skip
 
     few = max(a.size // MAX_START_POINTS, 1)
@@ -339,19 +303,17 @@ def _fit_shape(a: Floats, b: Floats) -> _Found:
     best = min((fit(start, few, 0.01 * extent) for start in starts), key=lambda result: float(result.cost))
     shape = best.x
     for _ in range(3):  # from a loss as wide as the trace to one as narrow as its scatter
-        scale = max(_scatter(_off_edge(shape, a, b)), 1e-7 * extent)
+        scale = max(robust_scatter(_off_edge(shape, a, b)), 1e-7 * extent)
         shape = fit(shape, 1, scale).x
     # Both ways are judged by one loss.
-    return _Found(shape, float(np.minimum(np.abs(_off_edge(shape, a, b)), 0.01 * extent).sum()))
+    return shape, float(np.minimum(np.abs(_off_edge(shape, a, b)), 0.01 * extent).sum())
 
 
 def _fit_nose(a: Floats, b: Floats, shape: Floats, strokes: Ints) -> tuple[float, Floats, Ints, Bools]:
     """Fit a circle to the nose alone, without flanks and dust.
 
-    Returns
-    -------
-    radius, centre, stroke, nose
-        Of the circle [mm]; for each stroke (strokes, 2) [mm]; the stroke of each point, and whether it counts. (n,)
+    Return its radius [mm], its centre for each stroke (strokes, 2) [mm], and of each point its stroke and whether it
+    belongs to the nose. (n,)
     """
     from scipy.optimize import least_squares  # noqa: PLC0415
 
@@ -370,7 +332,7 @@ def _fit_nose(a: Floats, b: Floats, shape: Floats, strokes: Ints) -> tuple[float
     everywhere = np.ones_like(nose)
     for _ in range(10):
         off = distance(circle, everywhere)
-        scale = max(_scatter(off[arc]), 1e-9 * circle[0])
+        scale = max(robust_scatter(off[arc]), 1e-9 * circle[0])
         last, nose = nose, arc & (np.abs(off) < OUTLIER_SIGMA * scale)
         if np.count_nonzero(nose) < MIN_POINTS or np.array_equal(last, nose):
             break
@@ -380,7 +342,7 @@ def _fit_nose(a: Floats, b: Floats, shape: Floats, strokes: Ints) -> tuple[float
 
 def _ends(sweep: Floats, off: Floats, shape: Floats) -> tuple[float, float]:
     """Return where the arc ends: at the flanks, or with the trace if that shows none."""
-    near = sweep[np.abs(off) < max(OUTLIER_SIGMA * _scatter(off), 0.01 * shape[2])]
+    near = sweep[np.abs(off) < max(OUTLIER_SIGMA * robust_scatter(off), 0.01 * shape[2])]
     if not near.size:
         return -float(shape[3]), float(shape[4])
     return max(-float(shape[3]), float(near.min())), min(float(shape[4]), float(near.max()))
@@ -389,8 +351,7 @@ def _ends(sweep: Floats, off: Floats, shape: Floats) -> tuple[float, float]:
 def _smooth(sweep: Floats, off: Floats, cutoff: float) -> tuple[WavinessTable, Floats]:
     """Return the deviation without wavelengths shorter than ``cutoff`` [rad], and its standard uncertainty [mm].
 
-    A cubic smoothing spline through points h apart that minimises the squares plus lam times the squared second
-    derivative passes a wave of angular frequency w with 1 / (1 + lam h w^4) of its height.
+    A smoothing spline through points h apart passes 1 / (1 + lam h w^4) of a wave of angular frequency w.
     """
     from scipy.interpolate import make_smoothing_spline  # noqa: PLC0415
 

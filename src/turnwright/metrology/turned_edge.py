@@ -12,8 +12,6 @@ nose, so that the valleys overlap and show more of the edge than one cusp.
 
 An instrument rounds the crests and lifts what is near them. The surface cut by the estimated edge is therefore passed
 through a model of the instrument, and the difference is added to the estimate until convergence (van Cittert).
-
-Height and tilt of the edge are equivalent to a height and a shift of the tool, and are removed.
 """
 
 from __future__ import annotations
@@ -25,10 +23,10 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from turnwright._arrays import Bools, Floats, Ints, frozen, robust_scatter
-from turnwright._validate import positive
+from turnwright._validate import one_of, positive
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
-from turnwright.metrology.cusps import find_cusps, spikes
+from turnwright.metrology.cusps import find_cusps, inflation, spikes
 from turnwright.metrology.profile import line_profile
 from turnwright.profile import Profile
 from turnwright.tool import Tool, WavinessTable
@@ -37,8 +35,6 @@ if TYPE_CHECKING:
     from turnwright.instrument import Instrument
     from turnwright.metrology.cusps import Cusps
     from turnwright.surface import Surface
-
-__all__ = ["TurnedEdge", "edge_from_cusps"]
 
 RADIAL_LINES = 24
 """Radial lines taken from a map."""
@@ -82,8 +78,7 @@ class TurnedEdge:
     tool
         The nominal tool with the waviness found; held constant beyond ``reach``.
     sweep, deviation, deviation_std
-        Its waviness and its standard uncertainty: from the scatter between valleys, from their free heights and shifts,
-        and from the radius; that of the instrument's scales is not in it. Each (n,) [rad], [mm], [mm]
+        Its waviness and its standard uncertainty, without that of the instrument's scales. Each (n,) [rad], [mm], [mm]
     reach
         Distances from the tip toward +X between which the edge has shown. [mm]
     radius, radius_std
@@ -151,18 +146,17 @@ def edge_from_cusps(
     tool
         The nominal tool: its radius places the contact, and is kept.
     axis
-        Where the profile crosses the spindle axis [mm], or where that lies on the map (x, y) [mm]. On both sides of it
-        the same side of the edge points outward. A profile without it lies on one side; a map needs it.
+        Where the profile crosses the spindle axis [mm], or where that lies on the map (x, y) [mm]. A profile without it
+        lies on one side; a map needs it.
     removed
-        The form that the instrument has taken off the heights, as a surface of revolution about the axis; ``None``
-        where the heights still have their form. Without it the edge of a curved part is smeared.
+        The form that the instrument has removed from the heights, as a surface of revolution about the axis; ``None``
+        where the heights still have their form.
     instrument
         Instrument model; without it the rounding by the instrument is attributed to the edge.
     feed
         First guess, see `find_cusps`. [mm]
     cutoff
-        Wavelength along the edge of which half is kept; twice the step or the instrument's resolution, whichever is
-        longer, by default. [mm]
+        Wavelength along the edge of which half is kept; by default twice the step, or the instrument's resolution. [mm]
     toward_x
         +1 if, without an axis, the distance grows toward the machine's +X, -1 if it falls.
 
@@ -175,8 +169,7 @@ def edge_from_cusps(
     -------
     Oracle: surfaces cut by a brute-force minimum over the passes of a known wavy edge.
     """
-    if toward_x not in (-1, 1):
-        raise InputError(f"toward_x is {toward_x!r}, it must be 1 or -1: say whether the distance grows toward +X")
+    one_of(toward_x, "toward_x", (1, -1))
     lines = _lines(measured, axis, removed, feed)
     finest = max(lines[0].profile.step, 0.0 if instrument is None else _resolution(instrument))
     cutoff = DEFAULT_CUTOFF_STEPS * finest if cutoff is None else positive(cutoff, "cutoff", "mm")
@@ -184,11 +177,6 @@ def edge_from_cusps(
     trim = TRIM_STEPS * lines[0].profile.step if instrument is None else 0.0
     clear = trim if instrument is None else finest
     valleys = _valleys(lines, tool.nose_radius, (trim, clear), known=axis is not None, toward_x=toward_x)
-    if valleys.tip.size < MIN_VALLEYS:
-        raise InputError(
-            f"the profile shows {valleys.tip.size} valleys between crests, an edge needs {MIN_VALLEYS}: measure a "
-            "longer one"
-        )
     return _solve(lines, valleys, tool, instrument, cutoff)
 
 
@@ -255,11 +243,8 @@ def _line(profile: Profile, removed: Surface | None, feed: float | None, *, know
 def _valleys(lines: list[_Line], radius: float, away: tuple[float, float], *, known: bool, toward_x: int) -> _Valleys:
     """Return the heights between crests, without those close to a crest."""
     trim, clear = away
-    rows: list[tuple[Ints, Ints, Ints, Floats, Bools]] = []
-    tips: list[float] = []
-    sides: list[float] = []
-    ends: list[tuple[float, float]] = []
-    owners: list[int] = []
+    points: list[Ints] = []
+    places: list[tuple[float, ...]] = []
     for owner, line in enumerate(lines):
         at, crest = line.profile.distance, line.cusps.crest
         for k in np.flatnonzero(np.diff(line.cusps.run) == 0):
@@ -270,31 +255,27 @@ def _valleys(lines: list[_Line], radius: float, away: tuple[float, float], *, kn
             middle = (before + after) / 2
             steep = float(np.interp(middle, at, line.slope))
             tip = middle - radius * np.sin(np.arctan(steep))
-            side = (np.sign(middle) if known else 1.0) * (1.0 if known else toward_x)
-            number = len(tips)
-            place = at[inside]
-            inner = np.minimum(place - before, after - place) > clear
-            rows.append(
-                (np.full(inside.size, owner), inside, np.full(inside.size, number), side * (place - tip), inner)
-            )
-            tips.append(tip)
-            sides.append(side)
-            ends.append((before, after))
-            owners.append(owner)
-    if not rows:
-        none = np.zeros(0, dtype=np.int64)
-        rows = [(none, none, none, np.zeros(0), np.zeros(0, dtype=bool))]
-    line_of, point, valley, u, inside_of = (np.concatenate(part) for part in zip(*rows, strict=True))
+            points.append(inside)
+            places.append((owner, tip, float(np.sign(middle)) if known else toward_x, before, after))
+    if len(points) < MIN_VALLEYS:
+        raise InputError(
+            f"the profile shows {len(points)} valleys between crests, an edge needs {MIN_VALLEYS}: measure a longer one"
+        )
+    owners, tips, sides, before_all, after_all = np.array(places).T
+    owner_of, point = owners.astype(np.int64), np.concatenate(points)
+    valley = np.repeat(np.arange(len(points)), [one.size for one in points])
+    line_of = owner_of[valley]
+    at = np.concatenate([lines[owner].profile.distance[inside] for owner, inside in zip(owner_of, points, strict=True)])
     return _Valleys(
-        line_of,
-        point,
-        valley,
-        u,
-        inside_of,
-        np.array(tips),
-        np.array(sides),
-        np.array(ends).reshape(-1, 2),
-        np.array(owners),
+        line=line_of,
+        point=point,
+        valley=valley,
+        u=sides[valley] * (at - tips[valley]),
+        inner=np.minimum(at - before_all[valley], after_all[valley] - at) > clear,
+        tip=tips,
+        side=sides,
+        ends=np.stack([before_all, after_all], axis=1),
+        owner=owner_of,
     )
 
 
@@ -314,29 +295,20 @@ def _solve(
     knot = cutoff / KNOTS_PER_CUTOFF
     first = np.floor(valleys.u.min() / knot) - 1
     knots = knot * np.arange(first, np.ceil(valleys.u.max() / knot) + 2)
-    fit, residual = _fit(lines, valleys, knots, measured, SHIFT_SIGMA * feed, radius, instrument, cutoff)
-    uncertainty = _uncertainty(valleys, knots, residual, fit)
-    return _as_tool(tool, knots, fit, uncertainty, residual, valleys.tip.size, cutoff, feed)
-
-
-def _fit(
-    lines: list[_Line], valleys: _Valleys, knots: Floats, measured: Floats, shift_std: float, radius: float,
-    instrument: Instrument | None, cutoff: float,
-) -> tuple[_Fit, Floats]:  # fmt: skip
-    """Return the fit to the valleys where they are placed, and what it leaves. [mm]."""
     circle = _circle(valleys.u, radius)
     penalty = _penalty(knots, valleys.u.size, cutoff)
     target, weight, noise = measured - circle, np.ones(measured.size), float(np.std(measured - circle))
     for _ in range(ITERATIONS):
-        fitted = _fitted(valleys, knots, radius, target, weight, penalty, (noise / shift_std) ** 2)
-        model = fitted.at(valleys, knots, radius)
-        seen = model + circle if instrument is None else _as_seen(lines, valleys, knots, fitted, radius, instrument)
+        fit = _fitted(valleys, knots, radius, target, weight, penalty, (noise / (SHIFT_SIGMA * feed)) ** 2)
+        model = fit.at(valleys, knots, radius)
+        seen = model + circle if instrument is None else _as_seen(lines, valleys, knots, fit, radius, instrument)
         residual = measured - seen
         if instrument is not None:
             target = model + residual
-        noise = max(_scatter(residual), 1e-12)
+        noise = max(robust_scatter(residual - np.median(residual)), 1e-12)
         weight = np.minimum(1.0, HUBER_SIGMA * noise / np.maximum(np.abs(residual), 1e-300))
-    return fitted, residual
+    uncertainty = _uncertainty(valleys, knots, residual, fit)
+    return _as_tool(tool, knots, fit, uncertainty, residual, valleys.tip.size, cutoff, feed)
 
 
 class _Fit(NamedTuple):
@@ -429,10 +401,6 @@ def _as_seen(
     return out
 
 
-def _scatter(values: Floats) -> float:
-    return robust_scatter(values - np.median(values))
-
-
 def _uncertainty(valleys: _Valleys, knots: Floats, residual: Floats, fit: _Fit) -> tuple[Floats, Bools]:
     """Return the covariance of the edge, and at which knots enough valleys show it.
 
@@ -458,11 +426,10 @@ def _uncertainty(valleys: _Valleys, knots: Floats, residual: Floats, fit: _Fit) 
 def _correlated(valleys: _Valleys, residual: Floats) -> float:
     """Return the variance of a height times how many neighbours in a valley share their error. [mm²]."""
     same = np.diff(valleys.valley) == 0
-    variance = _scatter(residual) ** 2
+    variance = robust_scatter(residual - np.median(residual)) ** 2
     clipped = np.clip(residual, -HUBER_SIGMA * np.sqrt(variance), HUBER_SIGMA * np.sqrt(variance))
-    product = float(np.mean((clipped[1:] * clipped[:-1])[same])) if same.any() else 0.0
-    correlation = float(np.clip(product / max(float(np.mean(clipped**2)), 1e-300), 0.0, 0.9))
-    return variance * (1 + correlation) / (1 - correlation)
+    square = float(np.mean(clipped**2)) * np.count_nonzero(same)
+    return variance * inflation(clipped[1:][same], clipped[:-1][same], square)
 
 
 def _misplaced(u: Floats, edge: Floats, radius: float, feed: float) -> float:

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from turnwright._arrays import Bools, Complexes, Floats, robust_scatter
 from turnwright._validate import positive
 from turnwright.errors import InputError
-from turnwright.metrology.grid import measure, valid_points
+from turnwright.metrology.grid import measure, polynomial_terms, valid_points
+from turnwright.metrology.least_squares import clustered_covariance
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
-
-__all__ = ["TurningCentre", "turning_centre"]
 
 TILE_PIXELS = (32, 64)
 """Sides of the tiles in which a wave is searched for; the wider ones are for weak cusps and wide feeds."""
@@ -31,7 +30,6 @@ WAVE_NUMBER_TOL = 0.1
 """Relative difference of the wave numbers of tiles that show the same rings."""
 
 MIN_TILES = 8
-"""Least number of tiles with rings."""
 
 MIN_AGREEING_SHARE = 0.5
 """Share of the tiles with waves that must agree on a centre."""
@@ -42,10 +40,7 @@ MIN_VALID_SHARE = 0.5
 ANNULI = 8
 """Annuli in each of which the rings have their own amplitude and phase."""
 
-MIN_BLOCK_WAVES = 2.0
-"""Least side of the blocks whose phase is taken. [waves]"""
-
-MIN_BLOCK_PIXELS = 12
+MIN_BLOCK_WAVES, MIN_BLOCK_PIXELS = 2.0, 12
 """Least side of the blocks whose phase is taken."""
 
 MAX_HARMONICS = 3
@@ -133,16 +128,13 @@ def turning_centre(
 ) -> TurningCentre | None:
     r"""Find the axis that a part was turned about, from the cusps where the map resolves them, else from its middle.
 
-    The rings of a spiral of feed f about :math:`c` have the phase :math:`\varphi = 2\pi\rho/f - s\theta`. The spectra
-    of tiles show their wave vectors, which cross near c. About it the phase of the cusps is taken in blocks of two
-    waves or more, and least squares finds c and f for each s of -1, 0 and 1, with amplitude and phase free in each of
-    eight annuli. The blocks are then taken again about the best, until it stays. The uncertainty follows from what the
-    phases leave, as that of single blocks or of whole sectors, whichever is larger.
+    The rings of a spiral of feed f about :math:`c` have the phase :math:`\varphi = 2\pi\rho/f - s\theta`. The wave
+    vectors in tiles of the map cross near c; least squares of the phase of the cusps in blocks then finds c and f for
+    each s of -1, 0 and 1, with amplitude and phase free in each of eight annuli.
 
     Without rings, a rotationally symmetric centre defect gives the axis: a radial profile and a smooth form of degree 4
-    are fitted together, with a free centre, and the uncertainty follows as before. The asymmetry may be at most the
-    noise and 5 %, no other feature of the map may be half as high, and no round or oval bump may fit as well. A cone or
-    damped rings are therefore accepted, but not a smooth pip or pit, which looks like a grain of dust.
+    are fitted together, with a free centre. The asymmetry may be at most the noise and 5 %, no other feature of the map
+    may be half as high, and no round or oval bump may fit as well, as a grain of dust would.
 
     Parameters
     ----------
@@ -157,10 +149,8 @@ def turning_centre(
     Returns
     -------
     TurningCentre or None
-        ``None`` where neither rings nor a defect of the middle show it: where noise hides the cusps, a pixel is wider
-        than half of the feed, the axis has no rings on all sides of it (it lies outside the map), or the sense of the
-        spiral is uncertain, which would move it; where a defect may be a grain or lies further from ``near``, and over
-        pixels above 16.7 um, whose defects are no longer those of the middle.
+        ``None`` where noise hides the cusps, a pixel is wider than half of the feed, the axis lies outside the map, or
+        the sense of the spiral is uncertain, and there is no such defect near; none is seen over pixels above 16.7 um.
 
     Raises
     ------
@@ -233,9 +223,8 @@ def _waves(error: HeightMap, tile_side: int) -> tuple[Floats, Floats, Floats]:
     """Return where tiles show a wave (n, 2), its wave vector (n, 2) [rad/mm] and its power (n,)."""
     assert error.x is not None and error.y is not None  # noqa: PT018, S101 - a rectangular map
     steps = [float(np.diff(axis).mean()) for axis in (error.x, error.y)]
-    side = np.linspace(-1, 1, tile_side)
-    u, v = np.meshgrid(side, side)
-    terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1).reshape(-1, 6)
+    u, v = np.meshgrid(*2 * [np.linspace(-1, 1, tile_side)])
+    terms = polynomial_terms(u, v, 2).reshape(-1, 6)
     project = np.linalg.pinv(terms)
     window = np.hanning(tile_side)[:, None] * np.hanning(tile_side)
     frequency = np.fft.fftfreq(tile_side)
@@ -259,10 +248,8 @@ def _waves(error: HeightMap, tile_side: int) -> tuple[Floats, Floats, Floats]:
             i, j = np.unravel_index(int(np.argmax(np.where(slow, 0.0, spectrum))), spectrum.shape)
             if spectrum[i, j] < MIN_PEAK_RATIO * float(np.median(spectrum[~slow])) or spectrum[i, j] == 0:
                 continue
-            along = [
-                _between(spectrum[(i + np.arange(-1, 2)) % tile_side, j]),
-                _between(spectrum[i, (j + np.arange(-1, 2)) % tile_side]),
-            ]
+            three = np.arange(-1, 2)
+            along = _between(spectrum[(i + three) % tile_side, j]), _between(spectrum[i, (j + three) % tile_side])
             ky, kx = (
                 2 * np.pi * (frequency[at] + more / tile_side) / step
                 for at, more, step in zip((i, j), along, steps[::-1], strict=True)
@@ -304,8 +291,7 @@ class _Blocks:
         return np.asarray(self.amplitude * np.exp(-1j * more))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Rings:
+class _Rings(NamedTuple):
     """Rings fitted to blocks: centre and wave number, the covariance of the centre, the misfit and its unit."""
 
     numbers: Floats
@@ -375,7 +361,7 @@ def _blocks(error: HeightMap, numbers: Floats, turns: int) -> _Blocks | None:
     u, v = (x - at_x[:, None]) / (side * step), (y - at_y[:, None]) / (side * step)
     harmonics = int(np.clip(0.9 * np.pi / (numbers[2] * step), 1, MAX_HARMONICS))
     waves = [part for k in range(1, harmonics + 1) for part in (np.cos(k * phase), np.sin(k * phase))]
-    terms = np.stack([*waves, np.ones_like(u), u, v, u * u, u * v, v * v], axis=1) * valid[:, None]
+    terms = np.stack([*waves, *np.moveaxis(polynomial_terms(u, v, 2), -1, 0)], axis=1) * valid[:, None]
     normal = terms @ terms.swapaxes(1, 2)
     # A little of the diagonal keeps a block of many missing points from a singular equation.
     normal += 1e-9 * np.eye(normal.shape[1]) * np.trace(normal, axis1=1, axis2=2)[:, None, None]
@@ -415,11 +401,7 @@ def _fitted(blocks: _Blocks, turns: int, *, search: bool) -> _Rings | None:
         residual = (turned * common.conj()).imag / np.maximum(size, 1e-300)
         u, v = blocks.x - numbers[0], blocks.y - numbers[1]
         rho = np.hypot(u, v)
-        ways = [
-            -numbers[2] * u / rho - turns * v / rho**2,
-            -numbers[2] * v / rho + turns * u / rho**2,
-            rho,
-        ]
+        ways = -numbers[2] * u / rho - turns * v / rho**2, -numbers[2] * v / rho + turns * u / rho**2, rho
         design = np.stack([size * (way - mean(way)[band]) for way in ways], axis=1)
         scale = np.sqrt(np.sum(weight[:, None] * design**2, axis=0))
         if not np.all(scale > 0):
@@ -437,20 +419,17 @@ def _fitted(blocks: _Blocks, turns: int, *, search: bool) -> _Rings | None:
     coherent = float(np.sum(total * np.abs(means(turned)) ** 2))
     freedom = len(residual) - ANNULI - 3
     variance = float(np.sum(weight * residual**2)) / freedom
-    # Errors that go together over a sector count as one.
+    covariance = _covariance(u, v, design, residual, weight, inverse * variance, 1) / np.outer(scale, scale)
+    return _Rings(numbers, covariance[:2, :2], turns, power - coherent, variance, coherent)
+
+
+def _covariance(
+    u: Floats, v: Floats, design: Floats, residual: Floats, weight: Floats, independent: Floats, terms: int
+) -> Floats:
+    """Return the covariance for independent errors, or for errors common to a sector if that is larger."""
     sector = ((np.arctan2(v, u) / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
-    pulls = np.stack([np.bincount(sector, weight * residual * column, SECTORS) for column in design.T], axis=1)
-    apart = inverse @ (pulls.T @ pulls) @ inverse * SECTORS / (SECTORS - 1)
-    alone = inverse * variance
-    covariance = (apart if np.trace(apart[:2, :2]) > np.trace(alone[:2, :2]) else alone) / np.outer(scale, scale)
-    return _Rings(
-        numbers=numbers,
-        covariance=covariance[:2, :2],
-        turns=turns,
-        misfit=power - coherent,
-        variance=variance,
-        explained=coherent,
-    )
+    common = clustered_covariance(design, residual, weight, sector, terms)
+    return common if np.trace(common[:2, :2]) > np.trace(independent[:2, :2]) else independent
 
 
 def _from_defect(error: HeightMap, step: float, near: tuple[float, float]) -> TurningCentre | None:
@@ -484,7 +463,8 @@ def _most_alike(error: HeightMap, step: float, near: tuple[float, float]) -> Flo
     x, y = error.points()
     region = np.isfinite(error.z) & (np.hypot(x - near[0], y - near[1]) <= 3 * reach)
     x, y, z = x[region], y[region], error.z[region]
-    smooth = np.stack([np.ones_like(x), u := x - near[0], v := y - near[1], u * u, u * v, v * v], axis=1)
+    u, v = x - near[0], y - near[1]
+    smooth = polynomial_terms(u / (3 * reach), v / (3 * reach), 2)
     rim = np.hypot(u, v) > 1.5 * reach
     if np.count_nonzero(rim) < 3 * smooth.shape[1] or region.sum() < 4 * DEFECT_RADIUS_PIXELS:
         return None
@@ -523,24 +503,20 @@ class _Defect:
         x, y = error.points()
         region = np.isfinite(error.z) & (np.hypot(x - start[0], y - start[1]) <= extent)
         x, y, z = x[region], y[region], error.z[region]
-        scaled = (x - start[0]) / extent, (y - start[1]) / extent
-        form = np.stack([scaled[0] ** a * scaled[1] ** b for a in range(5) for b in range(5 - a)], axis=1)
+        form = polynomial_terms((x - start[0]) / extent, (y - start[1]) / extent, 4)
         if z.size < 4 * (form.shape[1] + DEFECT_KNOTS.size):
             return None
 
-        def design(at: Floats) -> Floats:
-            return np.hstack([_radial(np.hypot(x - at[0], y - at[1]) / step), form])
-
-        def left(at: Floats) -> Floats:
-            terms = design(at)
+        def misfit(at: Floats) -> Floats:
+            terms = np.hstack([_radial(np.hypot(x - at[0], y - at[1]) / step), form])
             return np.asarray(z - terms @ np.linalg.lstsq(terms, z, rcond=1e-12)[0])
 
-        at, residual, size = start, left(start), step / 4
+        at, residual, size = start, misfit(start), step / 4
         for _ in range(MAX_DEFECT_STEPS):
-            ways = np.stack([(left(at + one) - left(at - one)) / (2 * size) for one in size * np.eye(2)], axis=1)
+            ways = np.stack([(misfit(at + one) - misfit(at - one)) / (2 * size) for one in size * np.eye(2)], axis=1)
             change = -np.linalg.lstsq(ways, residual, rcond=1e-9)[0]
             change *= min(1.0, step / max(float(np.abs(change).max()), 1e-300))
-            other = left(at + change)
+            other = misfit(at + change)
             if other @ other >= residual @ residual:
                 break
             at, residual = at + change, other
@@ -548,15 +524,8 @@ class _Defect:
         u, v = x - at[0], y - at[1]
         core = np.hypot(u, v) < DEFECT_RADIUS_PIXELS * step
         variance = max(float(np.mean(residual[one] ** 2)) for one in (core, ~core))
-        # Errors that go together over a sector count as one.
-        sector = ((np.arctan2(v, u) / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
-        pulls = np.stack([np.bincount(sector, residual * way, SECTORS) for way in ways.T], axis=1)
-        apart = normal @ (pulls.T @ pulls) @ normal * SECTORS / (SECTORS - 2)
-        alone: Floats = np.asarray(normal * variance)
-        return cls(
-            x=x, y=y, z=z, at=at, covariance=np.asarray(apart if np.trace(apart) > np.trace(alone) else alone),
-            residual=residual, form=form, step=step,
-        )  # fmt: skip
+        covariance = _covariance(u, v, ways, residual, np.ones(z.size), normal * variance, 2)
+        return cls(x=x, y=y, z=z, at=at, covariance=covariance, residual=residual, form=form, step=step)
 
     @property
     def core(self) -> Bools:
@@ -572,12 +541,10 @@ class _Defect:
     def is_symmetric(self) -> bool:
         """Whether the core is the same all around but for noise and the steps of its profile."""
         unlike = float(np.mean(self.residual[self.core] ** 2)) - 1.5 * self.noise**2
-        return unlike < MAX_ASYMMETRY**2 * float(np.mean((self.z - self.form @ self._fit())[self.core] ** 2))
-
-    def _fit(self) -> Floats:
-        """Return the coefficients of the form."""
-        terms = np.hstack([_radial(np.hypot(self.x - self.at[0], self.y - self.at[1]) / self.step), self.form])
-        return np.asarray(np.linalg.lstsq(terms, self.z, rcond=1e-12)[0][-self.form.shape[1] :])
+        profile = _radial(np.hypot(self.x - self.at[0], self.y - self.at[1]) / self.step)
+        solved = np.linalg.lstsq(np.hstack([profile, self.form]), self.z, rcond=1e-12)[0]
+        above = self.z - self.form @ solved[profile.shape[1] :]
+        return unlike < MAX_ASYMMETRY**2 * float(np.mean(above[self.core] ** 2))
 
     def is_grain(self) -> bool:
         """Whether a round or oval bump explains it as well, such as a grain of dust or a pit shows."""
@@ -585,7 +552,7 @@ class _Defect:
 
         u, v = (self.x - self.at[0]) / self.step, (self.y - self.at[1]) / self.step
 
-        def left(shape: Floats) -> Floats:
+        def misfit(shape: Floats) -> Floats:
             across, along, shear, p, q, power = shape
             square = (across * (u - p)) ** 2 + (along * (v - q) + shear * (u - p)) ** 2
             bump = np.exp(-((square + 1e-12) ** np.exp(np.clip(power, -1.0, 1.5))))
@@ -593,7 +560,7 @@ class _Defect:
             return np.asarray(self.z - terms @ np.linalg.lstsq(terms, self.z, rcond=1e-12)[0])
 
         best = min(
-            float(2 * least_squares(left, [1 / width, 1 / width, 0.0, 0.0, 0.0, power], max_nfev=40).cost)
+            float(2 * least_squares(misfit, [1 / width, 1 / width, 0.0, 0.0, 0.0, power], max_nfev=40).cost)
             for width in (DEFECT_RADIUS_PIXELS / 5, DEFECT_RADIUS_PIXELS / 2)
             for power in (0.0, 0.7)
         )
@@ -614,7 +581,7 @@ def _is_alone(error: HeightMap, step: float, defect: _Defect) -> bool:
     x, y = error.points()
     valid = np.isfinite(error.z)
     u, v = (x - x.mean()) / np.ptp(x), (y - y.mean()) / np.ptp(y)
-    form = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
+    form = polynomial_terms(u, v, 2)
     flat = error.z - form @ np.linalg.lstsq(form[valid], error.z[valid], rcond=1e-12)[0]
 
     def smooth(sigma: float) -> tuple[Floats, Floats]:

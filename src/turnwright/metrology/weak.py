@@ -11,8 +11,6 @@ from turnwright._arrays import Floats
 from turnwright.metrology.rigid import Fit, Problem, Rows, rows, turns, weights
 from turnwright.surface import Surface, Zernike
 
-__all__ = ["Doubt", "doubt", "held", "plausible"]
-
 RANK_TOL = 1e-12
 """Singular value, relative to the largest, at which a direction changes only rounding."""
 
@@ -41,9 +39,16 @@ class Doubt(NamedTuple):
         return self.noise + self.form
 
 
-def plausible(radius: float) -> list[Zernike]:
-    """Return the forms that act like a change of the pose, each 1 mm at the rim."""
-    return [Zernike(terms={j: 1.0}, radius=radius, indexing="ansi", normalised=False) for j in FORM_INDICES]
+def rim_forms(numbers: Sequence[int], radius: float) -> list[Zernike]:
+    """Return Zernike terms by their ANSI numbers, each 1 mm at the rim."""
+    return [Zernike(terms={one: 1.0}, radius=radius, indexing="ansi", normalised=False) for one in numbers]
+
+
+def rim_form_heights(numbers: Sequence[int], radius: float, x: Floats, y: Floats) -> Floats:
+    """Return the heights of Zernike terms, each 1 mm at the rim. (k, n)."""
+    x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
+    forms = rim_forms(numbers, radius)
+    return np.array([form.evaluate(x, y, 0)[0] for form in forms]).reshape(len(forms), x.size)
 
 
 def doubt(
@@ -90,9 +95,8 @@ def doubt(
         variance = _widened(problem.surface, variance, share, at, singular, vectors, points * root[:, None])
     if form == 0:
         return Doubt(variance, np.zeros_like(variance))
-    x, y = np.ascontiguousarray(at.at[0]), np.ascontiguousarray(at.at[1])
-    shapes = np.stack([shape.evaluate(x, y, 0)[0] for shape in plausible(problem.within)], axis=-1)
-    moved = form * (vectors.T * inverse) @ (points.T @ (root[:, None] * shapes))
+    shapes = rim_form_heights(FORM_INDICES, problem.within, at.at[0], at.at[1])
+    moved = form * (vectors.T * inverse) @ (points.T @ (root[:, None] * shapes.T))
     return Doubt(variance, moved @ moved.T)
 
 
@@ -138,14 +142,10 @@ def _widened(
 
 
 def held(covariance: Floats, limit: float) -> tuple[Floats, list[int]]:
-    """Return the directions with a standard deviation beyond the limit, and the degrees of freedom to fix.
+    """Return the directions (k, m) with a standard deviation beyond the limit, and the m degrees of freedom to fix.
 
-    Returns
-    -------
-    tuple
-        Directions (k, m), entirely undetermined ones first, and the indices of the m degrees of freedom that they move
-        most. Each undetermined direction moves one of these by 1 and the others not at all; the remaining directions
-        are unit vectors.
+    Entirely undetermined directions come first: each moves one of these by 1 and the others not at all. The remaining
+    directions are unit vectors, and move theirs most.
     """
     from scipy.linalg import qr  # noqa: PLC0415 - scipy is costly to import
 

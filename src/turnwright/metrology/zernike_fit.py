@@ -20,8 +20,6 @@ from turnwright.surface import FIRST, Indexing, Surface, Zernike, disc_sum, zern
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
 
-__all__ = ["ZernikeFit", "fit_zernike"]
-
 NM = 1e6
 MAX_STEPS = 10
 MAX_TERMS = 1000
@@ -96,11 +94,8 @@ def fit_zernike(
 ) -> ZernikeFit:
     """Fit Zernike polynomials by least squares in z over the valid points inside an aperture.
 
-    Missing points are left out, not filled. Over the remaining points the terms are not orthogonal, which least squares
-    allows for and ``condition`` states. Points are weighted by area; scattered points equally.
-
-    The uncertainties assume residuals that are independent from point to point; where waviness prevails they are too
-    small.
+    Missing points are left out. Points are weighted by area; scattered points equally. The uncertainties assume
+    independent residuals; where waviness prevails they are too small.
 
     Parameters
     ----------
@@ -111,8 +106,7 @@ def fit_zernike(
     indexing, normalised
         See `turnwright.Zernike`.
     radius
-        Of the aperture. By default that of the smallest circle around all valid points, or of the smallest around
-        ``centre``. A stray valid point widens it: clean the map first, or state it. [mm]
+        Of the aperture. By default that of the smallest circle around all valid points, or around ``centre``. [mm]
     centre
         Of the aperture (x, y). By default that of the smallest circle; on a polar map (0, 0). [mm]
 
@@ -239,8 +233,7 @@ def _aperture(
 def _smallest_circle(x: Floats, y: Floats) -> tuple[float, tuple[float, float]]:
     """Return the radius and the centre of the smallest circle around points.
 
-    The farthest point outside joins the two or three that hold the circle so far, whose own smallest circle grows with
-    every step: the end is that of all.
+    The farthest point outside joins the two or three that hold the circle so far, until none is outside.
     """
     points = x + 1j * y
     held = points[:1]
