@@ -165,8 +165,8 @@ class Tool(Stated, Value):
     edge_length
         Length of each flank, from the end of the arc on, that is a cutting edge; ``None`` where only the arc is. [mm]
     plausible
-        How large the tool's deviations plausibly are, one standard deviation, where they are not as `CAUSES` of the
-        diagnosis says: "offset x", "offset y", "offset z", "radius error", "waviness". [mm]
+        Plausible sizes (standard deviations) that differ from `ERROR_SOURCES` of the diagnosis: "offset x",
+        "offset y", "offset z", "radius error", "waviness". [mm]
 
     Raises
     ------

@@ -103,7 +103,7 @@ WRONG = {
     "more blocks than the controller takes": ([("strategy.spindle_speed", "490 rpm"), ("strategy.points_per_rev", 720)], r"accept = \[\"limits\"\]"),
     "a sum of nothing": ([("part.surface", [])], r"part\.surface: .*sum"),
     "nothing free": ([("measurement.free", [])], r"measurement: free needs at least 1"),
-    "no cause": ([("measurement.causes", [])], r"measurement: causes needs at least 1"),
+    "no error source": ([("measurement.error_sources", [])], r"measurement: error_sources needs at least 1"),
     "no wave": ([("measurement.waviness", [])], r"measurement: waviness needs at least 1"),
     "no pass": ([("passes", [])], r"passes needs at least 1"),
     "a pass that leaves stock": (

@@ -317,7 +317,9 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(shop, tmp_path, capsys):
     tw.write_map(tw.HeightMap(x=away.x, y=away.y, z=np.full(away.z.shape, np.nan)), far)
     torn = tmp_path / "torn.x3p"
     torn.write_bytes(Path(good).read_bytes()[:500])
-    unknown = written(tmp_path, *DISH, ("measurement", {"causes": ["bad luck"]})).rename(tmp_path / "unknown.toml")
+    unknown = written(tmp_path, *DISH, ("measurement", {"error_sources": ["bad luck"]})).rename(
+        tmp_path / "unknown.toml"
+    )
     other = written(tmp_path, *DISH, ("tool.nose_radius", "0.6 mm"), ("part.name", "other"))
     other = other.rename(tmp_path / "other.toml")
     (tmp_path / "taken").mkdir()
@@ -437,14 +439,14 @@ def test_set_replaces_a_key_of_the_measurement(shop, tmp_path, capsys):
     capsys.readouterr()
     assert main([*common, "--out", str(tmp_path / "bad"), "--set", "colour=red"]) == 2
     assert "colour" in capsys.readouterr().err
-    assert main([*common, "--out", str(tmp_path / "bad"), "--set", "weak"]) == 2
+    assert main([*common, "--out", str(tmp_path / "bad"), "--set", "undetermined"]) == 2
     assert "KEY=VALUE" in capsys.readouterr().err
 
 
 REGISTERED = {
     "loss": ("huber", {"loss": "huber"}),
     "form_error": ("2 um", {"form_error": 2e-3}),
-    "weak": ("hold", {"weak": "hold"}),
+    "undetermined": ("hold", {"undetermined": "hold"}),
     "reach": ("1 mm", {"reach": 1.0}),
     "clocking": ("0.1 rad", {"clocking": 0.1}),
     "noise": ("7 nm", {"noise_nm": 7.0}),
@@ -452,15 +454,15 @@ REGISTERED = {
 }
 DIAGNOSED = {
     "noise": ("7 nm", {"noise_nm": [7.0]}),
-    "causes": (["offset x"], {"causes": ("offset x",)}),
+    "error_sources": (["offset x"], {"error_sources": ("offset x",)}),
     "waviness": ([3, 4], {"waviness": (3, 4)}),
-    "worth": ("2 nm", {"worth_nm": 2.0}),
+    "min_effect": ("2 nm", {"min_effect_nm": 2.0}),
     "correct": (["offset x"], {"correct": ("offset x",)}),
     "repeats": (False, {"repeats": False}),
     "fixed": (["clocking"], {"free": ["piston", "tilt", "decentre"]}),
     "reference": ("best-fit sphere", {"reference": "best-fit sphere"}),
 }
-CORRECTED = {"worth": ("2 nm", 2e-6), "cutoff": ("0.5 mm", 0.5), "repeats": (False, False)}
+CORRECTED = {"min_effect": ("2 nm", 2e-6), "cutoff": ("0.5 mm", 0.5), "repeats": (False, False)}
 
 
 def _asks(monkeypatch, module, stage, arguments):
@@ -497,7 +499,7 @@ def test_every_command_diagnoses_by_the_keys_of_the_measurement(shop, tmp_path, 
     _, named = _asks(monkeypatch, _measure, "attribute", arguments)
     for key, (_, options) in DIAGNOSED.items():
         for name, value in options.items():
-            assert named[name] == pytest.approx(value) if key in ("noise", "worth") else named[name] == value, key
+            assert named[name] == pytest.approx(value) if key in ("noise", "min_effect") else named[name] == value, key
 
 
 @pytest.mark.parametrize("of", [[], ["--of", "job.toml"]])

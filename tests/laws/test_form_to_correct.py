@@ -7,7 +7,7 @@ import turnwright as tw
 
 PART = tw.Part(surface=tw.Plane(slope=(0.0, 0.0)), radius=5.0)
 TOOL = tw.Tool(nose_radius=0.5, included=np.deg2rad(100), clearance=np.deg2rad(10))
-HUM = tw.diagnosis.Cause(name="hum", signature=lambda cut: np.cos(3 * cut.x) * np.sin(2 * cut.y), typical=1e-3)
+HUM = tw.diagnosis.ErrorSource(name="hum", signature=lambda cut: np.cos(3 * cut.x) * np.sin(2 * cut.y), typical=1e-3)
 
 
 def height(x, y):
@@ -41,7 +41,7 @@ def scattered(gone):
 def test_a_cause_that_no_plan_takes_care_of_is_left_to_the_part(measured, points):
     """Oracle: the heights that were made. The residual and the mark of the cause are them again, where both stand."""
     found = tw.diagnose(
-        measured, PART, TOOL, tw.Machine.load("generic"), causes=[HUM], free=(), worth_nm=1.0, points=points
+        measured, PART, TOOL, tw.Machine.load("generic"), error_sources=[HUM], free=(), min_effect_nm=1.0, points=points
     )
     assert found["hum"].verdict == "correct"
     left = found.remainders[0]

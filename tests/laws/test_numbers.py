@@ -217,7 +217,7 @@ EXAMPLES = [
         gain_uncertainty=np.zeros((3, 3)),
         coherence=np.ones((32, 3)),
     ),
-    tw.diagnosis.Cause(name="my own", signature=lambda cut: cut.x, typical=1e-3),
+    tw.diagnosis.ErrorSource(name="my own", signature=lambda cut: cut.x, typical=1e-3),
     tw.studies.ErrorBudget(errors={"squareness": SPREAD}, noise=1e-6, settling=3.0),
     SPREAD,
     tw.studies.Study(job=JOB, design="grid", fields=(), measures=(), reasons=("",), seconds=np.ones(1)),

@@ -79,7 +79,9 @@ def test_a_stated_noise_is_the_least_that_the_intervals_know(ogive):
     steady = replace(MACHINE, plausible={"drift of X": 1e-7, "drift of Z": 1e-7})
 
     def found(noise_nm):
-        one = tw.diagnose(noisy(ogive, 1), SPHERE, TOOL, steady, feed=FEED, causes=["offset x"], noise_nm=noise_nm)
+        one = tw.diagnose(
+            noisy(ogive, 1), SPHERE, TOOL, steady, feed=FEED, error_sources=["offset x"], noise_nm=noise_nm
+        )
         return one.noise_nm[0], one["offset x"].standard_uncertainty
 
     shown, plain = found(0.0)
@@ -157,7 +159,7 @@ def test_an_error_that_does_not_repeat_is_reported():
     maps = []
     for shift in (0.002, 0.005):
         maps += made(Deviations(offset=(shift, 0.001, 0.0), squareness=4e-5), rng, 2e-5)
-    found = tw.diagnose(maps, FLAT, TOOL, MACHINE, causes=("offset x", "offset y", "squareness"))
+    found = tw.diagnose(maps, FLAT, TOOL, MACHINE, error_sources=("offset x", "offset y", "squareness"))
     moved = found["offset x"]
     assert moved.repeatable is False
     # An axial motion of 30 nm once in a turn is plausible, 0.6 um of offset on this flat.
@@ -175,7 +177,7 @@ def test_a_lag_needs_a_fiducial():
     """On a part that is not round the lag of Z looks like a clocking, and is separated from it if the pose is known."""
     part = tw.Part(surface=tw.XYPolynomial(terms={(2, 0): 0.03, (0, 2): 0.04, (3, 0): 0.001}), radius=5.0)
     (heights,) = model_maps([part])(Deviations(late=2e-4), np.random.default_rng(5), 2e-5)
-    asked = {"causes": ("servo lag", "offset x"), "waviness": (3,)}
+    asked = {"error_sources": ("servo lag", "offset x"), "waviness": (3,)}
     hidden = tw.diagnose(heights, part, TOOL, MACHINE, **asked)["servo lag"]
     assert not hidden.determined
     assert "fiducial" in hidden.why
@@ -188,8 +190,8 @@ def test_a_lag_needs_a_fiducial():
 
 def test_a_piston_hides_the_offset_along_z():
     (heights,) = model_maps([SPHERE])(Deviations(offset=(0.0, 0.0, 0.003)), np.random.default_rng(6), 2e-5)
-    assert not tw.diagnose(heights, SPHERE, TOOL, MACHINE, causes=("offset z",))["offset z"].determined
-    seen = tw.diagnose(heights, SPHERE, TOOL, MACHINE, causes=("offset z",), free=("tilt", "decentre"))
+    assert not tw.diagnose(heights, SPHERE, TOOL, MACHINE, error_sources=("offset z",))["offset z"].determined
+    seen = tw.diagnose(heights, SPHERE, TOOL, MACHINE, error_sources=("offset z",), free=("tilt", "decentre"))
     assert seen["offset z"].value == pytest.approx(0.003, abs=5e-5)
     assert tw.diagnosis.moves(seen)[0].axis == "Z"
 
@@ -198,8 +200,8 @@ def test_a_bent_mount_and_a_cause_of_ones_own():
     (heights,) = model_maps([SPHERE])(Deviations(), np.random.default_rng(7), 2e-5)
     x, y = heights.points()
     bent = replace(heights, z=heights.z + 3e-4 * (x * x - y * y) / 25 + 1e-4 * np.cos(x))
-    ripple = tw.diagnosis.Cause(name="ripple", signature=lambda cutting: np.cos(cutting.x), typical=1e-3)
-    found = tw.diagnose(bent, SPHERE, TOOL, MACHINE, causes=("astigmatism", ripple))
+    ripple = tw.diagnosis.ErrorSource(name="ripple", signature=lambda cutting: np.cos(cutting.x), typical=1e-3)
+    found = tw.diagnose(bent, SPHERE, TOOL, MACHINE, error_sources=("astigmatism", ripple))
     assert found["astigmatism cos"].value == pytest.approx(3e-4, rel=0.02)
     assert found["astigmatism cos"].verdict == "do not correct"
     assert found["ripple"].value == pytest.approx(1e-4, rel=0.05)
@@ -212,7 +214,7 @@ def test_a_residual_pose_is_found_with_the_error_sources():
     part = tw.Part(surface=tw.Toroid(radius_x=12.0, radius_y=16.0), radius=5.0)
     (heights,) = model_maps([part])(Deviations(offset=(0.002, 0.003, 0.0)), np.random.default_rng(8), 5e-6)
     off = tw.Pose(shift=(0.02, -0.015, 0.001), rotation=3e-4, tilt=(2e-4, -1e-4))
-    found = tw.diagnose(heights.moved(off), part, TOOL, MACHINE, causes=("offset x", "offset y"))
+    found = tw.diagnose(heights.moved(off), part, TOOL, MACHINE, error_sources=("offset x", "offset y"))
     assert found["offset x"].interval[0] < 0.002 < found["offset x"].interval[1]
     assert found["offset y"].interval[0] < 0.003 < found["offset y"].interval[1]
     assert found.unexplained_rms_nm == pytest.approx(5, rel=0.05)
@@ -295,7 +297,7 @@ def test_cusps_are_not_taken_for_waves_of_the_nose(offset):
     tool = tw.Tool(nose_radius=0.514, included=np.deg2rad(60), clearance=np.deg2rad(10))
     actual = replace(tool, offset=(offset, 0.0, 0.0))
     seen = cut(grid, actual, planned=tool, per_turn=2880, size=151, feed=0.01)
-    for some in ({"causes": ("offset x", "waviness")}, {}):
+    for some in ({"error_sources": ("offset x", "waviness")}, {}):
         found = tw.diagnose(seen, grid, tool, MACHINE, feed=0.01, **some)
         low, high = found["offset x"].interval
         assert low <= offset <= high

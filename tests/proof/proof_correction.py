@@ -46,7 +46,7 @@ def recipe(per_rev, **measurement):
     for key in ("passes", "simulation", "tolerances"):
         table.pop(key)
     table["part"].pop("stock")
-    table["measurement"] = {"worth": "0.05 nm", **measurement}
+    table["measurement"] = {"min_effect": "0.05 nm", **measurement}
     return Job.read(table)
 
 
@@ -160,7 +160,7 @@ ALONE = {
     "radius error": ({"tool": {"radius_error": 0.02}}, 5, 0.7),
     "waviness": ({"tool": WAVINESS}, 0.5, 0.7),
     "squareness": ({"machine": {"squareness": 2e-5}}, 5, 0.7),
-    "straightness": ({"machine": STRAIGHTNESS, "causes": ["straightness"]}, 15, 0.7),
+    "straightness": ({"machine": STRAIGHTNESS, "error_sources": ["straightness"]}, 15, 0.7),
     "servo lag": ({"late": 1e-3, "fiducial": True, "fixed": ["clocking"]}, 50, 2.0),
     "form": ({"form": bump}, 20, 1.6),
 }  # fmt: skip

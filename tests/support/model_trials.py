@@ -75,7 +75,7 @@ def neighbours(trials, first=0):
         (heights,) = made(Deviations(offset=(0.001, 0.0, 0.0)), rng, 0.0)
         rough = blur @ rng.normal(0, 1, (41, 41)) @ blur.T
         heights = replace(heights, z=heights.z + 2e-5 * rough / rough.std())
-        found = tw.diagnose(heights, SPHERE, TOOL, MACHINE, causes=("offset x", "astigmatism"))
+        found = tw.diagnose(heights, SPHERE, TOOL, MACHINE, error_sources=("offset x", "astigmatism"))
         low, high = found["offset x"].interval
         hits += low <= 0.001 <= high
         together += found.correlated_points

@@ -143,7 +143,7 @@ class Bench:
         named = re.compile("(compare|measure|correct),")
         of_kind = done.filter(has_not_text=named) if kind == "run" else done.filter(has_text=f"{kind},")
         of_kind.last.locator(".line").click()
-        found = {"compare": "svg.pareto", "measure": "#measured .cause"}.get(kind, "#outcome")
+        found = {"compare": "svg.pareto", "measure": "#measured .error-source"}.get(kind, "#outcome")
         self.page.locator(found).first.wait_for()
         return self
 

@@ -17,9 +17,9 @@ MAP = tw.HeightMap(x=X, y=X, z=PART.surface.sag(*np.meshgrid(X, X) * np.array(0.
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        ({"causes": ("ogive",)}, "'ogive' is not one of offset x"),
-        ({"causes": ()}, "0 causes"),
-        ({"causes": ("offset x", "offset x")}, "2 causes have 1 different"),
+        ({"error_sources": ("ogive",)}, "'ogive' is not one of offset x"),
+        ({"error_sources": ()}, "0 error sources"),
+        ({"error_sources": ("offset x", "offset x")}, "2 error sources have 1 different"),
         ({"reference": "sphere"}, "reference is 'sphere'"),
         ({"free": ("shift",)}, "'shift' cannot be free"),
         ({"sense": 0}, "sense is 0"),
@@ -37,10 +37,10 @@ def test_requested_error_sources_must_exist(asked, words):
 
 
 def test_tool_and_machine_say_how_large_their_errors_are():
-    """What neither says is as `CAUSES` has it."""
+    """What neither says is as `ERROR_SOURCES` has it."""
     tool = replace(TOOL, plausible={"offset x": 1e-3})
     machine = replace(MACHINE, plausible={"squareness": 2e-6, "drift of Z": 1e-5})
-    found = tw.diagnose(MAP, PART, tool, machine, causes=("offset x", "offset y", "squareness"), straightness=4)
+    found = tw.diagnose(MAP, PART, tool, machine, error_sources=("offset x", "offset y", "squareness"), straightness=4)
     assert {one.name: one.plausible for one in found} == {"offset x": 1e-3, "offset y": 0.05, "squareness": 2e-6}
     with pytest.raises(tw.InputError, match="plausible has 'offset q'"):
         replace(TOOL, plausible={"offset q": 1e-3})
@@ -74,16 +74,16 @@ def test_few_points_do_not_carry_many_numbers():
 
 def test_a_cause_of_ones_own_has_a_name_and_heights():
     with pytest.raises(tw.InputError, match="'waviness', it must be new"):
-        tw.diagnosis.Cause(name="waviness", signature=lambda cutting: cutting.x, typical=1.0)
+        tw.diagnosis.ErrorSource(name="waviness", signature=lambda cutting: cutting.x, typical=1.0)
     with pytest.raises(tw.InputError, match="typical"):
-        tw.diagnosis.Cause(name="drift", signature=lambda cutting: cutting.x, typical=0.0)
-    wrong = tw.diagnosis.Cause(name="drift", signature=lambda _cutting: np.zeros(3), typical=1.0)
+        tw.diagnosis.ErrorSource(name="drift", signature=lambda cutting: cutting.x, typical=0.0)
+    wrong = tw.diagnosis.ErrorSource(name="drift", signature=lambda _cutting: np.zeros(3), typical=1.0)
     with pytest.raises(tw.InputError, match=r"'drift' has the shape \(3,\)"):
-        tw.diagnose(MAP, PART, TOOL, MACHINE, causes=(wrong,))
+        tw.diagnose(MAP, PART, TOOL, MACHINE, error_sources=(wrong,))
 
 
 def test_findings_go_by_place_and_name():
-    found = tw.diagnose(MAP, PART, TOOL, MACHINE, causes=("offset x", "radius error"))
+    found = tw.diagnose(MAP, PART, TOOL, MACHINE, error_sources=("offset x", "radius error"))
     assert len(found) == 2
     assert found["offset x"] in found[:2]
     assert {found[0].name, found[1].name} == {"offset x", "radius error"}

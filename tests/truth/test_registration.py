@@ -145,17 +145,17 @@ def test_astigmatism_on_a_torus_is_confused_with_a_rotation():
     assert abs(plain.pose.rotation) == pytest.approx(alike, rel=0.01)
     assert plain.std["rotation"] > alike  # other forms too
     assert plain.rms_nm < 10  # of 408 nm
-    assert any("rotation" in one.words and one.cause == "form" for one in plain.undetermined)
-    kept = register(heights, part, weak="hold")
+    assert any("rotation" in one.words and one.reason == "form" for one in plain.undetermined)
+    kept = register(heights, part, undetermined="hold")
     assert "rotation" in kept.held
     assert kept.pose.rotation == 0
     with pytest.raises(InputError, match="hardly determines the direction rotation"):
-        register(heights, part, weak="raise")
+        register(heights, part, undetermined="raise")
     # Lengths are written in the unit that suits them: a um of form, and what it passes for at the rim.
     said = next(one.words for one in plain.undetermined if "rotation" in one.words)
     assert re.search(r"a form error of 1 um .* [\d.]+ (nm|um|mm|m) at the rim\.$", said), said
     assert "e+" not in said
-    unsure = register(heights, part, terms=[astigmatism], weak="hold")  # other forms remain
+    unsure = register(heights, part, terms=[astigmatism], undetermined="hold")  # other forms remain
     assert "rotation" in unsure.held
     along = register(heights, part, terms=[astigmatism], form_error=0.0)
     assert abs(along.pose.rotation) < 5e-6
@@ -167,7 +167,7 @@ def test_what_a_form_error_does_to_the_rotation_of_a_torus():
     """2 c / (a² |1/Ry - 1/Rx|) for c of astigmatism over the radius a, where only the rotation is free."""
     part = Part(surface=TORUS, radius=7.5)
     points = disc(part, 20_000, np.random.default_rng(7))
-    found = register(measured(points, Pose()), part, free=("rotation",), weak="fit")
+    found = register(measured(points, Pose()), part, free=("rotation",), undetermined="fit")
     assert found.std["rotation"] == pytest.approx(2e-3 / (7.5**2 * (1 / 250 - 1 / 500)), rel=0.02)
 
 
@@ -177,7 +177,7 @@ def test_a_sphere_says_what_it_cannot_tell():
     points = disc(part, 3000, np.random.default_rng(8))
     found = register(measured(points, Pose(shift=(0.0, 0.0, 0.7), tilt=(0.02, 0.01))), part)
     assert set(found.held) == {"x", "y", "rotation"}
-    assert [one.cause for one in found.undetermined] == ["surface"] * 3
+    assert [one.reason for one in found.undetermined] == ["surface"] * 3
     assert found.rms_nm < 1e-3
     along = {int(np.argmax(np.abs(one.direction[:4]) * [1, 1, 1, 5])): one.direction for one in found.undetermined}
     assert along[0][5] / along[0][0] == pytest.approx(-1 / 50, rel=0.03)

@@ -18,7 +18,7 @@ MAP = HeightMap(x=AXIS, y=AXIS, z=PART.surface.sag(X, Y))
         ({"free": ()}, "free holds nothing"),
         ({"distance": "radial"}, 'distance is \'radial\', it can be "vertical" or "normal"'),
         ({"loss": "l1"}, 'loss is \'l1\', it can be "linear", "huber" or "tukey"'),
-        ({"weak": "no"}, "weak is 'no'"),
+        ({"undetermined": "no"}, "undetermined is 'no'"),
         ({"reach": -1.0}, "reach of the search is -1 mm"),
         ({"clocking": 7.0}, "clocking of the search is 7 rad"),
         ({"noise_nm": 0.0}, "noise is 0 nm"),

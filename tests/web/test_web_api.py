@@ -306,11 +306,11 @@ def test_a_measured_map_tells_the_injected_offset(client, measured):
 
 
 def test_a_correction_plans_with_the_tool_as_it_was_found(client, measured, folder):
-    wrong = client.post(f"/api/measurements/{measured}/correct", json={"causes": ["weather"]})
+    wrong = client.post(f"/api/measurements/{measured}/correct", json={"error_sources": ["weather"]})
     assert wrong.status_code == 422
     told = client.get(f"/api/measurements/{measured}").json()
-    cause = next(one["cause"] for one in told["findings"] if one["name"] == "offset x")
-    name = client.post(f"/api/measurements/{measured}/correct", json={"causes": [cause]}).json()["id"]
+    error_source = next(one["error_source"] for one in told["findings"] if one["name"] == "offset x")
+    name = client.post(f"/api/measurements/{measured}/correct", json={"error_sources": [error_source]}).json()["id"]
     ended(client, name)
     run = client.get(f"/api/runs/{name}").json()
     assert parse(run["data"]["tool"]["offset"][0], "mm") == pytest.approx(OFFSET, abs=5e-4)
@@ -318,7 +318,7 @@ def test_a_correction_plans_with_the_tool_as_it_was_found(client, measured, fold
     assert told["correction"] == name
     # The same by what the command line calls, of a job that corrects this cause.
     (folder / "again").mkdir()
-    part = measure(Job.read(changed(*DISH, ("measurement.correct", [cause]))), tw.read_map(folder / "dish.x3p"))
+    part = measure(Job.read(changed(*DISH, ("measurement.correct", [error_source]))), tw.read_map(folder / "dish.x3p"))
     better = correct(part.job, diagnose([part]), [part], out=folder / "again")
     left = told["predicted"]["predicted"]
     assert (left["pv_nm"], left["rms_nm"]) == pytest.approx(better.numbers_nm["predicted"], rel=1e-9)

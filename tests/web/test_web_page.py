@@ -723,20 +723,20 @@ def test_a_map_is_shown_without_a_job(bench, tmp_path):
 def test_an_injected_offset_is_found_and_corrected(bench, folder, tmp_path):
     one = bench().look_at("measure")
     page = one.page
-    cause = page.locator(".cause", has=page.get_by_text("offset x", exact=True))
-    value, doubt = figures(cause.locator(".number").inner_text())
-    assert plain(cause.locator(".number").inner_text()).endswith(" \u00b5m")
+    error_source = page.locator(".error-source", has=page.get_by_text("offset x", exact=True))
+    value, doubt = figures(error_source.locator(".number").inner_text())
+    assert plain(error_source.locator(".number").inner_text()).endswith(" \u00b5m")
     assert abs(value - OFFSET * 1e3) <= doubt
     # A drift of Z would do as well, which makes the doubt a large one.
-    assert figures(cause.locator("p").inner_text())[0] == pytest.approx(OFFSET * 1e3, abs=doubt)
-    assert figures(cause.locator("p").inner_text())[:3] == [value, doubt, 95]  # number and sentence say the same
+    assert figures(error_source.locator("p").inner_text())[0] == pytest.approx(OFFSET * 1e3, abs=doubt)
+    assert figures(error_source.locator("p").inner_text())[:3] == [value, doubt, 95]  # number and sentence say the same
     # A dish of revolution has no azimuth, so that part of the pose is fixed: nothing was found of it.
     assert page.locator("dt", has_text="rotation").locator("+ dd").inner_text() == "fixed"
     one.drawn("#measured .map canvas.mapcanvas", colours=60)
-    for box in page.locator(".cause input").all():
+    for box in page.locator(".error-source input").all():
         box.set_checked(False)
     expect(page.locator("#correct")).to_have_text("Correct the form")
-    cause.get_by_role("checkbox").check()
+    error_source.get_by_role("checkbox").check()
     name = one.answer("/correct", page.locator("#correct").click).json()["id"]
     after = page.get_by_role("tab", name="After correction")
     expect(after).to_be_enabled()
@@ -1142,7 +1142,7 @@ def bring_back(one, job, file, keep):
     with page.expect_file_chooser() as chosen:
         page.get_by_role("button", name="Choose a file").click()
     chosen.value.set_files(instrument(job, file))
-    page.locator("#measured .cause").first.wait_for()
+    page.locator("#measured .error-source").first.wait_for()
     one.drawn("#measured canvas.mapcanvas", colours=60)
     keep("measured")
     page.locator("#correct").click()

@@ -1,22 +1,22 @@
 """Why a part is off: measured maps against the marks that tool and machine leave, by exact contact."""
 
-from turnwright.diagnosis.causes import CAUSES, DEFAULT, Cause
 from turnwright.diagnosis.diagnosing import diagnose, plausible_rms_nm
+from turnwright.diagnosis.error_sources import DEFAULT, ERROR_SOURCES, ErrorSource
 from turnwright.diagnosis.findings import Contribution, Diagnosis, DrawnCut, Draws, Finding
 from turnwright.diagnosis.proof import Proof, prove
 from turnwright.diagnosis.setup import CentreDefect, Move, centre_defect, handbook_offset, moves
 from turnwright.diagnosis.sight import FREE
 
 __all__ = [
-    "CAUSES",
     "DEFAULT",
+    "ERROR_SOURCES",
     "FREE",
-    "Cause",
     "CentreDefect",
     "Contribution",
     "Diagnosis",
     "DrawnCut",
     "Draws",
+    "ErrorSource",
     "Finding",
     "Move",
     "Proof",

@@ -9,7 +9,7 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright._validate import between, positive
-from turnwright.diagnosis.causes import CAUSES, DEFAULT, Cause, Columns
+from turnwright.diagnosis.error_sources import DEFAULT, ERROR_SOURCES, Columns, ErrorSource
 from turnwright.diagnosis.estimate import Estimate
 from turnwright.diagnosis.findings import Diagnosis
 from turnwright.diagnosis.report import ReportRequest, write_report
@@ -38,14 +38,14 @@ def diagnose(
     tool: Tool,
     machine: Machine,
     *,
-    causes: Sequence[str | Cause] = DEFAULT,
+    error_sources: Sequence[str | ErrorSource] = DEFAULT,
     reference: Literal["true form", "best-fit sphere", "best-fit sphere, along its normal"] = "true form",
     free: Sequence[str] = FREE,
     waviness: Sequence[int] = POWERS,
     straightness: int = STRAIGHTNESS,
     sense: int = 1,
     feed: float = 0.0,
-    worth_nm: float = 1.0,
+    min_effect_nm: float = 1.0,
     points: int = 60_000,
     noise_nm: float | Sequence[float] = 0.0,
     repeats: bool = True,
@@ -66,9 +66,9 @@ def diagnose(
         Nominal part: one design for all maps, or one for each.
     tool, machine
         Tool and machine of the *plan*: findings add to their deviations. Both may set plausible sizes of their errors;
-        the defaults are those of `CAUSES`.
-    causes
-        Names of `CAUSES`, or user-defined sources, see `Cause`.
+        the defaults are those of `ERROR_SOURCES`.
+    error_sources
+        Names of `ERROR_SOURCES`, or user-defined sources, see `ErrorSource`.
     reference
         Reference of the heights: the frame of the part, or the best-fit sphere, as from an interferometer with a
         transmission sphere, along z or along the normal of that sphere.
@@ -84,7 +84,7 @@ def diagnose(
         +1 if the spindle angle under the tool grew with time, -1 if it fell.
     feed
         Feed of the cut, for the mean height of the cusps; 0 for maps without cusps. [mm/rev]
-    worth_nm
+    min_effect_nm
         Smallest effect on the form, rms, that is worth a correction.
     points
         Most points of each map in the fit, evenly over its grid.
@@ -100,7 +100,7 @@ def diagnose(
     Raises
     ------
     InputError
-        If a cause or reference is unknown, or too little of a map can be used.
+        If an error source or reference is unknown, or too little of a map can be used.
 
     Sources
     -------
@@ -109,7 +109,7 @@ def diagnose(
     """
     maps = [maps] if isinstance(maps, HeightMap) else list(maps)
     parts = [*parts] if isinstance(parts, Sequence) else [parts] * len(maps)
-    _check(maps, parts, causes, reference, free, sense)
+    _check(maps, parts, error_sources, reference, free, sense)
     if feed:
         positive(feed, "feed", "mm/rev")
     positive(points, "points", "")
@@ -122,11 +122,13 @@ def diagnose(
     if straightness < 3:
         raise InputError(f"straightness is {straightness} positions, it must be at least 3")
     estimate = _set_up_estimate(
-        thin, parts, tool, machine, causes=causes, reference=reference, free=free, powers=waviness,
+        thin, parts, tool, machine, error_sources=error_sources, reference=reference, free=free, powers=waviness,
         straightness=straightness, sense=sense, feed=feed, stated=stated,
     )  # fmt: skip
     estimate.solve()
-    report_request = ReportRequest(tool, machine, worth_nm, repeats, None if correct is None else frozenset(correct))
+    report_request = ReportRequest(
+        tool, machine, min_effect_nm, repeats, None if correct is None else frozenset(correct)
+    )
     return write_report(estimate, maps, thin, parts, report_request)
 
 
@@ -153,14 +155,15 @@ def plausible_rms_nm(
     """
     design = HeightMap(x=x, y=y, z=part.surface.sag(x, y))
     estimate = _set_up_estimate(
-        [design], [part], tool, machine, causes=DEFAULT, reference="true form", free=free, powers=POWERS,
+        [design], [part], tool, machine, error_sources=DEFAULT, reference="true form", free=free, powers=POWERS,
         straightness=STRAIGHTNESS, sense=sense, feed=0.0, stated=np.zeros(1),
     )  # fmt: skip
     return estimate.plausible_rms(0) * NM
 
 
 def _set_up_estimate(
-    thin: Sequence[HeightMap], parts: Sequence[Part], tool: Tool, machine: Machine, *, causes: Sequence[str | Cause],
+    thin: Sequence[HeightMap], parts: Sequence[Part], tool: Tool, machine: Machine, *,
+    error_sources: Sequence[str | ErrorSource],
     reference: str, free: Sequence[str], powers: Sequence[int], straightness: int, sense: int, feed: float,
     stated: Floats,
 ) -> Estimate:  # fmt: skip
@@ -169,7 +172,7 @@ def _set_up_estimate(
     farthest = max(float(np.nanmax(np.hypot(sight.x, sight.y))) for sight in sights)
     plausible = {**machine.plausible, **tool.plausible}
     columns = Columns(
-        causes=tuple(causes),
+        error_sources=tuple(error_sources),
         powers=tuple(powers),
         knots=np.linspace(0, farthest, straightness),
         reach=(reach, radius),
@@ -194,7 +197,7 @@ def _group_maps(parts: Sequence[Part]) -> list[int | None]:
 
 
 def _check(
-    maps: Sequence[HeightMap], parts: Sequence[Part], causes: Sequence[str | Cause], reference: str,
+    maps: Sequence[HeightMap], parts: Sequence[Part], error_sources: Sequence[str | ErrorSource], reference: str,
     free: Sequence[str], sense: int,
 ) -> None:  # fmt: skip
     if not maps or len(maps) != len(parts):
@@ -203,12 +206,17 @@ def _check(
         )
     for one in maps:
         one.require_calibrated()
-    names = [cause if isinstance(cause, str) else cause.name for cause in causes]
-    for cause in causes:
-        if isinstance(cause, str) and cause not in CAUSES:
-            raise InputError(f"the cause {cause!r} is not one of {', '.join(CAUSES)}: name one, or pass a Cause")
+    names = [error_source if isinstance(error_source, str) else error_source.name for error_source in error_sources]
+    for error_source in error_sources:
+        if isinstance(error_source, str) and error_source not in ERROR_SOURCES:
+            raise InputError(
+                f"error source {error_source!r} is not one of {', '.join(ERROR_SOURCES)}: name one, or "
+                "pass an ErrorSource"
+            )
     if not names or len(set(names)) < len(names):
-        raise InputError(f"{len(names)} causes have {len(set(names))} different names: name each once, at least one")
+        raise InputError(
+            f"{len(names)} error sources have {len(set(names))} different names: name each once, at least one"
+        )
     if reference not in REFERENCES:
         raise InputError(f"reference is {reference!r}, it must be one of {', '.join(map(repr, REFERENCES))}")
     for name in free:

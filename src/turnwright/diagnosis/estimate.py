@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, robust_scatter
-from turnwright.diagnosis.causes import Column, Columns
+from turnwright.diagnosis.error_sources import Column, Columns
 from turnwright.diagnosis.model import Cutting
 from turnwright.diagnosis.posterior import Posterior, Scaled, posterior
 from turnwright.diagnosis.sight import CENTRE_ZONE_MM, Sight
@@ -43,7 +43,7 @@ or a pixel of the instrument causes errors of micrometres."""
 CHANGE_SIGMA = (0.003, 1e-6, 0.1)
 """Change of a source from map to map in plausible units: start value and limits of the search."""
 
-TOOL_CAUSES = frozenset({"radius error", "waviness"})
+TOOL_SOURCES = frozenset({"radius error", "waviness"})
 """Sources that are the same in all cuts with a tool."""
 
 MIN_DIFFERENCE_RATIO = 2e-3
@@ -150,7 +150,7 @@ class Estimate:
     plausible: Mapping[str, float]  # known sizes of the groups of terms [mm]
     own: Floats = field(init=False)  # variances of the groups of terms in each map (groups,) [mm² or rad²]
     common: Floats = field(init=False)  # of those that all maps of a part share (groups,)
-    between: Floats = field(init=False)  # of the sources from map to map, in plausible units (causes,)
+    between: Floats = field(init=False)  # of the sources from map to map, in plausible units (sources,)
     forms: list[Floats] = field(init=False)  # columns of the terms of form (g, n) each
     form_poses: list[Floats] = field(init=False)  # poses at which these were computed
     pose_roots: list[Floats] = field(
@@ -166,7 +166,9 @@ class Estimate:
         self.common = self.own.copy()
         if self.several:  # otherwise errors that all cuts share may be attributed to each cut separately
             self.own *= START_DIFFERENCE_RATIO**2
-        self.between = np.array([CHANGE_SIGMA[1 if cause in TOOL_CAUSES else 0] ** 2 for cause in self.causes])
+        self.between = np.array(
+            [CHANGE_SIGMA[1 if error_source in TOOL_SOURCES else 0] ** 2 for error_source in self.error_sources]
+        )
         self.terms = [np.zeros(TERMS) for _ in self.sights]
         self.forms = [np.zeros((0, 0)) for _ in self.sights]
         self.form_poses = [np.full(sight.pose.size, np.inf) for sight in self.sights]
@@ -191,18 +193,18 @@ class Estimate:
         return self.columns.all
 
     @property
-    def causes(self) -> list[str]:
+    def error_sources(self) -> list[str]:
         """The sources, in the order of their unknowns."""
-        return list(dict.fromkeys(column.cause for column in self.names))
+        return list(dict.fromkeys(column.error_source for column in self.names))
 
     @property
     def typical(self) -> Floats:
         """Plausible size of each unknown. (k,)."""
         return np.array([column.typical for column in self.names])
 
-    def of_cause(self, cause: str) -> list[int]:
+    def of_source(self, error_source: str) -> list[int]:
         """Return the indices of the unknowns of a source."""
-        return [k for k, column in enumerate(self.names) if column.cause == cause]
+        return [k for k, column in enumerate(self.names) if column.error_source == error_source]
 
     def solve(self) -> None:
         """Solve for all unknowns, the poses, the noise and the sizes of the terms."""
@@ -236,15 +238,15 @@ class Estimate:
     def _linearise(self, m: int) -> LinearSystem:
         sight, values = self.sights[m], self.values[m]
         residual, cutting = sight.cut(self.columns.deviations(values))
-        for cause, mark in sight.added.items():
-            residual = residual - values[self.of_cause(cause)] @ mark
+        for error_source, mark in sight.added.items():
+            residual = residual - values[self.of_source(error_source)] @ mark
         good = sight.usable & ~sight.outliers & np.isfinite(residual) & (cutting.tip_radius >= 0)
         sight.good = good
         marks, turned, numbers = self.marks(m, sight, cutting, self._update_form(m))
         if (points := int(np.count_nonzero(good))) < (needed := len(numbers) + self.typical.size + 3):
             raise InputError(
                 f"{points} points of the map can be used, {self.typical.size} numbers and a pose need at least "
-                f"{needed}: measure more of the part, or set fewer causes"
+                f"{needed}: measure more of the part, or set fewer error sources"
             )
         rows = np.column_stack([marks, residual])[good]
         counts = np.ones(points)
@@ -262,7 +264,7 @@ class Estimate:
         marks = self.columns.slopes(cutting, sight.added, self.sense, sight.cusp) * typical
         marks[:, ~self.seen] = 0.0
         turned: Floats = np.zeros(cutting.x.size)
-        for k in self.of_cause("offset y"):
+        for k in self.of_source("offset y"):
             away = np.maximum(np.hypot(cutting.x, cutting.y), CENTRE_ZONE_MM)
             turned = -by_angle / away * typical[k]
             marks[:, k] += turned
@@ -327,8 +329,8 @@ class Estimate:
 
     def between_numbers(self) -> Floats:
         """Return the variance of each unknown from map to map. (k,)."""
-        causes = self.causes
-        return self.between[[causes.index(column.cause) for column in self.names]]
+        error_sources = self.error_sources
+        return self.between[[error_sources.index(column.error_source) for column in self.names]]
 
     def target(self, m: int) -> Floats:
         """Return the target of the fit in the rows of the root: the residual with all unknowns but the pose at 0."""
@@ -442,10 +444,10 @@ class Estimate:
                 self.common[g], change = _find_variance(self.common[g], common_terms, spread, limits, most_sigmas)
                 changes.append(change)
         if len(self.sights) > 1:
-            for c, cause in enumerate(self.causes):
-                if cause in TOOL_CAUSES:
+            for c, error_source in enumerate(self.error_sources):
+                if error_source in TOOL_SOURCES:
                     continue
-                numbers = self.of_cause(cause)
+                numbers = self.of_source(error_source)
                 at = [system.poses + np.array(numbers) for system in self.systems]
                 values = np.stack([one[where] for one, where in zip(map_numbers, at, strict=True)])
                 spread = np.stack([each[where] for each, where in zip(variances, at, strict=True)])

@@ -13,7 +13,7 @@ import numpy as np
 from turnwright import machine, tool
 from turnwright._arrays import Floats
 from turnwright._validate import key_of
-from turnwright.diagnosis.causes import CAUSES
+from turnwright.diagnosis.error_sources import ERROR_SOURCES
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.pose import Pose
@@ -55,7 +55,7 @@ class Finding:
     ----------
     name
         Name of the number, such as ``"offset x"`` or ``"waviness c2"``.
-    cause
+    error_source
         Error source that it belongs to, such as ``"waviness"``.
     value, unit
         Real minus planned tool or machine; of several maps the value that they share. [unit]
@@ -82,7 +82,7 @@ class Finding:
     """
 
     name: str
-    cause: str
+    error_source: str
     value: float
     unit: str
     plausible: float
@@ -314,7 +314,7 @@ def format_interval(value: float, half: float, unit: str) -> str:
 
 
 def judge(
-    finding: Finding, *, seen: bool, rms_nm: float, certain: bool, steady: bool, allowed: bool, worth_nm: float
+    finding: Finding, *, seen: bool, rms_nm: float, certain: bool, steady: bool, allowed: bool, min_effect_nm: float
 ) -> Finding:
     """Return a finding with its verdict and the reason.
 
@@ -332,19 +332,19 @@ def judge(
         Whether its change between the maps has less effect than the common part.
     allowed
         Whether tool or machine may be corrected for it.
-    worth_nm
+    min_effect_nm
         Effect that is worth a correction.
     """
-    name, source = finding.name, CAUSES.get(finding.cause)
+    name, source = finding.name, ERROR_SOURCES.get(finding.error_source)
     value = format_interval(finding.value, finding.interval[1] - finding.value, finding.unit)
     where = source.where if source else "measure another part, on which it has another signature"
-    made = f"{name} is {value}, the {finding.cause} causes {rms_nm:.3g} nm rms"
-    if name == finding.cause:
+    made = f"{name} is {value}, the {finding.error_source} causes {rms_nm:.3g} nm rms"
+    if name == finding.error_source:
         made = f"{name} is {value} and causes {rms_nm:.3g} nm rms"
     wider = ""
     for owner, sizes in (("tool", tool.PLAUSIBLE), ("machine", machine.PLAUSIBLE)):
-        if finding.cause in sizes:
-            wider = f", or state a larger {owner}.plausible.{key_of(finding.cause)}"
+        if finding.error_source in sizes:
+            wider = f", or state a larger {owner}.plausible.{key_of(finding.error_source)}"
     largest = format_value(IMPLAUSIBLE_SIGMA * finding.plausible, finding.unit)[1:]
     each = ", ".join(format_value(one, finding.unit) for one in finding.map_values)
     low, high = finding.interval
@@ -362,13 +362,13 @@ def judge(
             f"{name} differs between the maps ({each}) and cannot be corrected by planning: find what moved",
         ),
         (not allowed, f"{made}: left to the compensation of the form, as requested"),
-        (rms_nm < worth_nm, f"{made}, less than the {worth_nm:g} nm that are worth a correction"),
+        (rms_nm < min_effect_nm, f"{made}, less than the {min_effect_nm:g} nm that are worth a correction"),
         (not certain, f"{made}, with an uncertainty above 50 %: {where}"),
     )
     for applies, reason in reasons:
         if applies:
             return replace(finding, why=reason)
-    remedy = REMEDY.get(finding.cause, "remove it at its source").format(
+    remedy = REMEDY.get(finding.error_source, "remove it at its source").format(
         back=format_value(-finding.value, finding.unit)
     )
     return replace(finding, verdict="correct", why=f"{made}: {remedy}")

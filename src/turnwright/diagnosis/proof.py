@@ -30,7 +30,7 @@ class Proof:
         Least improvement of 95 % of the draws.
     worst_nm
         Degradation of the worst draw; negative if it improves.
-    worth_nm
+    min_effect_nm
         Limit that the gain must exceed and the degradation must not.
     at_stake_nm
         Rms of the corrections that are based on a single map: if none of it repeats, the error of the next part grows
@@ -42,7 +42,7 @@ class Proof:
     after_nm: float
     gain_nm: float
     worst_nm: float
-    worth_nm: float
+    min_effect_nm: float
     at_stake_nm: float
 
     @property
@@ -53,11 +53,11 @@ class Proof:
     @property
     def ok(self) -> bool:
         """Whether the correction is worth writing."""
-        return self.gain_nm > self.worth_nm and self.worst_nm <= self.worth_nm
+        return self.gain_nm > self.min_effect_nm and self.worst_nm <= self.min_effect_nm
 
 
 def prove(
-    draws: Draws, added: Floats, *, sources: bool = True, beyond: Floats | float = 0.0, worth_nm: float = 1.0
+    draws: Draws, added: Floats, *, sources: bool = True, beyond: Floats | float = 0.0, min_effect_nm: float = 1.0
 ) -> Proof:  # fmt: skip
     """Evaluate a correction on all draws.
 
@@ -71,7 +71,7 @@ def prove(
         Whether the plan uses the corrected tool and machine.
     beyond
         Form error at these points that the draws do not include. (n,) or (draws, n) [mm]
-    worth_nm
+    min_effect_nm
         Improvement that 95 % of the draws must exceed, and degradation that none may exceed.
     """
     before = draws.rms_nm(draws.before + beyond)
@@ -81,6 +81,6 @@ def prove(
     stake = float(draws.rms_nm(change.mean(axis=0, keepdims=True))[0]) if draws.single else 0.0
     return Proof(
         draws=before.size, before_nm=float(np.median(before)), after_nm=float(np.median(after)),
-        gain_nm=float(np.quantile(gain, GAIN_QUANTILE)), worst_nm=float(-gain.min()), worth_nm=worth_nm,
+        gain_nm=float(np.quantile(gain, GAIN_QUANTILE)), worst_nm=float(-gain.min()), min_effect_nm=min_effect_nm,
         at_stake_nm=stake,
     )  # fmt: skip

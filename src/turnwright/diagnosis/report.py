@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, frozen
-from turnwright.diagnosis.causes import LOBES
+from turnwright.diagnosis.error_sources import LOBES
 from turnwright.diagnosis.estimate import PLACES, POSE_SIGMA, TERMS, Estimate, LinearSystem
 from turnwright.diagnosis.findings import (
     NM,
@@ -88,7 +88,7 @@ class ReportRequest(NamedTuple):
 
     tool: Tool
     machine: Machine
-    worth_nm: float
+    min_effect_nm: float
     repeats: bool
     allowed: frozenset[str] | None  # sources that may be corrected by tool and machine; None for all
 
@@ -104,7 +104,7 @@ def write_report(
     numbers = _collect_numbers(estimate)
     findings = _judge_findings(estimate, numbers, request)
     certain = np.array([one.verdict == "correct" for one in findings])
-    corrected = certain & np.array([one.cause in PLANNABLE for one in findings])
+    corrected = certain & np.array([one.error_source in PLANNABLE for one in findings])
     effect = [float(one.rms_nm) for one in findings]
     order = sorted(range(len(findings)), key=lambda k: (not certain[k], -effect[k], k))
     likely = np.where(_made_by_cut(estimate), numbers.value, 0.0)
@@ -162,12 +162,15 @@ def _judge_findings(estimate: Estimate, numbers: _Numbers, request: ReportReques
     half, std = numbers.half(), numbers.std
     marks = [_remove_pose(estimate, m)[:, :k] / typical for m in range(many)]
     pv = _evaluate_pv(estimate, numbers.value)
-    by_cause = {cause: _evaluate_cause(estimate, cause, marks, numbers) for cause in estimate.causes}
+    by_source = {
+        error_source: _evaluate_source(estimate, error_source, marks, numbers)
+        for error_source in estimate.error_sources
+    }
     findings = []
     for i, column in enumerate(estimate.names):
         value, seen = float(numbers.value[i]), bool(estimate.seen[i])
-        rms, uncertain, between = by_cause[column.cause]
-        differs = many > 1 and between > request.worth_nm
+        rms, uncertain, between = by_source[column.error_source]
+        differs = many > 1 and between > request.min_effect_nm
         alike = [
             (other.name, float(numbers.covariance[i, j] / (std[i] * std[j])))
             for j, other in enumerate(estimate.names)
@@ -176,7 +179,7 @@ def _judge_findings(estimate: Estimate, numbers: _Numbers, request: ReportReques
         number_rms = np.sqrt(np.mean([np.sum((one[:, i] * value) ** 2) for one in marks])) * NM
         correlated = [pair for pair in alike if abs(pair[1]) > MIN_NAMED_CORRELATION]
         finding = Finding(
-            name=column.name, cause=column.cause, value=value, unit=column.unit, plausible=column.typical,
+            name=column.name, error_source=column.error_source, value=value, unit=column.unit, plausible=column.typical,
             standard_uncertainty=float(std[i]), interval=(value - float(half[i]), value + float(half[i])),
             rms_nm=float(number_rms), pv_nm=float(pv[i]) * NM,
             correlated_with=tuple(sorted(correlated, key=lambda pair: -abs(pair[1]))),
@@ -184,28 +187,28 @@ def _judge_findings(estimate: Estimate, numbers: _Numbers, request: ReportReques
             repeatable=None if many == 1 or not seen else not differs,
             map_values=tuple(estimate.values[:, i].tolist()) if differs else (),
         )  # fmt: skip
-        allowed = request.allowed is None or column.cause in request.allowed
+        allowed = request.allowed is None or column.error_source in request.allowed
         findings.append(
             judge(
                 finding, seen=seen, rms_nm=rms, certain=uncertain < CERTAIN_RATIO * rms, steady=between < rms,
-                allowed=allowed, worth_nm=request.worth_nm,
+                allowed=allowed, min_effect_nm=request.min_effect_nm,
             )
         )  # fmt: skip
     return findings
 
 
-def _evaluate_cause(
-    estimate: Estimate, cause: str, marks: Sequence[Floats], numbers: _Numbers
+def _evaluate_source(
+    estimate: Estimate, error_source: str, marks: Sequence[Floats], numbers: _Numbers
 ) -> tuple[float, float, float]:
     """Return the effect of a source on the form, its uncertainty and its difference between maps. rms [nm]."""
-    at = estimate.of_cause(cause)
+    at = estimate.of_source(error_source)
     squares = np.zeros(3)
     for one, values in zip(marks, estimate.values, strict=True):
-        cause_columns = one[:, at]
+        source_columns = one[:, at]
         squares += [
-            np.sum((cause_columns @ numbers.value[at]) ** 2),
-            np.sum((cause_columns.T @ cause_columns) * numbers.covariance[np.ix_(at, at)]),
-            np.sum((cause_columns @ (values - numbers.value)[at]) ** 2),
+            np.sum((source_columns @ numbers.value[at]) ** 2),
+            np.sum((source_columns.T @ source_columns) * numbers.covariance[np.ix_(at, at)]),
+            np.sum((source_columns @ (values - numbers.value)[at]) ** 2),
         ]
     rms, uncertain, between = np.sqrt(squares / len(marks)) * NM
     return float(rms), float(uncertain), float(between)
@@ -334,13 +337,13 @@ class _Places(NamedTuple):
     def off(self, estimate: Estimate, m: int, numbers: Floats) -> Floats:
         """Return cut minus design of draws: motions of the edge exactly, all else linearly. (draws, n) [mm]."""
         poses, k = estimate.systems[m].poses, estimate.typical.size
-        moving = np.array([column.cause in PLANNABLE for column in estimate.names])
+        moving = np.array([column.error_source in PLANNABLE for column in estimate.names])
         others = np.append(
             poses + np.flatnonzero(_made_by_cut(estimate) & ~moving), np.arange(poses + k, len(numbers.T))
         )
         values = numbers[:, poses : poses + k] * np.where(moving, estimate.typical, 0.0)
         made = np.stack([_simulate_heights(estimate, self.sight, one) for one in values]) - self.planned
-        for i in estimate.of_cause("offset y"):  # the lobes are rotated by the difference from the fit
+        for i in estimate.of_source("offset y"):  # the lobes are rotated by the difference from the fit
             turn = numbers[:, poses + i, None] - estimate.values[m][i] / estimate.typical[i]
             made += turn * self.turned
         return np.asarray(made + numbers[:, others] @ self.rows[:, others].T)
@@ -478,7 +481,7 @@ def _draw_numbers(
 def _select_points(sight: Sight, some: Ints) -> Sight:
     return replace(
         sight, x=sight.x[some], y=sight.y[some], z=sight.z[some], sweeps=Sweeps(*(one[some] for one in sight.sweeps)),
-        added={cause: one[:, some] for cause, one in sight.added.items()}, usable=sight.usable[some],
+        added={error_source: one[:, some] for error_source, one in sight.added.items()}, usable=sight.usable[some],
         good=sight.good[some], outliers=sight.outliers[some],
         along_normal=None if sight.along_normal is None else sight.along_normal[some],
     )  # fmt: skip
@@ -489,7 +492,7 @@ LASTING = np.concatenate([np.full(group.relative.size, group.lasting) for group 
 
 def _made_by_cut(estimate: Estimate) -> Bools:
     """Return which unknowns belong to the cut, not to the mount. (k,)."""
-    return np.array([column.cause not in LOBES for column in estimate.names])
+    return np.array([column.error_source not in LOBES for column in estimate.names])
 
 
 def _draw_other_part(estimate: Estimate, request: ReportRequest, part: Part) -> Draws:
@@ -537,7 +540,7 @@ def _make_case(
 ) -> DrawnCut:
     k, j = estimate.typical.size, estimate.systems[m].poses
     values = numbers[j : j + k] * estimate.typical
-    moving = np.array([column.cause in PLANNABLE for column in estimate.names])
+    moving = np.array([column.error_source in PLANNABLE for column in estimate.names])
     tool, machine = _apply_deviations(estimate, np.where(moving, values, 0.0), request)
     remaining = numbers.copy()
     remaining[j : j + k][moving] = 0.0
@@ -592,8 +595,8 @@ def _complete_maps(
     thin, system, k = estimate.sights[m], estimate.systems[m], estimate.typical.size
     sight = thin if heights is thinned else _expand_map(thin, thinned, heights, part, estimate)
     residual, cutting = sight.cut(estimate.columns.deviations(estimate.values[m]))
-    for cause, one in sight.added.items():
-        residual = residual - estimate.values[m][estimate.of_cause(cause)] @ one
+    for error_source, one in sight.added.items():
+        residual = residual - estimate.values[m][estimate.of_source(error_source)] @ one
     residual[~(sight.good | sight.outliers)] = np.nan
     terms = columns(cutting, estimate.radius[m])
     numbers = estimate.numbers(m)[system.poses + k :]
@@ -626,8 +629,8 @@ def _simulate_heights(estimate: Estimate, sight: Sight, values: Floats) -> Float
     _, cutting = sight.cut(estimate.columns.deviations(values))
     sight.along_normal = along_normal
     made = cutting.z + sight.cusp * cutting.between
-    for cause, marks in sight.added.items():
-        made = made + values[estimate.of_cause(cause)] @ marks
+    for error_source, marks in sight.added.items():
+        made = made + values[estimate.of_source(error_source)] @ marks
     return np.asarray(made)
 
 

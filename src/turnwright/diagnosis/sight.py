@@ -14,7 +14,7 @@ from turnwright.errors import InputError
 from turnwright.pose import Pose
 
 if TYPE_CHECKING:
-    from turnwright.diagnosis.causes import Columns
+    from turnwright.diagnosis.error_sources import Columns
     from turnwright.heightmap import HeightMap
     from turnwright.part import Part
     from turnwright.tool import Tool

@@ -53,8 +53,8 @@ def _shift(registration: Registration) -> list[str]:
 
 def _trim(settings: MeasurementTable, radius: float) -> str:
     keys: dict[str, object] = {"trim": _length(max(2 * settings.trim, EDGE_FRACTION * radius))}
-    if settings.spikes != "robust":
-        keys = {"spikes": "robust", **keys}
+    if settings.outliers != "robust":
+        keys = {"outliers": "robust", **keys}
     return f"Write {_keys(keys)} in [measurement], or mirrored or inverted if the map is."
 
 

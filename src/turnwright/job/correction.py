@@ -147,8 +147,8 @@ def correct(
     the design. Distortion by the mount, while the part is measured or held, is not corrected.
 
     Before anything is written, the correction is tested on random draws of all that is uncertain: 95 % must improve by
-    more than ``measurement.worth`` and none may lose more than that; five of them are simulated in full. If that fails,
-    a correction of the form alone is tried.
+    more than ``measurement.min_effect`` and none may lose more than that; five of them are simulated in full. If that
+    fails, a correction of the form alone is tried.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def correct(
             _check_linear(every[plan.map].job, plan.draws, cached_motion)
     text, source_folder = ("", File()) if source is None else (File(source).read_bytes().decode(), File(source).parent)
     out = File(out).resolve()  # the job names its files relative to its own folder
-    planned = [one for one in diagnosis if one.cause in PLANNED_SOURCES] if plan.sources else []
+    planned = [one for one in diagnosis if one.error_source in PLANNED_SOURCES] if plan.sources else []
     names = tuple(one.name for one in planned if one.verdict == "correct" or (plan.likely and one.value))
     file = out / "job.toml"
     with watch.stage("simulate") as tell:
@@ -339,7 +339,7 @@ def _check_effect(one: Measured) -> None:
     seen, *effects = (beyond_pose(job, x, y, each[valid]) for each in (error, by_tool, by_form))
     corrected = effects[0] + effects[1]
     seen_nm, was_nm = (float(np.sqrt(np.mean(each**2))) * NM for each in (seen, corrected))
-    if was_nm <= job.measurement.worth * NM:
+    if was_nm <= job.measurement.min_effect * NM:
         return
     columns = np.stack(
         [each for each in effects if np.sqrt(np.mean(each**2)) * NM > MIN_EFFECT_FRACTION * was_nm], axis=1
@@ -400,11 +400,11 @@ def _choose_plan(job: Job, diagnosis: Diagnosis, is_same_part: Sequence[bool]) -
 
 def _plans(job: Job, diagnosis: Diagnosis, is_same_part: Sequence[bool]) -> Iterator[_Plan]:
     """Yield the corrections that may be written, the best first."""
-    worth_nm = job.measurement.worth * NM
-    worth = any(one.verdict == "correct" and one.cause in PLANNED_SOURCES for one in diagnosis)
+    min_effect_nm = job.measurement.min_effect * NM
+    worth = any(one.verdict == "correct" and one.error_source in PLANNED_SOURCES for one in diagnosis)
     if not any(is_same_part):
         draws = diagnosis.effects_on(job.part.design)
-        proof = prove(draws, np.zeros(draws.x.size), worth_nm=worth_nm)
+        proof = prove(draws, np.zeros(draws.x.size), min_effect_nm=min_effect_nm)
         yield _Plan(likely=True, sources=True, smooth=None, map=0, draws=draws, proof=proof)
         return
     first = list(is_same_part).index(True)
@@ -424,7 +424,7 @@ def _plans(job: Job, diagnosis: Diagnosis, is_same_part: Sequence[bool]) -> Iter
         if smooth is not None:
             x, y = draws.places[:, 0], draws.places[:, 1]  # the addition is fixed to the part, at any pose of the map
             added = smooth.table.evaluate(x, y, 0)[0] - _addition_at(job, x, y)
-        proof = prove(draws, added, sources=sources, beyond=beyond, worth_nm=worth_nm)
+        proof = prove(draws, added, sources=sources, beyond=beyond, min_effect_nm=min_effect_nm)
         yield _Plan(likely=False, sources=sources, smooth=smooth, map=first, draws=draws, proof=proof)
 
 
@@ -478,10 +478,11 @@ def _draw_beyond(job: Job, residuals: Sequence[HeightMap], draws: Draws) -> Floa
 
 def _refusal(diagnosis: Diagnosis, plan: _Plan, parts: int) -> str:
     proof = plan.proof
-    if proof.before_nm < MIN_ERROR_RATIO * proof.worth_nm:
+    if proof.before_nm < MIN_ERROR_RATIO * proof.min_effect_nm:
         return (
             f"no correction is written: the next part has a form error of {proof.before_nm:.2g} nm rms without cusps "
-            f"and noise, too small for a certain gain of {proof.worth_nm:g} nm: cut on, or lower measurement.worth"
+            f"and noise, too small for a certain gain of {proof.min_effect_nm:g} nm: cut on, or lower "
+            "measurement.min_effect"
         )
     gain = proof.gain_nm
     usual = (
@@ -490,7 +491,7 @@ def _refusal(diagnosis: Diagnosis, plan: _Plan, parts: int) -> str:
     worst = f"worse by {proof.worst_nm:.2g} nm" if proof.worst_nm > 0 else f"better by {-proof.worst_nm:.2g} nm"
     why = (
         f"no correction is written: of {proof.draws} draws of the next part, {proof.before_nm:.3g} nm rms before, "
-        f"{usual}, and the worst becomes {worst}; 95 % must gain {proof.worth_nm:g} nm, and none may lose as much"
+        f"{usual}, and the worst becomes {worst}; 95 % must gain {proof.min_effect_nm:g} nm, and none may lose as much"
     )
     if plan.draws.unmeasured:
         return f"{why}. {plan.draws.unmeasured:.0%} of the part lies beyond the map: measure all of it"
@@ -566,13 +567,13 @@ def _check_claim(job: Job, plan: _Plan, *, off: tuple[Floats, Floats, Floats], p
 
 def _check_candidates(one: Measured, job: Job, change: Callable[[Floats, Floats], Floats]) -> None:
     """Raise if the correction would make the part worse at another pose that fits the map as well."""
-    worth_nm = job.measurement.worth * NM
+    min_effect_nm = job.measurement.min_effect * NM
     for pose, error in errors_at_candidates(one):
         x, y = error.points()
         step = -(-error.z.size // MAX_PREDICTED_POINTS)
         x, y, z = x[::step], y[::step], error.z[::step]
         before, after = (_rms_beyond_pose_nm(job, x, y, each) for each in (z, z + change(x, y)))
-        if after > before + worth_nm:
+        if after > before + min_effect_nm:
             shift = ", ".join(f"{value:.4g}" for value in pose.shift)
             raise CorrectionError(
                 f"nothing is corrected: the map fits nearly as well with shift ({shift}) mm and rotation "
@@ -634,7 +635,9 @@ def _sentences(
         f"{proof.after_nm:.3g} nm after"
     )
     stays = [
-        one for one in diagnosis.contributions if one.rms_nm > max(proof.worth_nm, NAMED_SIGMAS * one.uncertainty_nm)
+        one
+        for one in diagnosis.contributions
+        if one.rms_nm > max(proof.min_effect_nm, NAMED_SIGMAS * one.uncertainty_nm)
     ]
     if plan.likely and stays:
         shown = ", ".join(f"{one.name} ({one.rms_nm:.3g} nm rms on the measured parts)" for one in stays)

@@ -250,9 +250,9 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     with watch.stage("clean"):
         heights, instrument_effect_nm = _without_seen_design(job, heights, first.pose)
         outliers = 0
-        if settings.spikes != "none":
+        if settings.outliers != "none":
             # The form error has no edges of the design, so only outliers stand out.
-            rule: Literal["kong", "robust"] = "kong" if settings.spikes == "second difference" else "robust"
+            rule: Literal["kong", "robust"] = "kong" if settings.outliers == "second difference" else "robust"
             removal = remove_outliers(_error_at(heights, part, first.pose), rule=rule)
             # Where many heights are outliers, the map is of another part.
             if removal.count <= MAX_OUTLIER_FRACTION * np.count_nonzero(np.isfinite(heights.z)):
@@ -306,7 +306,7 @@ def _registered_by(job: Job) -> dict[str, Any]:
         # The form of the base is fitted with the pose, otherwise it would rotate and shift the lenslets.
         terms, form_error = base_forms(part), 0.0
     return {
-        "free": _free_dofs(job), "terms": terms, "form_error": form_error, "weak": settings.weak,
+        "free": _free_dofs(job), "terms": terms, "form_error": form_error, "undetermined": settings.undetermined,
         "noise_nm": None if settings.noise is None else settings.noise * NM,
     }  # fmt: skip
 
@@ -555,8 +555,9 @@ def _diagnose_all(every: Sequence[Measured]) -> Diagnosis:
     means = [_average_over_cells(one, first) for one in every]
     diagnosis = attribute(
         [one.heights for one in means], [one.job.part.design for one in every], first.tool, first.machine,
-        causes=settings.causes or DEFAULT, reference=settings.reference, free=_free_terms(first),
-        waviness=settings.waviness, sense=first.strategy.sense, worth_nm=settings.worth * NM, points=2 * CELL_COUNT,
+        error_sources=settings.error_sources or DEFAULT, reference=settings.reference, free=_free_terms(first),
+        waviness=settings.waviness, sense=first.strategy.sense, min_effect_nm=settings.min_effect * NM,
+        points=2 * CELL_COUNT,
         noise_nm=[one.noise_nm for one in means], repeats=settings.repeats, correct=settings.correct,
     )  # fmt: skip
     if settings.reference != "true form" or any(one.job != first for one in every):

@@ -20,7 +20,7 @@ from turnwright._faults import faults as faults_of, sentences
 from turnwright._io import bytes_of, read_toml, write_whole
 from turnwright._tables import adapter, read_by, types_of, written
 from turnwright._validate import check_numbers
-from turnwright.diagnosis import CAUSES
+from turnwright.diagnosis import ERROR_SOURCES
 from turnwright.errors import InputError, JobError
 from turnwright.job.named import AnyInstrument, AnyMachine, ExistingFile, MachineDeviations, Table, context_of
 from turnwright.job.replacing import replaced
@@ -290,7 +290,7 @@ class MeasurementTable(Table):
         Whether the map shows the part from the other side, left and right exchanged.
     inverted
         Whether its heights increase into the material.
-    spikes
+    outliers
         Method of outlier removal.
     trim
         Width of the edge of the map that is left out. [mm]
@@ -308,7 +308,7 @@ class MeasurementTable(Table):
         Forms whose amplitude is fitted along with the pose, each a prescription; see `turnwright.register`.
     form_error
         Largest low-order form error at the rim, for its effect on the pose. [mm]
-    weak
+    undetermined
         How to treat degrees of freedom that such a form error can imitate: "fit", "hold" at the stated pose, or
         "raise" an error.
     mask
@@ -323,13 +323,13 @@ class MeasurementTable(Table):
         Standard deviation of a height; estimated from the map if left out. [mm]
     reference
         Reference surface of the form error.
-    causes
+    error_sources
         Error sources to look for; if left out, all that a single map can separate.
     fixed
         Degrees of freedom fixed by fiducials, so that they count as errors of the part.
     waviness
         Powers of the sweep used to fit the waviness of the edge.
-    worth
+    min_effect
         Least certain improvement of the rms that justifies a correction, and least effect of an error source. [mm]
     cutoff
         Shortest wavelength of the form correction; derived from part and feed if left out. [mm]
@@ -351,7 +351,7 @@ class MeasurementTable(Table):
     departure_from: Literal["design"] | Surface | None = None
     mirrored: Flag = False
     inverted: Flag = False
-    spikes: Literal["robust", "second difference", "none"] = "robust"
+    outliers: Literal["robust", "second difference", "none"] = "robust"
     trim: Thickness = 0.0
     shift: tuple[Length, Length, Length] | None = None
     rotation: Angle | None = None
@@ -362,16 +362,16 @@ class MeasurementTable(Table):
     )  # fmt: skip
     terms: tuple[Surface, ...] = ()
     form_error: Thickness = 1e-3
-    weak: Literal["fit", "hold", "raise"] = "fit"
+    undetermined: Literal["fit", "hold", "raise"] = "fit"
     mask: ExistingFile | None = None
     instrument: AnyInstrument | None = None
     loss: Literal["linear", "huber", "tukey"] | None = None
     noise: Size | None = None
     reference: Literal["true form", "best-fit sphere", "best-fit sphere, along its normal"] = "true form"
-    causes: tuple[Text, ...] | None = None
+    error_sources: tuple[Text, ...] | None = None
     fixed: tuple[Literal["piston", "tilt", "decentre", "clocking"], ...] = ()
     waviness: tuple[Annotated[int, Strict(), Ge(1), Le(9)], ...] = (3, 4, 5, 6)
-    worth: Thickness = 1e-6
+    min_effect: Thickness = 1e-6
     cutoff: Size | None = None
     correct: tuple[Text, ...] | None = None
     repeats: Flag = True
@@ -387,17 +387,17 @@ class MeasurementTable(Table):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        for key in ("causes", "correct"):
-            for cause in getattr(self, key) or ():
-                if cause not in CAUSES:
-                    raise JobError(f"{key} must name some of {', '.join(CAUSES)}, got {cause!r}")
+        for key in ("error_sources", "correct"):
+            for error_source in getattr(self, key) or ():
+                if error_source not in ERROR_SOURCES:
+                    raise JobError(f"{key} must name some of {', '.join(ERROR_SOURCES)}, got {error_source!r}")
         if (self.quantity == "height") != (self.departure_from is None):
             raise JobError(
                 f"quantity is {self.quantity!r} and departure_from is "
                 f"{'missing' if self.departure_from is None else 'stated'}: a departure needs its reference, "
                 '"design" or a prescription, a height must not have one'
             )
-        for key in ("free", "causes", "waviness"):
+        for key in ("free", "error_sources", "waviness"):
             if (entries := getattr(self, key)) is not None and not entries:
                 raise JobError(f"{key} needs at least 1 entry, got none: add one, or leave it out")
 

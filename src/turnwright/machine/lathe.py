@@ -72,7 +72,7 @@ class Machine(Stated, Value):
         Further height error of the tip along X: ascending positions and errors, linear in between, constant beyond the
         ends. ((n,), (n,)) [mm]
     plausible
-        Plausible sizes (standard deviations) of errors that differ from `CAUSES` of the diagnosis: "squareness" [rad],
+        Plausible sizes (standard deviations) that differ from `ERROR_SOURCES` of the diagnosis: "squareness" [rad],
         "straightness" [mm], "servo lag" [rad]; and "drift of X", "drift of Z" over the time of a cut [mm], limited only
         by the maps if not given.
     sources

@@ -231,7 +231,7 @@ class Cusps:
         off = self.height_nm - self.scallop_mean_nm
         if off.size < MIN_CUSPS:
             return float("nan")
-        scatter = spread * float(np.sqrt(inflation(off[1:], off[:-1], off @ off) / off.size))
+        scatter = spread * float(np.sqrt(inflation(off[1:], off[:-1], float(off @ off)) / off.size))
         return float(np.hypot(scatter, self.height_bias_nm.mean()))
 
     def between(self, start: float, end: float) -> Cusps:
@@ -788,7 +788,7 @@ def _slope(lines: list[Floats]) -> tuple[float, float, float]:
         return slope, float("nan"), float(residual @ residual)
     variance = float(residual @ residual) / freedom
     same = np.diff(np.repeat(np.arange(len(lines)), [line.size for line in lines])) == 0
-    inflated = variance * inflation(residual[:-1][same], residual[1:][same], residual @ residual)
+    inflated = variance * inflation(residual[:-1][same], residual[1:][same], float(residual @ residual))
     return slope, float(np.sqrt(inflated / square)), float(residual @ residual)
 
 

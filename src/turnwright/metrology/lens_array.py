@@ -47,7 +47,7 @@ from turnwright.metrology.lenslet_fit import (
     without_form,
 )
 from turnwright.metrology.registration import register, sample
-from turnwright.metrology.weak import rim_forms
+from turnwright.metrology.undetermined import rim_forms
 from turnwright.pose import Pose
 from turnwright.progress import cores, run_chunks
 from turnwright.surface import Zernike

@@ -14,7 +14,7 @@ from turnwright.metrology.alignment import Alignment
 from turnwright.metrology.grid import disc_points, point_areas, polynomial_terms
 from turnwright.metrology.least_squares import clustered_covariance
 from turnwright.metrology.rigid import about
-from turnwright.metrology.weak import rim_form_heights
+from turnwright.metrology.undetermined import rim_form_heights
 from turnwright.pose import Pose
 from turnwright.surface import LensArray, Placed, Plane, Sphere, Sum, Surface, Zernike
 

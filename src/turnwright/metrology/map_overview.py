@@ -36,9 +36,8 @@ def level(heights: HeightMap, form: Form = "plane") -> HeightMap:
     one_of(form, "the form of scattered heights", ("none", "mean", "plane"))
     valid = np.isfinite(heights.z)
     x, y = heights.points()
-    terms = np.column_stack([np.ones(x.size), x - x.mean(), y - y.mean()])[
-        :, : {"none": 0, "mean": 1, "plane": 3}[form]
-    ]
+    count = ("none", "mean", "", "plane").index(str(form))
+    terms = np.column_stack([np.ones(x.size), x - x.mean(), y - y.mean()])[:, :count]
     return replace(heights, z=heights.z - terms @ np.linalg.lstsq(terms[valid], heights.z[valid], rcond=None)[0])
 
 

@@ -33,7 +33,7 @@ from turnwright.metrology.rigid import (
     weights,
     wrapped,
 )
-from turnwright.metrology.weak import UNDETERMINED_STD_MM, Doubt, doubt, held
+from turnwright.metrology.undetermined import UNDETERMINED_STD_MM, Doubt, doubt, held
 from turnwright.pose import Pose
 from turnwright.surface import Surface
 from turnwright.units import say_length
@@ -138,7 +138,7 @@ class Undetermined:
         Change of (x, y, z, rotation, tilt_x, tilt_y) that moves the rim of the map by 1 mm. (6,) [mm, rad]
     std
         Standard deviation along it, as movement of the rim; inf if only rounding changes. [mm]
-    cause
+    reason
         Whether the invariance of the design, a plausible form error, or noise leaves it undetermined.
     words
         The finding in a sentence.
@@ -146,7 +146,7 @@ class Undetermined:
 
     direction: Floats
     std: float
-    cause: Literal["surface", "form", "noise"]
+    reason: Literal["surface", "form", "noise"]
     words: str
 
 
@@ -336,7 +336,7 @@ def register(
     clocking: float = DEFAULT_CLOCKING_RAD,
     noise_nm: float | None = None,
     form_error: float | None = None,
-    weak: Literal["fit", "hold", "raise"] = "fit",
+    undetermined: Literal["fit", "hold", "raise"] = "fit",
 ) -> Registration:
     r"""Find the pose of a measured map on a part by least squares of its distance to the exact prescription.
 
@@ -372,15 +372,15 @@ def register(
     form_error
         Standard deviation of each form error of Zernike degrees 2 to 4, as height at the rim, from which the
         uncertainty of the pose is computed. By default 1 um; 0 if ``terms`` contain all form errors. [mm]
-    weak
+    undetermined
         Treatment of directions in which a form error may move the rim by more than 0.1 mm: fit and report them ("fit"),
         fix as many degrees of freedom at the start ("hold"), or "raise".
 
     Raises
     ------
     InputError
-        If the map has too few heights on the part, an option is out of range, or with ``weak="raise"`` the surface does
-        not determine the pose.
+        If the map has too few heights on the part, an option is out of range, or with ``undetermined="raise"`` the
+        surface does not determine the pose.
 
     Sources
     -------
@@ -390,7 +390,7 @@ def register(
     task = _task(heights, part, free, terms, distance, loss, start, noise_nm, form_error)
     between(reach, "reach of the search", 0, np.inf, "mm")
     check_angle(clocking, "clocking of the search", 0.0, np.pi * (1 + 1e-9))
-    one_of(weak, "weak", ("hold", "fit", "raise"))
+    one_of(undetermined, "undetermined", ("hold", "fit", "raise"))
     few, some = (
         task.problem.only(sample(task.problem.points.shape[1], count)) for count in (SEARCH_POINTS, STATISTICS_POINTS)
     )
@@ -410,7 +410,7 @@ def register(
     best = fit(some, on_part[0].state, sought, task.size, close=1e-10, least=MIN_COVER_SHARE, seen=seen)
     if task.noise is None:
         task = task._replace(seen=map_noise(task.problem, some, best.state, heights, task.which))
-    free_directions, fixed, directions = _decide(task, some, best, weak)
+    free_directions, fixed, directions = _decide(task, some, best, undetermined)
     fits = _distinct(task, few, some, on_part, best, free_directions, fixed)
     chosen, candidates = _candidates(task, some, fits, free_directions, seen)
     final = fit(task.problem, chosen.state, free_directions, task.size, least=MIN_COVER_SHARE, seen=seen)
@@ -567,7 +567,7 @@ def _doubt(task: _Task, some: Problem, one: Fit, free: list[int], count: int) ->
 
 
 def _decide(
-    task: _Task, some: Problem, best: Fit, weak: str
+    task: _Task, some: Problem, best: Fit, undetermined: str
 ) -> tuple[list[int], dict[int, float], tuple[Undetermined, ...]]:
     """Return the degrees of freedom to fit, those to fix and their values, and the undetermined directions."""
     pose = [k for k in task.free if k < 6]
@@ -576,7 +576,7 @@ def _decide(
     parts = Doubt(*(one[: len(pose), : len(pose)] for one in unsure))
     vectors, pivots = held(parts.total, MAX_RIM_STD_MM)
     directions = tuple(_undetermined(task, pose, vector, parts) for vector in vectors.T)
-    if directions and weak == "raise":
+    if directions and undetermined == "raise":
         raise InputError(
             " ".join(one.words for one in directions)[:-1]
             + f", the limit is {MAX_RIM_STD_MM:g} mm: reduce free, give terms, a smaller form_error or a fiducial"
@@ -591,11 +591,11 @@ def _decide(
         # The shifted fit does not outweigh the points that it loses.
         return [k for k in task.free if k not in lateral], {k: float(task.start[k]) for k in lateral}, directions
     # Directions undetermined by noise are always fixed; those confused with form only if requested.
-    if weak == "fit":
+    if undetermined == "fit":
         pivots = held(parts.noise, MAX_RIM_STD_MM)[1]
     wanted = [pose[k] for k in pivots]
     allowed = EQUAL_CHI_SQUARE * _noise(task) ** 2 / max(count, 1) * best.used
-    if weak == "hold":
+    if undetermined == "hold":
         allowed += (best.cost + 9 * task.form**2) * best.used
     for count_held in range(len(wanted), 0, -1):
         for fixed in combinations(wanted, count_held):
@@ -612,7 +612,7 @@ def _decide(
                 ):
                     return free, dict(zip(fixed, where.tolist(), strict=True)), directions
     # The start contradicts the heights: directions undetermined by the surface are fixed where the search ended.
-    fixed_there = _where_it_ended(some, best, wanted[: sum(one.cause == "surface" for one in directions)])
+    fixed_there = _where_it_ended(some, best, wanted[: sum(one.reason == "surface" for one in directions)])
     return [k for k in task.free if k not in fixed_there], fixed_there, directions
 
 
@@ -656,10 +656,10 @@ def _undetermined(task: _Task, pose: list[int], vector: Floats, covariances: Dou
     together = " with ".join(named)
     if std > UNDETERMINED_STD_MM / 10:
         words = f"The surface is the same when the part moves by {together}: nothing determines this direction."
-        return Undetermined(direction=direction, std=np.inf, cause="surface", words=words)
+        return Undetermined(direction=direction, std=np.inf, reason="surface", words=words)
     why = f"a form error of {say_length(task.form)}" if by_form > by_noise else "noise"
     words = f"The surface hardly determines the direction {together}: {why} acts like {say_length(std)} at the rim."
-    return Undetermined(direction=direction, std=std, cause="form" if by_form > by_noise else "noise", words=words)
+    return Undetermined(direction=direction, std=std, reason="form" if by_form > by_noise else "noise", words=words)
 
 
 def _distinct(

@@ -157,7 +157,7 @@ def _measured_numbers(measured: Measured) -> dict[str, object]:
         "name": measured.heights.name,
         "form_pv_nm": measured.form_pv_nm,
         "form_rms_nm": measured.form_rms_nm,
-        "spikes": measured.outliers,
+        "outliers": measured.outliers,
         "registration": {
             **_fields(
                 registration,

@@ -622,9 +622,10 @@ def write_fit_picture(experiment: Experiment, path: str | PathLike[str]) -> None
             below.axhline(0, color="k", linewidth=0.8)
             above.set(title=name, ylabel="force [mN]")
             below.set(xlabel="maximum uncut chip thickness [nm]", ylabel="measured - fitted [mN]")
-            for axes in column if critical is not None else ():
-                span = critical.low * NM, critical.high * NM
-                axes.axvspan(*span, color="tab:red", alpha=0.3, label="critical chip thickness")
+            if critical is not None:
+                for axes in column:
+                    low, high = critical.low * NM, critical.high * NM
+                    axes.axvspan(low, high, color="tab:red", alpha=0.3, label="critical chip thickness")
             above.legend(fontsize=7)
         canvas.figure.suptitle(experiment.name)
         canvas.write(File(path))
@@ -825,9 +826,9 @@ def shares_of(tried: Sequence[Candidate]) -> Picture:
     with _canvas() as canvas:
         axes = canvas.chart("largest contribution [nm]", "strategy", tight=False)
         rows = np.arange(len(tried))
-        for k, ((cause, name), colour) in enumerate(zip(sources.items(), SERIES, strict=True)):
+        for k, ((error_source, name), colour) in enumerate(zip(sources.items(), SERIES, strict=True)):
             sizes = [getattr(one.shares, name) for one in tried]
-            axes.barh(rows + (k - 1) * 0.26, sizes, height=0.24, color=colour, label=cause)
+            axes.barh(rows + (k - 1) * 0.26, sizes, height=0.24, color=colour, label=error_source)
         axes.set_yticks(rows, [str(number) for number in range(1, len(tried) + 1)])
         axes.invert_yaxis()
         _legend_above(axes, 3)

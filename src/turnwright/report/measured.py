@@ -107,7 +107,7 @@ def write_diagnosis(measured: Sequence[Measured], diagnosis: Diagnosis, path: st
         ],
         notes=[note for one in measured for note in one.open_questions],
         sections=[
-            _causes(diagnosis),
+            _error_sources(diagnosis),
             _terms(diagnosis),
             *_setup(measured, diagnosis),
             _signatures(measured, diagnosis),
@@ -150,7 +150,7 @@ def write_correction(
                     if one is not None
                 ],
             ),
-            _causes(diagnosis),
+            _error_sources(diagnosis),
             _terms(diagnosis),
         ],
     )
@@ -244,7 +244,7 @@ def _pose(measured: Measured) -> Section:
     )
 
 
-def _causes(diagnosis: Diagnosis) -> Section:
+def _error_sources(diagnosis: Diagnosis) -> Section:
     """Return the table of error sources."""
     columns = ("source", "value", "interval", "plausible", "rms [nm]", "verdict", "why")
     rows = [

@@ -126,8 +126,11 @@ def map_over(study: Study, measure: str) -> Picture:
                 canvas.figure.axes[-1].minorticks_off()
         _hatch(axes, x, y, grid.ok, np.isfinite(z))
         limits = axes.get_xlim(), axes.get_ylim()
-        job_place = [_job_value(field) for field in (horizontal, vertical)]
-        if all(at is not None and min(ends) <= at <= max(ends) for at, ends in zip(job_place, limits, strict=True)):
+        stated = (_job_value(field) for field in (horizontal, vertical))
+        job_place = [at for at in stated if at is not None]
+        if len(job_place) == 2 and all(
+            min(ends) <= at <= max(ends) for at, ends in zip(job_place, limits, strict=True)
+        ):
             dot: dict[str, Any] = {"color": PAPER, "markeredgecolor": INK, "markersize": 7}
             axes.plot(*[[at] for at in job_place], "o", clip_on=False, zorder=5, **dot)
             caption += " The dot marks the job."

@@ -334,9 +334,10 @@ class CaseContext:
             parts.append(design)
         return diagnose(
             maps, parts, job.tool, job.machine,
-            causes=measurement.causes or DEFAULT, free=[one for one in FREE if one not in measurement.fixed],
+            error_sources=measurement.error_sources or DEFAULT,
+            free=[one for one in FREE if one not in measurement.fixed],
             waviness=measurement.waviness, sense=job.strategy.sense, feed=next(iter(self.cuts.values())).feed,
-            worth_nm=measurement.worth * NM,
+            min_effect_nm=measurement.min_effect * NM,
         )  # fmt: skip
 
 
@@ -392,7 +393,7 @@ def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store |
         diagnosis = bench.diagnose_test_parts(draw, data["seed"])
         # If `turnwright.correct` would write no correction, the part is cut as planned.
         draws = diagnosis.effects_on(job.part)
-        certain = prove(draws, np.zeros(draws.x.size), worth_nm=job.measurement.worth * NM).ok
+        certain = prove(draws, np.zeros(draws.x.size), min_effect_nm=job.measurement.min_effect * NM).ok
         setup = residual_setup(real, job.tool, job.machine, diagnosis) if certain else real
         better, form = bench.measure(setup)
         row |= {f"corrected {name}": value for name, value in better.items()}

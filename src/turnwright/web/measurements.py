@@ -15,7 +15,7 @@ from turnwright.web import shown
 from turnwright.web.files import RAW_BODY, stored, uploaded
 from turnwright.web.guard import UPLOAD_BYTES
 from turnwright.web.limits import MAP_TYPES, MAX_FILE_READ_S
-from turnwright.web.models import Causes, FileName, Id, Measurement, RunId
+from turnwright.web.models import ErrorSources, FileName, Id, Measurement, RunId
 from turnwright.web.queue import Run, Runs
 from turnwright.web.references import CORRECTION, shown_name
 from turnwright.web.runs import A_FILE, find_run, job_of, line_of, send_file
@@ -124,21 +124,21 @@ async def measured_map(
 
 
 @router.post("/{id}/correct", status_code=201)
-async def correct(id: RunId, chosen: Causes, request: Request) -> Id:  # noqa: A002
+async def correct(id: RunId, chosen: ErrorSources, request: Request) -> Id:  # noqa: A002
     """Queue a run that corrects some error sources and writes the job and its program."""
     runs: Runs = request.app.state.runs
     run = find_run(request, id, "measure")
     if run.state != "done":
         raise HTTPException(409, f"the measurement must be done, it is {run.state}")
     shown_numbers = json.loads((runs.folder_of(run) / "out" / "shown.json").read_text(encoding="utf-8"))
-    causes = list(dict.fromkeys(one["cause"] for one in shown_numbers["findings"]))
-    unknown = [cause for cause in chosen.causes if cause not in causes]
+    error_sources = list(dict.fromkeys(one["error_source"] for one in shown_numbers["findings"]))
+    unknown = [error_source for error_source in chosen.error_sources if error_source not in error_sources]
     if unknown:
-        raise HTTPException(422, f"causes must be among {', '.join(causes)}, got {unknown}")
+        raise HTTPException(422, f"error_sources must be among {', '.join(error_sources)}, got {unknown}")
     data = runs.data(run)
-    chosen_causes = [cause for cause in causes if cause in chosen.causes]
+    chosen_sources = [error_source for error_source in error_sources if error_source in chosen.error_sources]
     # As on the command line: the job states the sources to correct, all others are compensated as form.
-    data = {**data, "measurement": {**(data.get("measurement") or {}), "correct": chosen_causes}}
+    data = {**data, "measurement": {**(data.get("measurement") or {}), "correct": chosen_sources}}
     with runs.new_folder() as folder:
         try:
             (folder / run.file).hardlink_to(runs.folder_of(run) / run.file)
@@ -147,7 +147,7 @@ async def correct(id: RunId, chosen: Causes, request: Request) -> Id:  # noqa: A
         name = f"{run.name}, corrected"
         new_run = runs.add(
             folder, data, kind="correct", name=name, text=runs.text(run), of=run.id, file=run.file,
-            called=run.called, causes=tuple(chosen_causes),
+            called=run.called, error_sources=tuple(chosen_sources),
         )  # fmt: skip
     return Id(id=new_run.id)
 

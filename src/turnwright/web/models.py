@@ -14,11 +14,11 @@ from turnwright.web.limits import BODY_BYTES
 __all__ = [
     "BINARY",
     "About",
-    "Causes",
     "Check",
     "Coordinate",
     "Data",
     "Edited",
+    "ErrorSources",
     "ExampleJob",
     "ExampleLine",
     "Fault",
@@ -322,7 +322,7 @@ class Measurement(Model):
     )
 
 
-class Causes(Model):
+class ErrorSources(Model):
     """Error sources to correct."""
 
-    causes: Annotated[list[Annotated[str, MaxLen(60)]], MaxLen(40)]
+    error_sources: Annotated[list[Annotated[str, MaxLen(60)]], MaxLen(40)]

@@ -58,7 +58,7 @@ class Run(RunState):
 
     file: str = ""  # measured, by its name on disk
     called: str = ""  # original name of the measured file
-    causes: tuple[str, ...] = ()  # error sources that a correction takes into account
+    error_sources: tuple[str, ...] = ()  # error sources that a correction takes into account
 
 
 class Runs:

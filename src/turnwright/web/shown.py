@@ -29,8 +29,8 @@ COLOUR_PERCENTILES = (0.5, 99.5)
 """Percentiles of the heights that limit the colours, so that outliers do not take the whole range."""
 
 FIELDS = (
-    "name", "cause", "value", "unit", "plausible", "standard_uncertainty", "interval", "rms_nm", "pv_nm", "determined",
-    "verdict", "why", "repeatable", "correlated_with",
+    "name", "error_source", "value", "unit", "plausible", "standard_uncertainty", "interval", "rms_nm", "pv_nm",
+    "determined", "verdict", "why", "repeatable", "correlated_with",
 )  # fmt: skip
 LENSLET = (
     "number", "design", "centre", "centre_std", "height", "height_std", "radius", "radius_error", "radius_std", "tilt",
@@ -46,7 +46,7 @@ def write_shown(measured: Measured, diagnosis: Diagnosis, out: Path) -> None:
         "name": measured.heights.name,
         "form_pv_nm": measured.form_pv_nm,
         "form_rms_nm": measured.form_rms_nm,
-        "spikes": measured.outliers,
+        "outliers": measured.outliers,
         "alignment": {
             "pose": registration.pose,
             "pivot": registration.pivot,

@@ -100,7 +100,7 @@ function Seen({ measurement }) {
       ["form, PV", height(measurement.form_pv_nm)], ["form, RMS", height(measurement.form_rms_nm)],
       ["after registration, RMS", height(measurement.measured_rms_nm)], ["attributed, RMS", height(measurement.explained_rms_nm)], ["residual, RMS", height(measurement.unexplained_rms_nm)],
       ["roughness Sq", roughness && height(roughness.sq_nm)], ["roughness Sa", roughness && height(roughness.sa_nm)],
-      ["outliers removed", count(measurement.spikes)],
+      ["outliers removed", count(measurement.outliers)],
     ]} />
     ${alignment && html`<${Numbers} title="Part pose" rows=${[...placed(alignment), ["points", count(alignment.count)], ["residual of the fit, RMS", height(alignment.rms_nm)]]} />`}
     ${alignment?.sentences.length > 1 && html`<section class="card"><ul class="sentences quiet">${alignment.sentences.slice(1).map((sentence) => html`<li>${sentence}</li>`)}</ul></section>`}
@@ -209,7 +209,7 @@ function Lone({ packed }) {
 
 function Findings({ measurement }) {
   const { findings, contributions, lenslets, predicted, correction } = measurement;
-  const [chosen, choose] = useState(() => new Set(findings.filter((one) => one.chosen).map((one) => one.cause)));
+  const [chosen, choose] = useState(() => new Set(findings.filter((one) => one.chosen).map((one) => one.error_source)));
   const [all, showAll] = useState(false);
   const { runs } = useStore(["runs"]);
   const run = runs.find((one) => one.id === correction);
@@ -220,16 +220,16 @@ function Findings({ measurement }) {
     if (!predicted) follow(measurement.id);
     get(`/runs/${run.id}`).then((detail) => setFiles(detail.files), (error) => say(error.message, "bad"));
   }, [run?.state]);
-  const flip = (cause) => {
+  const flip = (source) => {
     const next = new Set(chosen);
-    if (!next.delete(cause)) next.add(cause);
+    if (!next.delete(source)) next.add(source);
     choose(next);
   };
   const [asking, setAsking] = useState(false);
   const correct = async () => {
     setAsking(true);
     try {
-      await post(`/measurements/${measurement.id}/correct`, { causes: [...chosen] });
+      await post(`/measurements/${measurement.id}/correct`, { error_sources: [...chosen] });
       setFiles([]);
       await refresh();
       await follow(measurement.id);
@@ -246,9 +246,9 @@ function Findings({ measurement }) {
     <div class="scroll pad">
       ${!called.length && html`<p class="quiet">No error source is significant; the significant residual is compensated as form.</p>`}
       ${called.length > 0 && html`<p class="quiet" id="doubts">±: 95 % interval, for any values of the other sources, spindle error motion, drift and form.</p>`}
-      ${(all ? findings : called).map((one) => html`<div class="cause" key=${one.name}>
-        <input type="checkbox" id=${`cause-${one.name}`} checked=${chosen.has(one.cause)} disabled=${!one.correctable} onChange=${() => flip(one.cause)} aria-describedby=${`why-${one.name}`} title="Correct this" />
-        <label for=${`cause-${one.name}`}>${one.name}</label>
+      ${(all ? findings : called).map((one) => html`<div class="error-source" key=${one.name}>
+        <input type="checkbox" id=${`source-${one.name}`} checked=${chosen.has(one.error_source)} disabled=${!one.correctable} onChange=${() => flip(one.error_source)} aria-describedby=${`why-${one.name}`} title="Correct this" />
+        <label for=${`source-${one.name}`}>${one.name}</label>
         <span class="number">${doubted(one.value, one.uncertainty, one.unit)}</span>
         <p id=${`why-${one.name}`}>${one.sentence}</p></div>`)}
       ${contributions.filter((one) => all || one.rms_nm > 0.1 * measurement.measured_rms_nm).map((one) => html`<p class="quiet" key=${one.name}>${one.why}</p>`)}

@@ -14,7 +14,7 @@ from turnwright._validate import check_numbers, positive
 from turnwright.diagnosis.model import Cutting, Deviations, raise_sweep
 from turnwright.errors import InputError
 
-__all__ = ["CAUSES", "DEFAULT", "Cause", "Column", "Columns", "SourceInfo"]
+__all__ = ["DEFAULT", "ERROR_SOURCES", "Column", "Columns", "ErrorSource", "SourceInfo"]
 
 
 class SourceInfo(NamedTuple):
@@ -26,7 +26,7 @@ class SourceInfo(NamedTuple):
     mount: bool = False  # made by the mount, not by the cut
 
 
-CAUSES: Mapping[str, SourceInfo] = MappingProxyType(
+ERROR_SOURCES: Mapping[str, SourceInfo] = MappingProxyType(
     {
         "offset x": SourceInfo("mm", 0.05, "cut a test part with slopes, such as a concave sphere"),
         "offset y": SourceInfo("mm", 0.05, "cut a tilted flat, or measure the defect at the centre"),
@@ -67,7 +67,7 @@ LOBES = MappingProxyType({"astigmatism": 2, "trefoil": 3})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Cause:
+class ErrorSource:
     """A user-defined error source: an error signature that adds to the height in proportion.
 
     Parameters
@@ -96,16 +96,18 @@ class Cause:
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        if not self.name or self.name in CAUSES:
-            raise InputError(f"a cause has the name {self.name!r}, it must be new and not empty: choose another name")
-        positive(self.typical, f"typical of the cause {self.name!r}", self.unit)
+        if not self.name or self.name in ERROR_SOURCES:
+            raise InputError(
+                f"an error source has the name {self.name!r}, it must be new and not empty: choose another name"
+            )
+        positive(self.typical, f"typical of the error source {self.name!r}", self.unit)
 
 
 class Column(NamedTuple):
     """One unknown of the fit."""
 
     name: str
-    cause: str
+    error_source: str
     unit: str
     typical: float
     order: int  # of a power of the sweep, else 0
@@ -117,7 +119,7 @@ class Columns:
 
     Parameters
     ----------
-    causes
+    error_sources
         Names, or user-defined sources.
     powers
         Powers of the sweep that make up the waviness.
@@ -131,7 +133,7 @@ class Columns:
         Plausible sizes that differ from the default, one standard deviation. [unit of the source]
     """
 
-    causes: Sequence[str | Cause]
+    error_sources: Sequence[str | ErrorSource]
     powers: tuple[int, ...]
     knots: Floats
     reach: tuple[float, float]
@@ -142,13 +144,13 @@ class Columns:
     def all(self) -> list[Column]:
         """One column for each unknown."""
         columns: list[Column] = []
-        for cause in self.causes:
-            if isinstance(cause, Cause):
-                columns.append(Column(cause.name, cause.name, cause.unit, cause.typical, 0))
+        for error_source in self.error_sources:
+            if isinstance(error_source, ErrorSource):
+                columns.append(Column(error_source.name, error_source.name, error_source.unit, error_source.typical, 0))
                 continue
-            info, stated = CAUSES[cause], self.plausible.get(cause)
+            info, stated = ERROR_SOURCES[error_source], self.plausible.get(error_source)
             typical = info.typical if stated is None else stated
-            if cause == "waviness":
+            if error_source == "waviness":
                 for k in self.powers:
                     unit = "mm/rad" if k == 1 else f"mm/rad^{k}"
                     # Over a short sweep, a wave of the usual height would be steeper than an edge can be.
@@ -159,23 +161,23 @@ class Columns:
                     )
                     if stated is None and k > 1:  # the local radius cannot change so much that the nose is flat
                         size = min(size, RADIUS_CHANGE_RATIO * self.nose * self.reach[0] ** 2 / (k * (k - 1)))
-                    columns.append(Column(f"waviness c{k}", cause, unit, size / self.reach[0] ** k, k))
-            elif cause == "straightness":
+                    columns.append(Column(f"waviness c{k}", error_source, unit, size / self.reach[0] ** k, k))
+            elif error_source == "straightness":
                 inner = self.knots[1:-1]
-                columns += [Column(f"straightness at {at:.4g} mm", cause, "mm", typical, 0) for at in inner]
-            elif cause in LOBES:
-                columns += [Column(f"{cause} {part}", cause, "mm", typical, 0) for part in ("cos", "sin")]
+                columns += [Column(f"straightness at {at:.4g} mm", error_source, "mm", typical, 0) for at in inner]
+            elif error_source in LOBES:
+                columns += [Column(f"{error_source} {part}", error_source, "mm", typical, 0) for part in ("cos", "sin")]
             else:
-                if cause == "radius error" and stated is None:
+                if error_source == "radius error" and stated is None:
                     typical = min(typical, RADIUS_ERROR_RATIO * self.nose)
-                columns.append(Column(cause, cause, info.unit, typical, 0))
+                columns.append(Column(error_source, error_source, info.unit, typical, 0))
         return columns
 
     def deviations(self, values: Floats) -> Deviations:
         """Return the deviations of tool and machine for some values. (k,) in."""
         of: dict[str, Floats] = {}
         for column, value in zip(self.all, values, strict=True):
-            of[column.cause] = np.append(of.get(column.cause, np.zeros(0)), value)
+            of[column.error_source] = np.append(of.get(column.error_source, np.zeros(0)), value)
 
         def one(name: str) -> float:
             return float(of[name][0]) if name in of else 0.0
@@ -195,19 +197,19 @@ class Columns:
     def added(self, x: Floats, y: Floats, cutting: Callable[[], Cutting]) -> dict[str, Floats]:
         """Return the signatures that add in proportion, by source; ``cutting`` is called if needed. (k, n) each."""
         marks: dict[str, Floats] = {}
-        for cause in self.causes:
-            if isinstance(cause, Cause):
+        for error_source in self.error_sources:
+            if isinstance(error_source, ErrorSource):
                 cut = cutting()
-                mark = np.asarray(cause.signature(cut), dtype=np.float64)
+                mark = np.asarray(error_source.signature(cut), dtype=np.float64)
                 if mark.shape != x.shape or not np.isfinite(mark[np.isfinite(cut.z)]).all():
                     raise InputError(
-                        f"the signature of the cause {cause.name!r} has the shape {mark.shape} or is not finite, it "
+                        f"the signature of {error_source.name!r} has the shape {mark.shape} or is not finite, it "
                         f"must return a finite height for each of {x.size} points"
                     )
-                marks[cause.name] = mark[None]
-            elif cause in LOBES:
-                wave = ((x + 1j * y) / self.reach[1]) ** LOBES[cause]
-                marks[cause] = np.stack([wave.real, wave.imag])
+                marks[error_source.name] = mark[None]
+            elif error_source in LOBES:
+                wave = ((x + 1j * y) / self.reach[1]) ** LOBES[error_source]
+                marks[error_source] = np.stack([wave.real, wave.imag])
         return marks
 
     def slopes(self, cutting: Cutting, added: Mapping[str, Floats], sense: int, cusp: float) -> Floats:
@@ -216,8 +218,8 @@ class Columns:
         (n, k).
         """
         rows: list[Floats] = []
-        for cause in self.causes:
-            name = cause if isinstance(cause, str) else cause.name
+        for error_source in self.error_sources:
+            name = error_source if isinstance(error_source, str) else error_source.name
             if name in added:
                 rows += list(added[name])
             elif name.startswith("offset"):
