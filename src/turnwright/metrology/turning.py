@@ -520,7 +520,7 @@ class _Defect:
             if other @ other >= residual @ residual:
                 break
             at, residual = at + change, other
-        normal: Floats = np.linalg.pinv(ways.T @ ways)
+        normal = np.asarray(np.linalg.pinv(ways.T @ ways), dtype=np.float64)
         u, v = x - at[0], y - at[1]
         core = np.hypot(u, v) < DEFECT_RADIUS_PIXELS * step
         variance = max(float(np.mean(residual[one] ** 2)) for one in (core, ~core))
