@@ -62,7 +62,7 @@ class Instrument(Stated):
     pixel
         Side of a pixel on the surface, over which the heights are averaged. [mm]
     numerical_aperture, wavelength
-        Numerical aperture of the objective and mean wavelength of the light; both or none. [1], [mm]
+        Numerical aperture of the objective and mean wavelength of the light; both or none. [mm]
     resolution
         In place of these, the optical resolution wavelength / (2 NA): the shortest period that is not transmitted. [mm]
     filling

@@ -170,7 +170,7 @@ def sampled_maxima(
 ):  # fmt: skip
     """Append the samples begin to end of f - e = ``g`` that are no lower than their neighbours; return the count.
 
-    The neighbour is the next sample, or the near side of a kink or step before it.
+    The neighbour is the next sample, or the near side of a break or step before it.
     """
     for j in range(begin, end + 1):
         # A last step, shorter than the others, may hide more than the samples say.

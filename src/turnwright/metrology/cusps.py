@@ -676,7 +676,7 @@ def _valley_curves(at: Floats, z: Floats, crest: Floats, run: Ints, degrees: tup
                 deviation += float(np.abs(residual).sum())
                 points += rows.size
                 parameters += number
-        # Of two shapes the better one bears its own parameters (Bayesian information criterion).
+        # The Bayesian information criterion chooses between two shapes with different numbers of parameters.
         if points > parameters:
             noise = float(np.sqrt(np.pi / 2)) * deviation / float(np.sqrt(points * (points - parameters)))
             misfit = 2 * points * np.log(max(deviation / points, 1e-300)) + parameters * np.log(points)
