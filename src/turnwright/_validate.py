@@ -188,7 +188,7 @@ def one_of(value: object, name: str, options: Collection[object]) -> None:
     if value not in options:
         *others, last = (f'"{option}"' if isinstance(option, str) else str(option) for option in options)
         listed = f"{', '.join(others)} or {last}" if others else last
-        raise InputError(f"{name} is {shown(value)}, it can be {listed}: choose one of them")
+        raise InputError(f"{name} is {shown(value)}, it must be {listed}: choose one of them")
 
 
 IN_RAD = "a plain number is in rad"

@@ -210,7 +210,7 @@ def test_every_whole_number_of_a_range_is_drawn_as_often(job, design):
     ("how", "said"),
     [
         ({"design": "sobol"}, "the design 'sobol' has no number of cases, it needs from 1"),
-        ({"design": "soboll", "count": 3}, "design is 'soboll', it can be grid, random, sobol"),
+        ({"design": "soboll", "count": 3}, "design is 'soboll', it must be grid, random, sobol"),
         ({"count": 3}, "a grid has as many cases as its values make, 3 are asked for"),
         ({"vary": {"tool.nose_radius": "0.1..1 mm"}}, "has no single values for a grid: write the number of them"),
         ({"vary": {}}, "nothing is varied: name at least 1 field"),

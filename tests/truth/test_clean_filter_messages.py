@@ -31,8 +31,8 @@ PIXELS = HeightMap(z=Z, x=np.arange(50.0), y=np.arange(40.0), calibrated=False)
 @pytest.mark.parametrize(
     ("heights", "arguments", "sentence"),
     [
-        (flat(), {"kind": "median"}, 'the kind of filter is \'median\', it can be "gaussian", "robust" or "spline"'),
-        (flat(), {"order": 3}, "the order of the filter is 3, it can be 0, 1 or 2"),
+        (flat(), {"kind": "median"}, 'the kind of filter is \'median\', it must be "gaussian", "robust" or "spline"'),
+        (flat(), {"order": 3}, "the order of the filter is 3, it must be 0, 1 or 2"),
         (flat(), {"kind": "spline"}, "a spline filter works along lines and has no order: give along"),
         (flat(), {"kind": "spline", "along": "x", "order": 1}, "has no order"),
         (flat(), {"along": "z"}, "the direction of the lines is 'z'"),
@@ -136,7 +136,7 @@ def test_single_points_and_empty_lines_are_filtered():
 @pytest.mark.parametrize(
     ("heights", "arguments", "sentence"),
     [
-        (flat(), {"rule": "median"}, 'the rule is \'median\', it can be "robust" or "kong"'),
+        (flat(), {"rule": "median"}, 'the rule is \'median\', it must be "robust" or "kong"'),
         (flat(), {"threshold": 0.0}, "the threshold is 0 deviations, it must be finite and above 0"),
         (CLOUD, {}, "the 50 heights are scattered points"),
         (PIXELS, {}, "no pixel size"),

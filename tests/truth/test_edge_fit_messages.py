@@ -24,7 +24,7 @@ def test_lengths_that_differ():
 
 
 def test_which_way_round():
-    with pytest.raises(InputError, match=r"toward_x is 0, it can be 1 or -1"):
+    with pytest.raises(InputError, match=r"toward_x is 0, it must be 1 or -1"):
         fit_edge(*ARC, toward_x=0, cutoff=0.01)
 
 

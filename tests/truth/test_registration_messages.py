@@ -16,8 +16,8 @@ MAP = HeightMap(x=AXIS, y=AXIS, z=PART.surface.sag(X, Y))
     [
         ({"free": ("x", "tip")}, r"free holds \['tip'\], known are x, y, z, rotation, tilt_x, tilt_y"),
         ({"free": ()}, "free holds nothing"),
-        ({"distance": "radial"}, 'distance is \'radial\', it can be "vertical" or "normal"'),
-        ({"loss": "l1"}, 'loss is \'l1\', it can be "linear", "huber" or "tukey"'),
+        ({"distance": "radial"}, 'distance is \'radial\', it must be "vertical" or "normal"'),
+        ({"loss": "l1"}, 'loss is \'l1\', it must be "linear", "huber" or "tukey"'),
         ({"undetermined": "no"}, "undetermined is 'no'"),
         ({"reach": -1.0}, "reach of the search is -1 mm"),
         ({"clocking": 7.0}, "clocking of the search is 7 rad"),

@@ -5,7 +5,9 @@ import pytest
 
 from turnwright.errors import InputError
 from turnwright.part import Part
-from turnwright.surface import Expression, Gridded, LensArray, Placed, Plane, SineGrid, Sphere, Sum
+from turnwright.surface import Expression, Gridded, LensArray, OffAxis, Placed, Plane, SineGrid, Sphere, Sum
+
+COSTLY = Expression("+".join(["sin(x)"] * 450))
 
 FLAT = Plane()
 AXIS = np.linspace(-1, 1, 7)
@@ -95,6 +97,14 @@ BAD = {
     "a sum too costly": (
         lambda: sum([Sphere(radius=20.0).placed(tilt=(0.01 * k, 0.0)) for k in range(1, 41)], Plane(slope=(0.0, 0.0))),
         "a sum of 24 surfaces costs 4620 additions .* the limit is 4500",
+    ),
+    "a sum of costly lenslets": (
+        lambda: sum([LensArray.square(pitch=1.0, lenslet=COSTLY, within=3.0)] * 2, Plane(slope=(0.0, 0.0))),
+        "a sum of . surfaces costs .* the limit is 4500",
+    ),
+    "a sum of costly off-axis parts": (
+        lambda: Plane(slope=(0.0, 0.0)) + OffAxis(parent=COSTLY, distance=1.0),
+        "a sum of . surfaces costs .* the limit is 4500",
     ),
     "too much in divisors": (
         lambda: Expression("".join(f"1/(x+{'y+' * 95}{k}+" for k in range(20)) + "x" + ")" * 20),

@@ -120,7 +120,7 @@ def best_fit(
     one_of(distance, "the distance", ("vertical", "normal"))
     if form not in ("plane", "sphere", "conic") and not isinstance(form, Sphere | Conic | EvenAsphere):
         raise InputError(
-            f'the form of a best fit is {form!r}, it can be "plane", "sphere", "conic", or a Sphere, Conic or '
+            f'the form of a best fit is {form!r}, it must be "plane", "sphere", "conic", or a Sphere, Conic or '
             "EvenAsphere to start from: choose one of them"
         )
     along_normal = distance == "normal"

@@ -55,7 +55,7 @@ def remove_form(heights: HeightMap, form: Form) -> HeightMap:
         return without_sphere(heights)
     if isinstance(degree, bool) or not isinstance(degree, int) or not 0 <= degree <= MAX_DEGREE:
         raise InputError(
-            f'form is {form!r}, it can be "none", "mean", "plane", "sphere" or the degree of a polynomial from 0 to '
+            f'form is {form!r}, it must be "none", "mean", "plane", "sphere" or the degree of a polynomial from 0 to '
             f"{MAX_DEGREE}: choose one of them"
         )
     terms = (degree + 1) * (degree + 2) // 2

@@ -28,7 +28,7 @@ def without_form(profile: Profile, form: Form) -> Profile:
         return profile
     degree = {"mean": 0, "plane": 1}.get(form) if isinstance(form, str) else form
     if degree is None:
-        raise InputError(f'the form of a profile is {form!r}, it can be "none", "mean", "plane" or a degree: choose')
+        raise InputError(f'the form of a profile is {form!r}, it must be "none", "mean", "plane" or a degree: choose')
     return profile.without(degree)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright._tables import Stated, forget_adapters, types_of, written, written_by
-from turnwright._validate import check_numbers, positive
+from turnwright._validate import check_numbers, one_of, positive
 from turnwright.errors import InputError
 from turnwright.machine import Machine
 from turnwright.part import Part
@@ -162,9 +162,8 @@ class Strategy(Stated, ABC):
             value = getattr(self, name)
             kinds = [kind for kind in (stated, *get_args(stated)) if kind is not type(None)]
             choices = next((get_args(kind) for kind in kinds if get_origin(kind) is Literal), ())
-            if choices and value not in choices and (value is not None or type(None) not in get_args(stated)):
-                listed = " or ".join(f'"{choice}"' if isinstance(choice, str) else str(choice) for choice in choices)
-                raise InputError(f"{name} is {value!r}, it must be {listed}")
+            if choices and (value is not None or type(None) not in get_args(stated)):
+                one_of(value, name, choices)
             limits = [one for kind in kinds for one in getattr(kind, "__metadata__", ()) if isinstance(one, unit)]
             for limit in limits if value is not None else ():
                 symbol = limit.units[0].replace("rpm", "rev/min")

@@ -322,7 +322,7 @@ def _draw_cases(
     fields: tuple[Varied, ...], design: str, count: int | None, seed: int | None
 ) -> list[tuple[Token, ...]]:
     if design not in DESIGNS:
-        raise InputError(f"design is {design!r}, it can be {', '.join(DESIGNS)}: choose one of them")
+        raise InputError(f"design is {design!r}, it must be {', '.join(DESIGNS)}: choose one of them")
     if count is None:
         raise InputError(
             f"the design {design!r} has no number of cases, it needs from 1 to {MAX_CASES:_}: state how many cases"

@@ -360,6 +360,11 @@ class LensArray(Surface):
         around = self.surround.feature_size if isinstance(self.surround, Surface) else float("inf")
         return min(self._spacing / 8, self.lenslet.feature_size, around)
 
+    @property
+    def cost(self) -> int:
+        """Cost of lenslet and surround, one of which is evaluated at each point. See `Surface.cost`."""
+        return max(self.lenslet.cost, self.surround.cost if isinstance(self.surround, Surface) else 0)
+
     def _cell(self, x: Floats, y: Floats) -> tuple[Ints, Floats, Floats]:
         """Return the piece of each point, and its position relative to the nearest centre. Each (n,)."""
         x, y = x.ravel(), y.ravel()

@@ -118,6 +118,11 @@ class OffAxis(Surface):
         return self._moved.pose
 
     @property
+    def cost(self) -> int:
+        """Cost of the moved parent. See `Surface.cost`."""
+        return self._moved.cost
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """Vertex of the part, and pose of the parent. See `Surface.remarks`."""
         vertex, shift = (_formatted(values, "mm") for values in (self.vertex, self.pose.shift))
