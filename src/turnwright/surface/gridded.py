@@ -125,6 +125,11 @@ class Gridded(Surface):
         (cubic,) = self.evaluate(x, y, 0)
         object.__setattr__(self, "fit_error", float(np.abs(cubic - quintic)[complete].max()))
 
+    @property
+    def file(self) -> str:
+        """File from which the heights were read, by which a job names them; empty if none."""
+        return "" if self.source is None else str(self.source.file)
+
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the height and its derivatives; border cells extend beyond the grid. See `Surface.evaluate`."""
         out = np.empty(((1, 3, 6)[order], x.size))

@@ -143,6 +143,11 @@ class Scattered(Surface):
                 worst = max(worst, float(np.abs(predicted - self.z[test]).max()))
         return worst
 
+    @property
+    def file(self) -> str:
+        """File from which the heights were read, by which a job names them; empty if none."""
+        return "" if self.source is None else str(self.source.file)
+
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the height and its derivatives. See `Surface.evaluate`."""
         return self._grid.evaluate(x, y, order)

@@ -305,7 +305,7 @@ class Measurement(Model):
     progress: Progress | None
     form_pv_nm: float | None = None
     form_rms_nm: float | None = None
-    spikes: int | None = None
+    outliers: int | None = None
     measured_rms_nm: float | None = None
     explained_rms_nm: float | None = None
     unexplained_rms_nm: float | None = None
