@@ -40,7 +40,7 @@ def computed_once():
     """The same maps of the same jobs have one diagnosis and one proof: most of these tests only go on from them."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            _measure, "_diagnose_all", once(DIAGNOSE, lambda every, _: [(one.job, one.fingerprint) for one in every])
+            _measure, "_diagnose_all", once(DIAGNOSE, lambda every: [(one.job, one.fingerprint) for one in every])
         )
         patch.setattr(
             _correct, "_choose_plan", once(_correct._choose_plan, lambda job, found, own: (job, id(found), own))

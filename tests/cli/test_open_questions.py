@@ -72,13 +72,13 @@ def test_a_symmetric_part_is_clocked_by_the_named_keys():
                 if "symmetric" in one]  # fmt: skip
 
 
-@pytest.mark.parametrize("stated", ["robust", "none"])
-def test_what_pulls_at_the_pose_is_left_out_by_keys(stated):
+@pytest.mark.parametrize("method", ["robust", "none"])
+def test_what_pulls_at_the_pose_is_left_out_by_keys(method):
     """An object next to the part: a ledge at one edge of the map, a tenth of a millimetre high."""
     toroid = {"family": "toroid", "radius_x": "20 mm", "radius_y": "30 mm"}
     surface = tw.Toroid(radius_x=20.0, radius_y=30.0)
     heights = grid(lambda x, y: surface.sag(x, y) + 0.1 * (x > 1.36), 1.4)
-    pulled = [one for one in questions(toroid, 2, heights, outliers=stated) if "bias the pose" in one]
+    pulled = [one for one in questions(toroid, 2, heights, outliers=method) if "bias the pose" in one]
     keys = stated(pulled[0])
     assert keys["trim"] == "0.02 mm"
-    assert ("outliers" in keys) == (stated == "none")
+    assert ("outliers" in keys) == (method == "none")

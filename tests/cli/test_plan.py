@@ -246,7 +246,7 @@ def test_error_not_caused_by_the_points_ends_the_search(tmp_path, monkeypatch):
     asked = []
 
     def stays(_, points):
-        asked.append(points.spiral.angle.size)
+        asked.append(points.plan.spiral.angle.size)
         return 37e-6
 
     monkeypatch.setattr(_plan._Search, "_point_error", stays)

@@ -42,9 +42,11 @@ points_per_rev = 90
 spindle_speed = "100 rpm"
 """
 
+FOLDERS = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "support")]
+
 KILLED = """
 import sys, time
-sys.path.insert(0, {here!r})
+sys.path[:0] = {folders!r}
 from test_tiling_commands import made
 made({store!r}, progress=lambda done, total: (print(done, total, flush=True), time.sleep(0.2)))
 """
@@ -175,7 +177,7 @@ def test_a_disk_too_small_is_refused_beforehand(job, tmp_path, monkeypatch, caps
 
 def test_a_killed_run_goes_on_where_it_was(tmp_path):
     store = tmp_path / "map"
-    script = KILLED.format(here=str(Path(__file__).parent), store=str(store))
+    script = KILLED.format(folders=FOLDERS, store=str(store))
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as process:
         for line in process.stdout:
             done, total = map(int, line.split())

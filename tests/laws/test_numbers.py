@@ -17,6 +17,7 @@ import pytest
 
 import turnwright as tw
 from turnwright.metrology import Nesting
+from turnwright.post import Dialect
 from turnwright.strategy import Valleys
 
 PLANE, AXIS, X = tw.Plane(), tw.Axis(), np.linspace(0, 1, 5)
@@ -144,7 +145,20 @@ EXAMPLES = [
     tw.HybridToolServo(plan=SLOW, fast=FAST, blocks_per_rev=50),
     tw.QuasiEllipticalToolServo(**SWING, short="slow", y_acceleration=100.0, points_per_rev=100),
     tw.QuasiEllipticalToolServo(**SWING, short="merge", shortest=0.01, arc_length=0.1, max_step=0.1),
-    Valleys(angle=X, azimuth=X, radius=X, jump=X, left=X, stood=np.zeros(5, dtype=bool), stroke=0.1),
+    Dialect(
+        name="shop",
+        decimals={"C": 4, "X": 5, "Z": 6},
+        wrapped=False,
+        feed="seconds",
+        feed_decimals=7,
+        feed_every_block=True,
+        setup=("G71",),
+        max_lines=1000,
+        longest_block=10.0,
+    ),
+    Valleys(
+        angle=X, azimuth=X, radius=X, slope_jump=X, residual_jump=X, is_at_rest=np.zeros(5, dtype=bool), stroke=0.1
+    ),
     tw.HeightMap(x=X, y=X, z=np.zeros((5, 5))),
     tw.HeightMap(radius=X, angle=X, z=np.zeros((5, 5))),
     tw.Profile(distance=X, z=X, x=X, y=X),
@@ -248,8 +262,8 @@ MAY = {
 
 ANSWERS = """
     Access AccessFinding Alignment Approach AreaSpectrum Bands Bearing BestFit Candidate CentreDefect ChipMap Column
-    Comparison Contribution Correction Cusps CuttingForces Diagnosis DrawnCut Draws DuctileCheck EdgeFit Entry
-    ErrorBreakdown Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage HeightFile IntactShare
+    Comparison Contribution Correction Cusps CuttingForces Diagnosis DialectCheck DrawnCut Draws DuctileCheck EdgeFit
+    Entry ErrorBreakdown Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage HeightFile IntactShare
     LearnedMaterial Lenslet Lenslets Limits Measured Move Outcome OutlierRemoval PartShape Pass Plan PoseCandidate
     Prediction Preview ProfileRoughness ProgramFiles ProgramInfo ProgramPass Proof Registration Result Roughness
     Sensitivity Series Slopes Spectrum Stretch Tightening TiledMap ToleranceStudy Trial TurnedEdge TurningCentre

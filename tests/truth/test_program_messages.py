@@ -308,7 +308,9 @@ def test_options_that_make_no_sense(tmp_path, options, message):
 
 
 def test_unknown_dialect(tmp_path):
-    with pytest.raises(ProgramError, match="dialect 'klingon' is not known, Turnwright writes generic, nanotech") as error:
+    with pytest.raises(
+        ProgramError, match="dialect 'klingon' is not known, Turnwright writes generic, nanotech"
+    ) as error:
         write_nc(motion(), machine("klingon"), tmp_path / "part.nc")
     sentence(error)
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from turnwright._faults import read_table
 from turnwright._io import bytes_of, read_toml
 from turnwright._tables import Sources, Stated
+from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError, ProgramError, shown
 from turnwright.units import Count, Flag, Text, Time, plain
 
@@ -124,6 +125,8 @@ class Dialect(Stated):
     sources: Annotated[Mapping[str, str], Sources] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
+        positive(self.longest_block, "longest_block", "s")
         object.__setattr__(self, "decimals", MappingProxyType(dict(self.decimals)))
         object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
         if not self.name.replace("-", "").replace("_", "").isalnum() or not self.name.isascii():
