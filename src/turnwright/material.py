@@ -314,8 +314,8 @@ class Material(Stated, Value):
         if self.fracture_ratio is not None:
             positive(self.fracture_ratio, "fracture_ratio", "mm per mm of chip")
         if len(self.brittle_force) != 2:
-            given = len(self.brittle_force)
-            raise InputError(f"brittle_force has {given} values, it needs 2: give cutting force and thrust")
+            count = len(self.brittle_force)
+            raise InputError(f"brittle_force has {count} values, it needs 2: give cutting force and thrust")
         ratios = tuple(between(ratio, "brittle_force", 0.0, 1.0, "of the force") for ratio in self.brittle_force)
         object.__setattr__(self, "brittle_force", ratios)
         if min(ratios) < 1 and not self.brittle_plateau:
