@@ -108,7 +108,7 @@ def test_repeated_passes_are_steps_of_their_own(tmp_path, lines, heights):
 )
 def test_the_points_of_a_pass_are_foreseen(way, tmp_path):
     """Oracle: the points that are counted when the spiral is made; half or twice as many are near enough for a bar."""
-    from turnwright.job.agenda import _points
+    from turnwright.job.time_estimate import _points
 
     surface = {"family": "sine grid", "amplitude": ["1 um", "1 um"], "period": ["0.5 mm", "0.5 mm"]}
     strategy = {"kind": "slow tool servo", "feed": "20 um/rev", **way}

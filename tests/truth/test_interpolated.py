@@ -7,8 +7,8 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 import turnwright as tw
-from turnwright.job import interpolated as _interpolated
-from turnwright.job.interpolated import chord_error, interpolated
+from turnwright.job import interpolation as _interpolated
+from turnwright.job.interpolation import chord_error, interpolated
 
 MACHINE = tw.Machine(
     name="test",

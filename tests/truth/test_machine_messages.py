@@ -10,7 +10,7 @@ import pytest
 
 from turnwright._tables import adapter
 from turnwright.errors import InputError
-from turnwright.job.named import AnyMachine
+from turnwright.job.tables import AnyMachine
 from turnwright.machine import Axis, Controller, Convention, FrequencyResponse, Machine, SecondOrder
 
 NAMES = ["nanotech-350fg", "nanoform", "nanoform-fts-70", "nanoform-fts-500", "generic"]

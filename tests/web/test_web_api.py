@@ -27,11 +27,11 @@ from turnwright.job import Job, compare, correct, diagnose, measure, preview
 from turnwright.report import archive_comparison
 from turnwright.units import convert, parse
 from turnwright.web import create_app
+from turnwright.web.binary import unpack
 from turnwright.web.examples import examples
-from turnwright.web.packed import unpack
+from turnwright.web.measurement_data import write_predicted
 from turnwright.web.queue import Runs
 from turnwright.web.references import FILE_KEYS, located
-from turnwright.web.shown import write_predicted
 
 HERE = "http://127.0.0.1:8765"
 # A run of some seconds that a test interrupts.

@@ -18,8 +18,8 @@ pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 't
 
 from fastapi.testclient import TestClient
 
-from turnwright.web import budget as _budget, create_app, made as _made
-from turnwright.web.packed import MEDIA_TYPE, unpack
+from turnwright.web import budget as _budget, create_app, results as _made
+from turnwright.web.binary import MEDIA_TYPE, unpack
 
 RUN = "0123456789abcdef"
 FEED, NOSE, STOCK = 0.020, 0.5, 0.020

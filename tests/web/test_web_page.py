@@ -31,7 +31,7 @@ from playwright.sync_api import expect, sync_playwright
 
 import turnwright as tw
 from turnwright.cli import main
-from turnwright.web.packed import unpack
+from turnwright.web.binary import unpack
 from workbench_page import (
     PATIENCE_S,
     Bench,

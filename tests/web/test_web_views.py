@@ -20,8 +20,8 @@ pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 't
 
 from fastapi.testclient import TestClient
 
-from turnwright.web import create_app, made as _made, seen as _seen
-from turnwright.web.packed import MEDIA_TYPE, pack, unpack
+from turnwright.web import create_app, previews as _seen, results as _made
+from turnwright.web.binary import MEDIA_TYPE, pack, unpack
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 STATIC = Path(create_app.__code__.co_filename).parent / "static"

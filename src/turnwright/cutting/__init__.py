@@ -15,9 +15,9 @@ from turnwright.cutting.learning.cuts import (
 )
 from turnwright.cutting.learning.dynamometer import Dynamometer, TapTest
 from turnwright.cutting.learning.experiment import Experiment, learn_from_file
-from turnwright.cutting.learning.learned import Estimate, ForceFit, LearnedMaterial
 from turnwright.cutting.learning.material_fit import learn_material
 from turnwright.cutting.learning.records import read_forces
+from turnwright.cutting.learning.results import Estimate, ForceFit, LearnedMaterial
 from turnwright.cutting.learning.signals import (
     ForceAverage,
     ForceRecord,

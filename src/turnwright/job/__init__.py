@@ -1,22 +1,11 @@
 """Jobs: the data of a job file, and the functions that plan, run, measure and correct it."""
 
-from turnwright.job.agenda import (
-    steps_of_comparison,
-    steps_of_correction,
-    steps_of_diagnosis,
-    steps_of_measurement,
-    steps_of_plan,
-    steps_of_prediction,
-    steps_of_preview,
-    steps_of_run,
-)
 from turnwright.job.approach import Entry
 from turnwright.job.comparison import Candidate, Comparison, compare
 from turnwright.job.contributions import ErrorBreakdown, break_down_error, has_servos, without_servos
 from turnwright.job.correction import Correction, correct
 from turnwright.job.finish_terms import Finish, finish
 from turnwright.job.measurement import Measured, diagnose, measure, read_measurement
-from turnwright.job.named import HeightFile, MachineDeviations, Table, context_of, with_keys
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.pipeline import Pipeline
 from turnwright.job.planning import Plan, Trial, plan
@@ -28,9 +17,20 @@ from turnwright.job.result import Pass, Preview, Result
 from turnwright.job.running import finishing_motion, preview, run
 from turnwright.job.schema import Job, faults
 from turnwright.job.shape import PartShape, part_shape
+from turnwright.job.tables import HeightFile, MachineDeviations, Table, context_of, with_keys
 from turnwright.job.template import job_template, reference_tables
 from turnwright.job.testparts import TestPartKind, make_test_part
 from turnwright.job.text import as_tables, edited, written
+from turnwright.job.time_estimate import (
+    steps_of_comparison,
+    steps_of_correction,
+    steps_of_diagnosis,
+    steps_of_measurement,
+    steps_of_plan,
+    steps_of_prediction,
+    steps_of_preview,
+    steps_of_run,
+)
 from turnwright.job.verdict import Verdict, judge, judge_form, missed, unjudged
 
 __all__ = [

@@ -12,7 +12,7 @@ from turnwright.errors import InputError
 from turnwright.generation import generate_polar
 from turnwright.heightmap import HeightMap
 from turnwright.job.extremes import find_extremes
-from turnwright.job.interpolated import interpolated
+from turnwright.job.interpolation import interpolated
 from turnwright.machine import Machine
 from turnwright.metrology import area_rms
 from turnwright.part import Part

@@ -24,9 +24,9 @@ from turnwright.generation import generate_points
 from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import pv_nm_of, rms_nm_of
 from turnwright.job.measurement import Measured, beyond_pose, cutoff_of, errors_at_candidates, same_part
-from turnwright.job.named import HeightFile
 from turnwright.job.pass_plan import Watch, across_feed, cut_by, feed_of, motion_of
 from turnwright.job.schema import Actual, Job
+from turnwright.job.tables import HeightFile
 from turnwright.job.text import edited
 from turnwright.job.verdict import Verdict, judge_form
 from turnwright.machine import Machine

@@ -19,10 +19,10 @@ from turnwright.files import read_map
 from turnwright.heightmap import HeightMap
 from turnwright.job.advice import open_questions
 from turnwright.job.contributions import pv_nm_of
-from turnwright.job.named import with_keys
+from turnwright.job.instrument_effect import TextureComparison, design_as_seen, texture_as_seen
 from turnwright.job.pass_plan import Watch, across_feed, cut_by, feed_of, motion_of
 from turnwright.job.schema import Job
-from turnwright.job.seen import TextureComparison, design_as_seen, texture_as_seen
+from turnwright.job.tables import with_keys
 from turnwright.job.verdict import Verdict, judge_form
 from turnwright.machine import Machine
 from turnwright.metrology import (

@@ -21,13 +21,13 @@ from turnwright.job.contributions import (
     max_difference_nm,
     without_servos,
 )
-from turnwright.job.interpolated import interpolated
-from turnwright.job.named import with_interpolation
+from turnwright.job.interpolation import interpolated
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.predicting import predict
 from turnwright.job.programs import read_back, written
 from turnwright.job.schema import Job
 from turnwright.job.speed import NEAR, ROUNDS, Servos, at_speed, few_lines, guess, largest, round_down
+from turnwright.job.tables import with_interpolation
 from turnwright.job.verdict import Verdict, judge, missed
 from turnwright.motion import Limits, check_limits, drive
 from turnwright.path import Motion

@@ -13,7 +13,7 @@ from turnwright.generation import generate, generate_polar
 from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import finish_nm, lines, require_servos, without_servos
 from turnwright.job.extremes import find_extremes
-from turnwright.job.interpolated import chord_error, interpolated
+from turnwright.job.interpolation import chord_error, interpolated
 from turnwright.job.pass_plan import Watch
 from turnwright.job.prediction import Prediction
 from turnwright.job.schema import Job

@@ -9,7 +9,7 @@ import numpy as np
 from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import pv_nm_of, rms_nm_of
 from turnwright.job.extremes import Extremes
-from turnwright.job.interpolated import CHORD_TOL
+from turnwright.job.interpolation import CHORD_TOL
 from turnwright.metrology import Roughness
 
 __all__ = ["Prediction"]

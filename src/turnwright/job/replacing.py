@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from turnwright._faults import sentences, suggestion
 from turnwright._tables import Keyed, Stated, adapter, merged, types_of
 from turnwright.errors import InputError, JobError, shown
-from turnwright.job.named import context_of, with_interpolation
+from turnwright.job.tables import context_of, with_interpolation
 from turnwright.machine import Machine
 from turnwright.pose import Pose
 from turnwright.strategy import STRATEGIES, Strategy

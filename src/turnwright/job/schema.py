@@ -22,8 +22,8 @@ from turnwright._tables import adapter, read_by, types_of, written
 from turnwright._validate import check_numbers
 from turnwright.diagnosis import ERROR_SOURCES
 from turnwright.errors import InputError, JobError
-from turnwright.job.named import AnyInstrument, AnyMachine, ExistingFile, MachineDeviations, Table, context_of
 from turnwright.job.replacing import replaced
+from turnwright.job.tables import AnyInstrument, AnyMachine, ExistingFile, MachineDeviations, Table, context_of
 from turnwright.machine import Machine
 from turnwright.motion import require_variable
 from turnwright.part import Part

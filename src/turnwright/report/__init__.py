@@ -12,7 +12,7 @@ from turnwright.report.archive import (
 )
 from turnwright.report.comparison import write_comparison
 from turnwright.report.figures import write_fit_picture, write_picture
-from turnwright.report.measured import write_correction, write_diagnosis, write_measured
+from turnwright.report.measurement import write_correction, write_diagnosis, write_measured
 from turnwright.report.run import write_backplot, write_report
 from turnwright.report.study import write_study
 from turnwright.report.tiled import write_tiled

@@ -87,20 +87,20 @@ class Family(Stated):
 
     @classmethod
     def _build(cls, table: dict[str, Any], build: Callable[[Any], Any], context: Any) -> Any:
-        from turnwright.surface.stated import built  # noqa: PLC0415 - only job files need pydantic
+        from turnwright.surface.tables import built  # noqa: PLC0415 - only job files need pydantic
 
         above = super()._build
         return built(cls, table, lambda fields: above(fields, build, context), context)
 
     @classmethod
     def _written(cls, value: Any, *, whole: bool) -> dict[str, Any]:
-        from turnwright.surface.stated import table_of  # noqa: PLC0415 - only job files need pydantic
+        from turnwright.surface.tables import table_of  # noqa: PLC0415 - only job files need pydantic
 
         return table_of(value, whole=whole)
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        from turnwright.surface.stated import json_schema_of  # noqa: PLC0415 - only job files need pydantic
+        from turnwright.surface.tables import json_schema_of  # noqa: PLC0415 - only job files need pydantic
 
         schema = handler(core)
         if cls.family:
@@ -122,7 +122,7 @@ class Surface(Family, Value, ABC):
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        from turnwright.surface.stated import AnySurface  # noqa: PLC0415 - only job files need pydantic
+        from turnwright.surface.tables import AnySurface  # noqa: PLC0415 - only job files need pydantic
 
         if cls is Surface:
             return handler.generate_schema(AnySurface)

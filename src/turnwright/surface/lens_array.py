@@ -72,7 +72,7 @@ class _Surround:
     def __get_pydantic_core_schema__(cls, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         from pydantic_core import core_schema  # noqa: PLC0415 - only job files need pydantic
 
-        from turnwright.surface.stated import table_of  # noqa: PLC0415 - likewise
+        from turnwright.surface.tables import table_of  # noqa: PLC0415 - likewise
 
         def written(around: Surface | float | None) -> Any:
             if around is None:

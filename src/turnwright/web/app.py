@@ -18,12 +18,12 @@ from starlette.middleware import Middleware
 from turnwright import __version__
 from turnwright.errors import TurnwrightError, shortened
 from turnwright.web import files, measurements, planning, runs, views, windows
+from turnwright.web.data_folders import shipped_folder
 from turnwright.web.files import tidy
 from turnwright.web.guard import Guard, require_token
 from turnwright.web.limits import PARSE_BYTES, PARSE_S
 from turnwright.web.models import Problem
 from turnwright.web.queue import Runs
-from turnwright.web.shipped import shipped_folder
 from turnwright.web.workers import Busy, Superseded, planners
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import Any
 
 from turnwright._io import json_data, write_whole
 from turnwright.job import program_shares
-from turnwright.web.made import finishing_pass, numbers_of
+from turnwright.web.results import finishing_pass, numbers_of
 
 __all__ = ["budget"]
 

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from turnwright.web.shipped import shipped_folder
+from turnwright.web.data_folders import shipped_folder
 
 __all__ = ["Example", "example_files", "examples"]
 

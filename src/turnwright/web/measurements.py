@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, HTTPException, Query, Request
 from fastapi.responses import FileResponse, Response
 
-from turnwright.web import shown
+from turnwright.web import measurement_data
 from turnwright.web.files import RAW_BODY, stored, uploaded
 from turnwright.web.guard import UPLOAD_BYTES
 from turnwright.web.limits import MAP_TYPES, MAX_FILE_READ_S
@@ -69,7 +69,9 @@ async def show(
     state = request.app.state
     suffix = _map_suffix(name)
     async with uploaded(request, suffix) as (file, *_):
-        packed = await state.workers.ask(shown.lone_map, str(file), shown_name(name), limit_s=MAX_FILE_READ_S)
+        packed = await state.workers.ask(
+            measurement_data.lone_map, str(file), shown_name(name), limit_s=MAX_FILE_READ_S
+        )
     return PackedResponse(packed)
 
 
@@ -119,7 +121,9 @@ async def measured_map(
     file = folder / PICTURES[name]
     if not file.is_file():
         raise HTTPException(409, f"there is no {name} map yet")
-    packed = await state.workers.ask(shown.shown_map, str(file), state.runs.data(run), str(state.folder), nx, ny)
+    packed = await state.workers.ask(
+        measurement_data.shown_map, str(file), state.runs.data(run), str(state.folder), nx, ny
+    )
     return PackedResponse(packed)
 
 

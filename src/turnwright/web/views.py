@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Request, Response
 from pydantic import Field
 
-from turnwright.web import jobs, seen
+from turnwright.web import jobs, previews
+from turnwright.web.binary import MEDIA_TYPE
 from turnwright.web.models import Model, Problem, Question, answer_of
-from turnwright.web.packed import MEDIA_TYPE
 from turnwright.web.workers import Workers
 
 __all__ = ["ARRAYS", "PACKED", "PackedResponse", "path_worker", "router"]
@@ -59,7 +59,7 @@ PACKED: dict[int | str, dict[str, Any]] = {
 
 
 class PackedResponse(Response):
-    """Answer with arrays, see `turnwright.web.packed`."""
+    """Answer with arrays, see `turnwright.web.binary`."""
 
     media_type = MEDIA_TYPE
 
@@ -101,14 +101,14 @@ async def view_surface(request: Request, question: SurfaceQuestion) -> Response:
     """Return a surface map: heights [mm], and values of a quantity."""
     state = request.app.state
     workers = _workers(request, question.data) if question.quantity == "chip thickness" else state.workers
-    return await _answer(workers, question, seen.surface, str(state.folder), question.quantity, question.pixels)
+    return await _answer(workers, question, previews.surface, str(state.folder), question.quantity, question.pixels)
 
 
 @router.post("/path", response_class=Response, responses=PACKED)
 async def view_path(request: Request, question: PathQuestion) -> Response:
     """Return revolutions of the finishing path with exact contact points [mm, rad]."""
     workers = _workers(request, question.data)
-    return await _answer(workers, question, seen.path, str(request.app.state.folder), question.points)
+    return await _answer(workers, question, previews.path, str(request.app.state.folder), question.points)
 
 
 @router.post("/section", response_class=Response, responses=PACKED)
@@ -117,4 +117,4 @@ async def view_section(request: Request, question: SectionQuestion) -> Response:
     at, state = question.at, request.app.state
     workers = state.workers if at.feed is not None else _workers(request, question.data)
     place = (at.angle, at.radius, at.y, at.feed)
-    return await _answer(workers, question, seen.section, str(state.folder), *place, keep=False)
+    return await _answer(workers, question, previews.section, str(state.folder), *place, keep=False)

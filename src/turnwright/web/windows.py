@@ -12,7 +12,7 @@ from fastapi.exceptions import HTTPException
 from pydantic import Field
 
 from turnwright.progress import cores
-from turnwright.web import budget, made
+from turnwright.web import budget, results
 from turnwright.web.limits import STORED_PIXEL_RATIO
 from turnwright.web.models import Coordinate, Model, RunId
 from turnwright.web.views import PACKED, PackedResponse, path_worker
@@ -80,7 +80,7 @@ def _motion_worker(request: Request) -> Workers:
     """Return the worker process that caches motions."""
     state = request.app.state
     if getattr(state, "window_worker", None) is None:
-        state.window_worker = Workers(1, threads=cores(), warm=made.warm)
+        state.window_worker = Workers(1, threads=cores(), warm=results.warm)
     workers: Workers = state.window_worker
     return workers
 
@@ -102,7 +102,7 @@ async def _compute(
 async def run_maps(request: Request, id: RunId) -> list[Map]:  # noqa: A002 - the name in the API
     """List the stored maps of a run."""
     _motion_worker(request)  # start it early: a finer window usually follows
-    return [Map(**one) for one in await request.app.state.workers.ask(made.listed, _out(request, id), keep=True)]
+    return [Map(**one) for one in await request.app.state.workers.ask(results.listed, _out(request, id), keep=True)]
 
 
 @router.get("/{id}/map", response_class=Response, responses=NOT_FOUND)
@@ -121,7 +121,7 @@ async def run_map(
 ) -> Response:
     """Return a window of a map, by default all of it; a window finer than the stored map is simulated."""
     out = _out(request, id)
-    maps = await request.app.state.workers.ask(made.listed, out, keep=True)
+    maps = await request.app.state.workers.ask(results.listed, out, keep=True)
     entry = next((each for each in maps if each["name"] == name), None)
     if entry is None:
         raise HTTPException(404, f"map must be one of {', '.join(each['name'] for each in maps)}")
@@ -142,9 +142,9 @@ async def run_map(
     stored = step >= STORED_PIXEL_RATIO * (entry["pixel"] or math.inf) and (within or not entry["x"])
     arguments = (out, name, list(x), list(y), [ny, nx], quantity)
     if stored:
-        packed = await request.app.state.workers.ask(made.window, *arguments, keep=True)
+        packed = await request.app.state.workers.ask(results.window, *arguments, keep=True)
     else:
-        packed = await _compute(request, made.window, *arguments, latest=f"window {client}" if client else "")
+        packed = await _compute(request, results.window, *arguments, latest=f"window {client}" if client else "")
     return PackedResponse(packed)
 
 
@@ -155,7 +155,7 @@ async def run_chips(
     pixels: Annotated[int, Query(ge=16, le=768)] = 288,
 ) -> Response:
     """Return the maximum uncut chip thickness of the finishing pass over the part [mm]."""
-    packed = await request.app.state.workers.ask(made.chips, _out(request, id), pixels, keep=True)
+    packed = await request.app.state.workers.ask(results.chips, _out(request, id), pixels, keep=True)
     return PackedResponse(packed)
 
 
@@ -180,7 +180,7 @@ async def run_profile(
     if math.hypot(x1 - x0, y1 - y0) < 1e-9:
         raise HTTPException(422, "the profile must be longer than 1e-9 mm")
     packed = await _compute(
-        request, made.profile, _out(request, id), [x0, y0, x1, y1], n, latest=f"profile {client}" if client else ""
+        request, results.profile, _out(request, id), [x0, y0, x1, y1], n, latest=f"profile {client}" if client else ""
     )
     return PackedResponse(packed)
 
@@ -192,7 +192,7 @@ async def run_motion(
     points: Annotated[int, Query(ge=10, le=20_000)] = 1500,
 ) -> Response:
     """Return the axis motion of the finishing pass and the machine limits."""
-    return PackedResponse(await _compute(request, made.motion, _out(request, id), points))
+    return PackedResponse(await _compute(request, results.motion, _out(request, id), points))
 
 
 @router.get("/{id}/spectrum", response_class=Response, responses=NOT_FOUND)
@@ -202,4 +202,4 @@ async def run_spectrum(
     axis: Annotated[str, Query(pattern="^[A-Z]$")] = "Z",
 ) -> Response:
     """Return the amplitude spectrum of an axis, and the largest sine amplitude within its limits."""
-    return PackedResponse(await _compute(request, made.spectrum, _out(request, id), axis))
+    return PackedResponse(await _compute(request, results.spectrum, _out(request, id), axis))

@@ -256,7 +256,7 @@ def _diagnose(run: Path, server: Path, out: Path, record: dict[str, Any], progre
     """Run ``turnwright diagnose`` and write the data of the page."""
     from turnwright import report  # noqa: PLC0415
     from turnwright.job import diagnose, missed  # noqa: PLC0415
-    from turnwright.web.shown import write_shown  # noqa: PLC0415
+    from turnwright.web.measurement_data import write_shown  # noqa: PLC0415
 
     measured = [_measured(run, server, progress, record)]
     diagnosis = diagnose(measured, progress=progress)
@@ -272,7 +272,7 @@ def _correct(run: Path, server: Path, out: Path, record: dict[str, Any], progres
     """Run ``turnwright correct``, then ``turnwright run`` of the corrected job."""
     from turnwright import report  # noqa: PLC0415
     from turnwright.job import Job, correct, diagnose, missed  # noqa: PLC0415
-    from turnwright.web.shown import write_predicted  # noqa: PLC0415
+    from turnwright.web.measurement_data import write_predicted  # noqa: PLC0415
 
     measured = [_measured(run, server, progress, record)]
     diagnosis = diagnose(measured, progress=progress)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from turnwright.errors import InputError, TurnwrightError
 from turnwright.progress import cores
 from turnwright.studies import LocalPool, WorkerDied
-from turnwright.web import jobs, seen
+from turnwright.web import jobs, previews
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -258,7 +258,7 @@ class Workers:
 
 def planners() -> Workers:
     """Start the worker processes for planning; each may use all cores, for one request at a time."""
-    then = (seen.warm_compiler, seen.warm_surface, jobs.warm_kernels)
+    then = (previews.warm_compiler, previews.warm_surface, jobs.warm_kernels)
     return Workers(PLANNERS, threads=cores(), warm=jobs.warm, then=then)
 
 

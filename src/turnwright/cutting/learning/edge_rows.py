@@ -15,8 +15,8 @@ from turnwright._arrays import Bools, Complexes, Floats
 from turnwright.cutting.chip import RoundChip
 from turnwright.cutting.forces import FlyCut, SlotMill
 from turnwright.cutting.learning.cuts import MILLED, SPINDLE_SPEED_TOL, TURNED, InterruptedCuts, NoseCuts, find_speed
-from turnwright.cutting.learning.learned import FORCE_NAMES, Transition
 from turnwright.cutting.learning.regression import MAX_CHANCE, MIN_ROWS, TINY, Fit, Rows, hansen, interval
+from turnwright.cutting.learning.results import FORCE_NAMES, Transition
 from turnwright.errors import InputError
 
 __all__ = ["InterruptedRows", "TurningRows"]

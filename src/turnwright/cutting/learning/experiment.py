@@ -30,9 +30,9 @@ from turnwright.cutting.learning.cuts import (
     turning_cuts,
 )
 from turnwright.cutting.learning.dynamometer import STOP_RATIO, Dynamometer, TapTest
-from turnwright.cutting.learning.learned import Estimate, LearnedMaterial
 from turnwright.cutting.learning.material_fit import learn_material
 from turnwright.cutting.learning.records import NEWTONS, read_forces, read_table
+from turnwright.cutting.learning.results import Estimate, LearnedMaterial
 from turnwright.cutting.learning.signals import ForceRecord, engagements, in_air, low_pass, remove_drift
 from turnwright.errors import InputError
 from turnwright.units import Angle, Count, Feed, Flag, Frequency, Length, Number, Size, Speed, Text, Time, plain

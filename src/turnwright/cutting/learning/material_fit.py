@@ -14,7 +14,8 @@ from turnwright._arrays import Bools, frozen
 from turnwright._validate import between
 from turnwright.cutting.learning.cuts import Cuts, NoseCuts
 from turnwright.cutting.learning.edge_rows import InterruptedRows, TurningRows
-from turnwright.cutting.learning.learned import (
+from turnwright.cutting.learning.regression import MIN_ROWS, TINY, WARNING_CONFIDENCE, Fit, Rows, Solved
+from turnwright.cutting.learning.results import (
     FORCE_NAMES,
     Estimate,
     ForceFit,
@@ -22,7 +23,6 @@ from turnwright.cutting.learning.learned import (
     Transition,
     report_estimates,
 )
-from turnwright.cutting.learning.regression import MIN_ROWS, TINY, WARNING_CONFIDENCE, Fit, Rows, Solved
 from turnwright.cutting.learning.signals import MIN_FILL, find_clipped, find_saturated
 from turnwright.cutting.learning.straight import StraightRows
 from turnwright.errors import InputError

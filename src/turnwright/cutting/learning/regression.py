@@ -12,7 +12,7 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats
 from turnwright._validate import whole
-from turnwright.cutting.learning.learned import FORCE_NAMES, Transition
+from turnwright.cutting.learning.results import FORCE_NAMES, Transition
 from turnwright.cutting.learning.signals import MAX_DRIFT_DEGREE, correlation_time
 from turnwright.errors import InputError
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints
 from turnwright.cutting.learning.cuts import Cuts
-from turnwright.cutting.learning.learned import FORCE_NAMES, Transition
 from turnwright.cutting.learning.regression import (
     MAX_CHANCE,
     MIN_ROWS,
@@ -24,6 +23,7 @@ from turnwright.cutting.learning.regression import (
     hansen,
     interval,
 )
+from turnwright.cutting.learning.results import FORCE_NAMES, Transition
 from turnwright.errors import InputError
 
 __all__ = ["StraightRows"]

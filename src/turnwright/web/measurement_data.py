@@ -12,8 +12,8 @@ from turnwright._io import write_json
 from turnwright.errors import InputError
 from turnwright.files import read_map
 from turnwright.metrology import area_psd, level, overview
+from turnwright.web.binary import pack
 from turnwright.web.jobs import require
-from turnwright.web.packed import pack
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats

@@ -14,8 +14,8 @@ from turnwright.access import reach_at
 from turnwright.errors import InputError
 from turnwright.path import Spiral
 from turnwright.placing import place
+from turnwright.web.binary import pack
 from turnwright.web.jobs import SMALL, require
-from turnwright.web.packed import pack
 
 if TYPE_CHECKING:
     from turnwright._arrays import Bools, Floats

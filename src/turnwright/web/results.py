@@ -21,9 +21,9 @@ from turnwright.generation import Prepared, Tiles
 from turnwright.heightmap import HeightMap
 from turnwright.job import Job, predicted_motion
 from turnwright.progress import run_chunks
+from turnwright.web.binary import pack
 from turnwright.web.limits import STORED_PIXEL_RATIO
-from turnwright.web.packed import pack
-from turnwright.web.seen import nominal_height
+from turnwright.web.previews import nominal_height
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
