@@ -64,7 +64,7 @@ def lens():
     return Cut("infrared_lens", tw.SlowToolServo(feed=0.1, points_per_rev=3600, spindle_rpm=60, lead_in=0.25))
 
 
-def test_precorrection_leaves_a_twentieth_of_the_error_of_the_infrared_lens(lens):
+def test_precorrection_leaves_a_twentieth_of_the_lens_error(lens):
     before, after = lens.error(lens.motion), lens.error(tw.precorrect(lens.motion))
     assert np.ptp(before) > 100
     assert np.ptp(after) < 0.05 * np.ptp(before)
