@@ -39,7 +39,7 @@ def test_a_field_too_small_to_be_looked_for_is_refused(across):
     axis = np.linspace(-across / 2, across / 2, 41)
     x, y = np.meshgrid(axis, axis)
     small = HeightMap(x=axis, y=axis, z=part.surface.sag(x, y))
-    with pytest.raises(InputError, match=r"a reach of 5 mm .* million places .* Check the unit .* a reach of at most"):
+    with pytest.raises(InputError, match=r"a reach of 5 mm .* million positions .* Check the unit .* of at most"):
         register(small, part)
     assert register(small, part, reach=across, clocking=0.0).rms_nm < 1e-3
 

@@ -141,7 +141,7 @@ def profile_roughness(
     valid = parts[~np.isnan(parts)]
     filled = [one[~np.isnan(one)] for one in counts]
     if any(one.size == 0 for one in filled):
-        notes.append(f"{sum(one.size == 0 for one in filled)} sections have no height and are left out")
+        notes.append(f"{sum(one.size == 0 for one in filled)} sections have no valid heights and are left out")
         filled = [one for one in filled if one.size]
     if not valid.size:
         raise InputError("the profile has 0 valid heights in its sections, roughness needs 1: measure another")

@@ -259,7 +259,8 @@ class Registration:
         )
         remedies = {
             "tails": 'Clean the map, mask it, or take loss="huber".',
-            "ambiguous": "Measure the edge of the part or a fiducial, and give a start and a reach that leave one.",
+            "ambiguous": "Measure the edge of the part or a fiducial, and give a start and a reach that exclude the "
+            "others.",
         }
         return first, *(" ".join(filter(None, (fact, remedies.get(kind)))) for kind, fact in self.findings)
 
