@@ -145,7 +145,7 @@ def _search_widening(
             raise GougeError(
                 f"with the tip {tips.radius[some[0]]:.6g} mm from the axis the surface stands above the edge "
                 f"even {window.high:.3g} mm up its flanks: take a tool with a larger included angle, or a surface "
-                "that does not run away outside the part"
+                "that rises less outside the part"
             )
         window = window._replace(low=2 * window.low, high=2 * window.high)
         if line is not None:

@@ -386,9 +386,9 @@ class QuasiEllipticalToolServo(Strategy):
         off = float(np.abs(moment - edges).max())
         if off > MAX_SWING_RAD / 2:
             raise LimitError(
-                f"Y would swing by {off * float(radius.max()):.3g} mm to keep y_acceleration "
-                f"{self.y_acceleration:g} mm/s^2 at {self.spindle_rpm:g} rev/min, the limit is half a radian: use a "
-                "lower spindle speed"
+                f"Y would swing by {off * float(radius.max()):.3g} mm to stay within y_acceleration "
+                f"{self.y_acceleration:g} mm/s^2 at {self.spindle_rpm:g} rev/min, the limit is half the "
+                "radius: use a lower spindle speed"
             )
         return np.ascontiguousarray(moment[1:-1], dtype=np.float64)
 

@@ -88,7 +88,7 @@ class _Surround:
 class LensArray(Surface):
     """An array of equal lenslets, one at each centre.
 
-    Every point of the plane belongs to the nearest centre, on a tie to the first, so the outermost cells are
+    Every point of the plane belongs to the nearest centre, or the first of several, so the outermost cells are
     unbounded; between neighbours there is a sharp valley or ridge. With an ``aperture`` the lenslets are round instead,
     and the ``surround`` is the surface outside all of them.
 
@@ -111,7 +111,7 @@ class LensArray(Surface):
         Number n of rings around the lenslet at ``offset`` of a hexagonal array: 3 n (n + 1) + 1 lenslets.
     within
         Radius of a circle about the axis: a lenslet is included if its circle of radius ``aperture``, by default half
-        the pitch, lies inside. One is at ``offset``; half a pitch each way puts a corner on the axis. [mm]
+        the pitch, lies inside. One lenslet is at ``offset``; half a pitch along x and y puts a corner on the axis. [mm]
     offset
         Position of the array; on the axis by default. [mm]
     aperture
