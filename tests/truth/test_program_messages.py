@@ -75,8 +75,8 @@ DAMAGED = {
     "rest of a formula": ("#1 = 1 ] 2\n", "line 1 has an expression that cannot be read"),
     "condition": ("WHILE [#1] DO 1\n", "line 1 has a condition that cannot be read"),
     "loop": ("#1 = 0\nWHILE [#1 LT 3] DO 1\n" + START + "#1 = #1 + 1\nEND 1\n", "line 8 repeats a loop"),
-    "no loop": ("#1 = 3\nWHILE [#1 LT 3] DO 1\n" + START, "line 2 begins a loop that never runs"),
-    "jump": ("IF [1 EQ 1] GOTO 5\n", "line 1 is a statement that Turnwright does not follow"),
+    "no loop": ("#1 = 3\nWHILE [#1 LT 3] DO 1\n" + START, "line 2 begins a loop that runs 0 times"),
+    "jump": ("IF [1 EQ 1] GOTO 5\n", "line 1 is a statement that Turnwright does not support"),
     "two cuts of one name": (
         "( PASS: a )\n" + START + "C2\nG94 Z5\nZ1\nG93\nC3\nC4\nG94 Z5\n",
         "ends a second cut in pass a, of 2 blocks after 2",

@@ -55,7 +55,7 @@ def _trim(settings: MeasurementTable, radius: float) -> str:
     keys: dict[str, object] = {"trim": _length(max(2 * settings.trim, EDGE_FRACTION * radius))}
     if settings.outliers != "robust":
         keys = {"outliers": "robust", **keys}
-    return f"Write {_keys(keys)} in [measurement], or mirrored or inverted if the map is."
+    return f"Write {_keys(keys)} in [measurement], or state mirrored or inverted if the map is so."
 
 
 def _larger(settings: MeasurementTable) -> str:

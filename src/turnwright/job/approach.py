@@ -223,7 +223,7 @@ def _plan_entry(job: Job, name: str, motion: Motion, before: Motion | None) -> E
         )
     if depth is not None and job.program.fast_tool == "time" and float(np.ptp(w)) > 1e-6:
         raise LimitError(
-            f"pass {name}: a fast tool with a table by time stands still in a plunge, so the pass must begin outside "
+            f"pass {name}: a fast tool with a table by time cannot move in a plunge, so the pass must begin outside "
             'the blank: state part.blank and a longer lead_in, or fast_tool = "position"'
         )
     approach = approach_to(

@@ -481,7 +481,7 @@ def _refusal(diagnosis: Diagnosis, plan: _Plan, parts: int) -> str:
     if proof.before_nm < MIN_ERROR_RATIO * proof.min_effect_nm:
         return (
             f"no correction is written: the next part has a form error of {proof.before_nm:.2g} nm rms without cusps "
-            f"and noise, too small for a certain gain of {proof.min_effect_nm:g} nm: cut on, or lower "
+            f"and noise, too small for a certain gain of {proof.min_effect_nm:g} nm: keep this job, or lower "
             "measurement.min_effect"
         )
     gain = proof.gain_nm
@@ -490,8 +490,9 @@ def _refusal(diagnosis: Diagnosis, plan: _Plan, parts: int) -> str:
     )
     worst = f"worse by {proof.worst_nm:.2g} nm" if proof.worst_nm > 0 else f"better by {-proof.worst_nm:.2g} nm"
     why = (
-        f"no correction is written: of {proof.draws} draws of the next part, {proof.before_nm:.3g} nm rms before, "
-        f"{usual}, and the worst becomes {worst}; 95 % must gain {proof.min_effect_nm:g} nm, and none may lose as much"
+        f"no correction is written: of {proof.draws} simulated next parts, {proof.before_nm:.3g} nm rms before, "
+        f"{usual}, and the worst becomes {worst}; 95 % must improve by {proof.min_effect_nm:g} nm, none may become "
+        "worse by as much"
     )
     if plan.draws.unmeasured:
         return f"{why}. {plan.draws.unmeasured:.0%} of the part lies beyond the map: measure all of it"
@@ -499,7 +500,7 @@ def _refusal(diagnosis: Diagnosis, plan: _Plan, parts: int) -> str:
     if scatter is not None and scatter > 1:
         shared = math.sqrt(max(diagnosis.explained_rms_nm**2 - scatter**2, 0.0))
         more = math.ceil(4 * (scatter / shared) ** 2) - parts if shared > scatter / 4 else 0
-        remedy = f"measure {more} more" if more > 0 else "find what moves from part to part"
+        remedy = f"measure {more} more" if more > 0 else "find what differs between the cuts"
         return f"{why}. The maps differ by {scatter:.3g} nm rms: {remedy}"
     hidden = next((one for one in diagnosis if one.verdict != "correct" and one.rms_nm > 1), None)
     return f"{why}. {hidden.why if hidden else 'Measure more points, or more parts'}"
@@ -630,8 +631,8 @@ def _sentences(
         + (", all other errors that repeat by the target surface" if form else "")
     )
     sentences.append(
-        f"of {proof.draws} random draws of the uncertainties, 95 % improve by {proof.gain_nm:.3g} nm rms or more and "
-        f"none becomes worse by more than {max(proof.worst_nm, 0.0):.2g} nm: {proof.before_nm:.3g} nm rms before, "
+        f"of {proof.draws} next parts simulated with random errors, 95 % improve by {proof.gain_nm:.3g} nm rms or more "
+        f"and none becomes worse by more than {max(proof.worst_nm, 0.0):.2g} nm: {proof.before_nm:.3g} nm rms before, "
         f"{proof.after_nm:.3g} nm after"
     )
     stays = [

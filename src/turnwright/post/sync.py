@@ -218,7 +218,7 @@ def _make_position_rows(motion: Motion, machine: Machine, dialect: Dialect) -> t
     if bad.size:
         raise ProgramError(
             f"row {bad[0] + 2} of the fast tool's table turns C by {step[bad[0]] / scale[1]:g} deg, the limits are one "
-            f"unit of the program, {1 / scale[1]:g} deg, and half a turn: use other points per turn"
+            f"unit of the program, {1 / scale[1]:g} deg, and half a turn: use another number of points per revolution"
         )
     return rows, decimals, off
 
