@@ -46,7 +46,7 @@ function Plan() {
       <ul class="sentences">${errors.slice(0, 4).map((error) => html`<li>${error.sentence}</li>`)}</ul>${stale && html`<p class="quiet">Below: the last valid job.</p>`}</section>`}
     <div class=${stale ? "cards stale" : "cards"} aria-busy=${checking ? "true" : "false"}>
     <section class=${ok ? "card verdict good" : "card verdict bad"} id="verdict" aria-live="polite">
-      <${Mark} ok=${ok} /><div><h3>${ok ? "The tool has access to the part" : access.ok ? "A run would refuse the job" : "The tool has no access to the part"}</h3>
+      <${Mark} ok=${ok} /><div><h3>${ok ? "The tool has access to the part" : access.ok ? "A run would stop with an error" : "The tool has no access to the part"}</h3>
       ${refused.map((sentence) => html`<p>${sentence}</p>`)}</div>
     </section>
     <${Card} title="Access"><ul class="findings">${access.findings.map((finding) => html`<${Finding} key=${finding.name} finding=${finding} />`)}</ul></${Card}>
@@ -73,7 +73,7 @@ function Length({ preview }) {
     ${names.length > 1 && html`<table class="small"><thead><tr><th>pass</th><th class="number">points</th><th class="number">at least</th><th></th></tr></thead>
       <tbody>${names.map((name) => html`<tr><th scope="row">${name}</th><td class="number">${count(preview.points[name])}</td><td class="number">${duration(preview.shortest_s[name])}</td>
         <td class="meter"><${Bar} share=${(preview.shortest_s[name] ?? 0) / longest} /></td></tr>`)}</tbody></table>`}
-    <p class="quiet">By block rate and spindle speed only; a run includes the axis limits.</p>
+    <p class="quiet">From block rate and spindle speed only; a run includes the axis limits.</p>
   </${Card}>`;
 }
 
