@@ -363,7 +363,7 @@ def _resample(seen: HeightMap | Profile, like: HeightMap | Profile) -> HeightMap
 
     if isinstance(seen, Profile):
         if not isinstance(like, Profile):
-            raise InputError("a profile is compared with a map: take a line of the map first (line_profile)")
+            raise InputError("a profile is compared with a map: extract a line of the map first (line_profile)")
         axes, targets, z = [seen.distance], [like.distance], seen.z
     else:
         if not isinstance(like, HeightMap) or like.x is None or like.y is None or like.scattered:

@@ -329,7 +329,7 @@ def test_arrays_travel_through_the_store_and_are_written_once(pool, store):
     assert [row["sum"] for row in rows] == [heights[: n + 1].sum() for n in range(3)]
     assert rows[0]["count"] == 1000
     assert store.row("case-0")["limit"] == math.inf
-    with pytest.raises(InputError, match="has no array 'other': put it first"):
+    with pytest.raises(InputError, match="has no array 'other': store it first"):
         store.array("other")
 
 

@@ -237,7 +237,7 @@ def _plan_entry(job: Job, name: str, motion: Motion, before: Motion | None) -> E
     least = GAP / 2 if depth is not None else MIN_GAP_MM
     if not gap >= least:
         raise LimitError(
-            f"pass {name}: the tool would come within {gap:.4g} mm of the material while C stands still, the limit is "
+            f"pass {name}: the tool would come within {gap:.4g} mm of the material while C is at rest, the limit is "
             f"{least:g} mm: state part.blank and a longer lead_in"
         )
     return Entry(

@@ -185,7 +185,7 @@ def correct(
     _check_new(job, every, is_same_part)
     _check_sane(diagnosis)
     cached_motion = cache(motion_of)
-    with watch.stage("prove the correction") as tell:
+    with watch.stage("verify the correction") as tell:
         plan = _choose_plan(job, diagnosis, is_same_part)
         tell(1, 2)
         if any(is_same_part):

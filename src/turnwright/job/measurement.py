@@ -543,7 +543,7 @@ def _diagnose_all(every: Sequence[Measured]) -> Diagnosis:
         if not same_part(one.job, first) and _planned_with(one.job) != _planned_with(first):
             raise InputError(
                 f"{one.job.part.name!r} and {first.part.name!r} were planned with different tools or machines, a "
-                "diagnosis takes 1 of each: diagnose them separately"
+                "diagnosis allows 1 of each: diagnose them separately"
             )
     for k, one in enumerate(every):
         if any(one.fingerprint == other.fingerprint for other in every[:k]):

@@ -201,7 +201,7 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
 
 def stage_of(interpolation: str) -> str:
     """Return the name of the stage of a plan that tries an interpolation."""
-    return f"points, speed and proof, {interpolation}"
+    return f"points, speed and verification, {interpolation}"
 
 
 def _plan_interpolation(job: Job, form: float, sq: float, report: StageProgress) -> Plan:

@@ -122,7 +122,7 @@ def profile_roughness(
     if fit < max(wanted, 1):
         raise InputError(
             f"the profile is {length:.4g} mm long, {max(wanted, 1)} sections of {cutoff:g} mm need more: "
-            "measure a longer one, or take a shorter cutoff"
+            "measure a longer one, or use a shorter cutoff"
         )
     notes = (
         []
@@ -152,7 +152,7 @@ def profile_roughness(
     if crossed:
         notes.append(f"{crossed} profile elements reach a gap without heights and do not count for rsm")
     if np.isnan(rsm):
-        notes.append("rsm is nan: the evaluation length holds no whole profile element without a gap")
+        notes.append("rsm is nan: the evaluation length has no complete profile element")
     return ProfileRoughness(
         ra_nm=float(np.mean(np.abs(valid))) * NM,
         rq_nm=rq * NM,

@@ -258,7 +258,7 @@ class Registration:
             f"frame to the part's; {self.count} points fit to {self.rms_nm:.4g} nm rms along the {along}."
         )
         remedies = {
-            "tails": 'Clean the map, mask it, or take loss="huber".',
+            "tails": 'Clean the map, mask it, or use loss="huber".',
             "ambiguous": "Measure the edge of the part or a fiducial, and give a start and a reach that exclude the "
             "others.",
         }

@@ -305,6 +305,6 @@ def _cut(z: Floats, missing: str, steps: tuple[float, float], *, rows: int) -> t
     if part.shape[0] < rows or part.shape[1] < FEWEST:
         raise InputError(
             f"the part of the map for the spectrum has {part.shape[0]} x {part.shape[1]} points, the least is {rows} x "
-            f'{FEWEST}: map more of the part, or take missing="mask"'
+            f'{FEWEST}: map more of the part, or use missing="mask"'
         )
     return part, (note,)

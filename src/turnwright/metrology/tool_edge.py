@@ -364,7 +364,7 @@ def _smooth(sweep: Floats, off: Floats, cutoff: float) -> tuple[WavinessTable, F
     if np.count_nonzero(filled) < POINTS_PER_CUTOFF:
         raise InputError(
             f"the arc spans {np.rad2deg(np.ptp(sweep)):.3g} deg and the cutoff {np.rad2deg(cutoff):.3g} deg of it, at "
-            "least one cutoff must fit: take a smaller cutoff"
+            "least one cutoff must fit: use a smaller cutoff"
         )
     at, height = (np.bincount(number, weights=values)[filled] / count[filled] for values in (sweep, off))
 

@@ -957,7 +957,7 @@ class _Reader:
         elif np.any(step != 0):
             self._close()
         elif self.cut is not None:
-            raise self._error("stands still within a cut", "remove the repeated point")
+            raise self._error("does not move within a cut", "remove the repeated point")
 
     def _cut(self, before: Floats, step: Floats) -> None:
         """Add the current block to the cut, beginning one if none is open."""

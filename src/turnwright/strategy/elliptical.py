@@ -216,7 +216,7 @@ class QuasiEllipticalToolServo(Strategy):
         self._make_slow_servo()
         needed, other = ("y_acceleration", "shortest") if self.short == "slow" else ("shortest", "y_acceleration")
         if getattr(self, needed) is None or getattr(self, other) is not None:
-            raise InputError(f'short="{self.short}" takes {needed} and not {other}: set {needed} alone')
+            raise InputError(f'short="{self.short}" needs {needed} and must not have {other}: set {needed} alone')
         if self.short == "slow" and self.spindle_rpm is None:
             raise InputError('short="slow" needs spindle_rpm, none is set: set the spindle speed')
 

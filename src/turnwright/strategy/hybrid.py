@@ -94,7 +94,7 @@ class HybridToolServo(OverPlan):
 
     def _raise_split_error(self) -> NoReturn:
         raise InputError(
-            f"the motion is split by {' and '.join(self._split_fields) or 'nothing'}, it takes base and tool, or fast "
+            f"the motion is split by {' and '.join(self._split_fields) or 'nothing'}, it needs base and tool, or fast "
             "alone: set the slow part of the surface, or the limits of the fast tool"
         )
 

@@ -315,7 +315,7 @@ def _make_grid(fields: tuple[Varied, ...], count: int | None) -> list[tuple[Toke
     cases = math.prod(len(one.values) for one in fields)
     if cases > MAX_CASES:
         raise InputError(
-            f"the grid has {cases:_} cases, the limit is {MAX_CASES:_}: take fewer values, or a random design"
+            f"the grid has {cases:_} cases, the limit is {MAX_CASES:_}: use fewer values, or a random design"
         )
     return list(product(*(one.values for one in fields)))
 

@@ -168,7 +168,7 @@ class Store:
                 return mapped
             array: np.ndarray = np.load(io.BytesIO(self._read("arrays", file)), allow_pickle=False)
         except FileNotFoundError:
-            raise InputError(f"the store {self.place!r} has no array {name!r}: put it first") from None
+            raise InputError(f"the store {self.place!r} has no array {name!r}: store it first") from None
         except OSError as error:
             raise self._storage_error(error, "read") from error
         array.flags.writeable = False
