@@ -63,7 +63,7 @@ DAMAGED = {
     "another axis": (START + "C2 B5\n", "line 5 has the word B, the axes are C, X, Y and Z"),
     "standstill": (START + "C2\nC2\nC3\n", "line 6 does not move within a cut"),
     "back": (START + "C2\nC1.5\nC3\nM30\n", "block 3 of cut 1 turns C back"),
-    "half a turn": (START + "C181\nM30\n", "block 2 of cut 1 turns C back, by nothing or by half a turn"),
+    "half a turn": (START + "C181\nM30\n", "block 2 of cut 1 turns C backwards, not at all or by half a turn"),
     "no feed": ("X1 Z1\nC0\nC1\n", "line 3 cuts without a feed"),
     "feed of zero": (START + "F0\nC2\n", "line 6 cuts with a feed of 0"),
     "missing sub-program": ("M98(gone.nc)\n", "line 1 calls gone.nc, which is not in the same folder"),

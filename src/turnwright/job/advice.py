@@ -60,8 +60,8 @@ def _trim(settings: MeasurementTable, radius: float) -> str:
 
 def _larger(settings: MeasurementTable) -> str:
     return (
-        "Unless they are points beyond the rim, state shift and rotation of the map, and a reach of more than "
-        f"{_length(settings.reach)}, in [measurement]."
+        "Unless these points lie beyond the rim of the part, state shift and rotation of the map, and a reach of more "
+        f"than {_length(settings.reach)}, in [measurement]."
     )
 
 

@@ -263,10 +263,10 @@ def _motion(path: Path, cut: _Cut, header_pass: ProgramPass | None, machine: Mac
         cumulative = False
     if bad >= 0:
         reason = "" if within_one_turn else " (it leaves 0 to 360, so it does not roll over)"
-        alternative = "or not at all" if cumulative else "by nothing or by half a turn"
+        alternative = "or not at all" if cumulative else "not at all or by half a turn"
         raise ProgramError(
-            f"{path}: block {bad} of {cut.name} turns C back, {alternative}, to {axes['C'][bad]:g}{reason}, the sense "
-            "of rotation must not change: split the program there"
+            f"{path}: block {bad} of {cut.name} turns C backwards, {alternative}, to {axes['C'][bad]:g}{reason}, the "
+            "sense of rotation must not change: split the program there"
         )
     time = rows[4]
     kernel.clock(time)

@@ -143,7 +143,7 @@ function drawLimits(plot, limits, colours, log) {
     if (log && outside) continue;
     const below = y - plot.bbox.top < 16 * ratio;
     ctx.textBaseline = below ? "top" : "bottom";
-    if (text) ctx.fillText(outside ? `${text}, far above` : text, plot.bbox.left + plot.bbox.width - 4 * ratio, y + (below ? 3 : -3) * ratio);
+    if (text) ctx.fillText(outside ? `${text}, above the range` : text, plot.bbox.left + plot.bbox.width - 4 * ratio, y + (below ? 3 : -3) * ratio);
   }
   ctx.restore();
 }
