@@ -57,8 +57,8 @@ class Dialect(Stated):
     wrapped
         Whether C is written modulo one turn (the axis rolls over and takes the short way) or cumulative.
     feed
-        Meaning of F under G93: the block time in seconds, or one over the block time in minutes; where words have
-        velocities, the meaning of PVT: the block time in milliseconds.
+        Meaning of F under G93: the block time in seconds, or its inverse in 1/min. With velocities, the meaning of
+        PVT: the block time in milliseconds.
     feed_decimals
         Largest number of decimals of the block time.
     feed_every_block

@@ -147,7 +147,7 @@ def _feed_line(dialect: Dialect) -> str:
             "( FEED: PVT IS THE TIME OF A BLOCK IN MS; THE VELOCITY AT ITS END FOLLOWS A COLON, MM/S OR DEG/S; "
             "F IS MM/S; FROM REST TO REST )"
         )
-    meaning = "THE SECONDS OF A BLOCK" if dialect.feed == "seconds" else "ONE OVER THE MINUTES OF A BLOCK"
+    meaning = "THE BLOCK TIME IN SECONDS" if dialect.feed == "seconds" else "1 / BLOCK TIME IN 1/MIN"
     validity = "" if dialect.feed_every_block else ", IN FORCE UNTIL THE NEXT F"
     return f"( FEED: UNDER G93, F IS {meaning}{validity}; WITH {dialect.feed_decimals} DECIMALS AT MOST )"
 
