@@ -79,7 +79,7 @@ class WavinessTable(Value):
         if self.sweep.shape != self.deviation.shape or self.sweep.size < 4:
             raise InputError(
                 f"a waviness table has {self.sweep.size} sweeps and {self.deviation.size} deviations, "
-                "it needs at least 4 of each and as many of one as of the other: complete it"
+                "it needs equal numbers of both, at least 4: complete it"
             )
         for end in self.sweep[[0, -1]]:
             check_angle(end, "a sweep of a waviness table", -np.pi, np.pi)

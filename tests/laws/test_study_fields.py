@@ -121,7 +121,7 @@ def test_a_field_that_is_not_there_is_named_with_the_nearest(job, name, said):
         ("tool.nose_radius", "uniform(1, 0.5) mm", "does not ascend between two finite numbers: give the lower"),
         ("tool.nose_radius", "uniform(1, 1e400) mm", "does not ascend between two finite numbers"),
         ("tool.nose_radius", "normal(0.5, 1e400) mm", "has no spread: give a deviation above 0"),
-        ("strategy.points_per_rev", "100.2..100.8", "takes whole numbers, 100.2 to 100.8 holds none: widen the range"),
+        ("strategy.points_per_rev", "100.2..100.8", "takes whole numbers, 100.2 to 100.8 has none: widen the range"),
         ("tool.nose_radius", [], "is varied over 0 values: give at least 1"),
         ("tool.nose_radius", [None], "cannot be None: give numbers, or texts with a unit"),
         ("strategy.points_per_rev", "100..200:4", "takes whole numbers, '100..200:4' holds 133.333: choose"),

@@ -14,8 +14,8 @@ MAP = HeightMap(x=AXIS, y=AXIS, z=PART.surface.sag(X, Y))
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        ({"free": ("x", "tip")}, r"free holds \['tip'\], known are x, y, z, rotation, tilt_x, tilt_y"),
-        ({"free": ()}, "free holds nothing"),
+        ({"free": ("x", "tip")}, r"free has \['tip'\], allowed are x, y, z, rotation, tilt_x, tilt_y"),
+        ({"free": ()}, "free has no entry"),
         ({"distance": "radial"}, 'distance is \'radial\', it must be "vertical" or "normal"'),
         ({"loss": "l1"}, 'loss is \'l1\', it must be "linear", "huber" or "tukey"'),
         ({"undetermined": "no"}, "undetermined is 'no'"),

@@ -518,9 +518,9 @@ def _check_linear(job: Job, draws: Draws, motion_of: MotionOf) -> None:
         off, size = (_rms_of_draws(draws, some, one) for one in (made - linear, linear))
         if off > max(LINEAR_TOL * size, LINEAR_TOL_NM):
             raise CorrectionError(
-                f"nothing is corrected: a draw of the errors makes {size:.3g} nm rms in the linear model and differs "
-                f"by {off:.3g} nm in full simulation, the limit is {LINEAR_TOL:.0%}: correct the largest error at the "
-                "machine first, then measure again"
+                f"nothing is corrected: a random set of errors causes {size:.3g} nm rms in the linear model, which "
+                f"differs by {off:.3g} nm in full simulation, the limit is {LINEAR_TOL:.0%}: correct the largest error "
+                "at the machine first, then measure again"
             )
 
 
@@ -560,9 +560,9 @@ def _check_claim(job: Job, plan: _Plan, *, off: tuple[Floats, Floats, Floats], p
     claimed = math.hypot(plan.proof.after_nm, cusps)
     if simulated > claimed + max(SIMULATION_TOL * claimed, SIMULATION_TOL_NM):
         raise CorrectionError(
-            f"nothing is corrected: the draws predict {claimed:.3g} nm rms with the cusps, the simulation of the "
-            f"corrected job {simulated:.3g} nm, the limit is {SIMULATION_TOL:.0%} and {SIMULATION_TOL_NM:g} nm more: "
-            "mask what is not the part in the map, or measure a second part"
+            f"nothing is corrected: {claimed:.3g} nm rms with the cusps are predicted, the simulation of the "
+            f"corrected job gives {simulated:.3g} nm, the limit is {SIMULATION_TOL:.0%} and {SIMULATION_TOL_NM:g} nm "
+            "more: mask what is not the part in the map, or measure a second part"
         )
 
 

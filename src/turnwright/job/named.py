@@ -317,7 +317,7 @@ class MachineTable(MachineDeviations):
             file = machine.sources.get("straightness", "")
             if not File(file).is_absolute():
                 raise InputError(
-                    f"a job names the file of a straightness, that of {machine.name!r} has none: write one"
+                    f"a job names a straightness by its file, that of {machine.name!r} has none: write a file"
                 )
             table["straightness_file"] = file
         sizes = {name: size for name, size in machine.plausible.items() if loaded.plausible.get(name) != size}

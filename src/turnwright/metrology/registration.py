@@ -432,7 +432,7 @@ def _task(
     heights.require_calibrated()
     unknown = sorted(set(free) - set(NAMES))
     if unknown or not free:
-        raise InputError(f"free holds {unknown or 'nothing'}, known are {', '.join(NAMES)}: choose among them")
+        raise InputError(f"free has {unknown or 'no entry'}, allowed are {', '.join(NAMES)}: choose among them")
     one_of(distance, "distance", ("vertical", "normal"))
     one_of(loss, "loss", ("linear", *LOSS_WIDTHS))
     noise = None if noise_nm is None else positive(noise_nm, "noise", "nm") / NM

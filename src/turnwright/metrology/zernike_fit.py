@@ -148,7 +148,7 @@ def fit_zernike(
     if inside < len(indices):
         raise InputError(
             f"the aperture of {radius:g} mm around ({centre[0]:g}, {centre[1]:g}) mm has {inside} valid heights, "
-            f"{len(indices)} Zernike terms need as many: correct the aperture"
+            f"{len(indices)} Zernike terms need at least that number: enlarge the aperture"
         )
     cloud = replace(cloud, used=used)
     residual = np.full(heights.z.shape, np.nan)

@@ -134,9 +134,7 @@ def write_fast_tool(
     if by not in COLUMNS:
         raise ProgramError(f'by is {by!r}, it must be "position" or "time": choose one')
     if (rate_hz is None) != (by == "position"):
-        raise ProgramError(
-            f"a table by {by} has the rate {rate_hz}, by time it needs one and by position it has none: correct it"
-        )
+        raise ProgramError(f"a table by {by} has the rate {rate_hz}, only a table by time has a rate: correct it")
     dialect = dialect_of(machine)
     table = path.parent / f"{path.stem}.fast.csv"
     hidden = table.with_name(f".{table.name}.{os.getpid()}")

@@ -86,7 +86,7 @@ def read_varied(job: Job, name: str, given: Vary) -> Varied:
     for token in (*varied.values, *(tokens if not varied.values and field.kind != "whole" else ())):
         field.check(token, varied.unit)
     if field.kind == "whole" and math.floor(varied.high or 0.0) < math.ceil(varied.low or 0.0):
-        raise InputError(f"{name} takes whole numbers, {varied.low:g} to {varied.high:g} holds none: widen the range")
+        raise InputError(f"{name} takes whole numbers, {varied.low:g} to {varied.high:g} has none: widen the range")
     if varied.log and not (varied.low or 0.0) > 0:
         raise InputError(f"{name}: a logarithmic range begins at {varied.low:g}, it must begin above 0: change it")
     return varied
