@@ -126,7 +126,7 @@ def faults(error: ValidationError, root: Any, tags: Mapping[str, Any], path: str
     for entry in faults_in_order:
         yield from _nearest(entry, choices[entry]) if isinstance(entry, str) else [entry.report]
     if error.error_count() > MAX_FAULTS:
-        yield "", f"{error.error_count() - MAX_FAULTS} more places are wrong: correct these first"
+        yield "", f"{error.error_count() - MAX_FAULTS} more keys are wrong: correct these first"
 
 
 _SENTENCES: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
@@ -147,7 +147,7 @@ _SENTENCES: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
     "too_short": lambda _, context: (
         f"has {context['actual_length']} values, it needs {context['min_length']}: add some"
     ),
-    "string_too_short": lambda _, __: "is empty, it must be text in quotes: write it so",
+    "string_too_short": lambda _, __: "is empty, it must be text in quotes: state it",
     "string_pattern_mismatch": lambda value, _: (
         f"is {shown(value)}, it may hold up to 30 letters, digits, - and _: rename it"
     ),
@@ -163,7 +163,7 @@ def _sentence(path: str, keys: Mapping[str, Any], problem: Mapping[str, Any]) ->
     if kind == "float_type" and isinstance(value, int) and not isinstance(value, bool):
         return f"{path} is beyond the range of numbers, about 1e308: give a smaller value"
     if kind in _KINDS:
-        return f"{path} is {shown(value)}, it must be {_KINDS[kind]}: write it so"
+        return f"{path} is {shown(value)}, it must be {_KINDS[kind]}: correct it"
     text = str(context.get("error") or context.get("text") or problem["msg"])
     return f"{path}: {text}" if path else text
 
@@ -201,7 +201,7 @@ def _nearest(path: str, kinds: Mapping[str, Sequence[_Fault]]) -> Iterator[tuple
         for fault in faults
     ]
     value = shown(next(iter(kinds.values()))[0].problem["input"])
-    yield shortened(path), f"{path} is {value}, it must be {' or '.join(allowed)}: write it so"
+    yield shortened(path), f"{path} is {value}, it must be {' or '.join(allowed)}: correct it"
 
 
 def suggestion(key: str, known: Iterable[str]) -> str:

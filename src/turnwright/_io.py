@@ -58,7 +58,7 @@ def read_toml(data: bytes, what: str) -> dict[str, Any]:
         reason = next(
             (f"{text} {match[1]}" for pattern, text in DUPLICATE_ERRORS if (match := pattern.search(message))), message
         )
-        raise InputError(f"{what} is not TOML, {reason}: correct that place") from error
+        raise InputError(f"{what} is not TOML, {reason}: correct that line") from error
     except ValueError as error:
         raise _too_many_digits(what) from error
     except RecursionError as error:
@@ -77,7 +77,7 @@ def _too_many_digits(what: str) -> InputError:
     return InputError(f"{what} holds a whole number of thousands of digits: shorten it")
 
 
-def bytes_of(path: Path, what: str, remedy: str = "check its name and place") -> bytes:
+def bytes_of(path: Path, what: str, remedy: str = "check its name and folder") -> bytes:
     """Return the contents of a file; a message of failure ends with the remedy."""
     try:
         return path.read_bytes()

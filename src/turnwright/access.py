@@ -519,7 +519,7 @@ def _deg(angle: float) -> str:
 def _nose(tool: Tool, limit: float, where: tuple[float, float]) -> AccessFinding:
     radius, name = tool.actual_radius, "nose radius"
     if math.isinf(limit):
-        words = f"nose_radius is {radius:.4g} mm; the part is nowhere concave along the radius, so any nose fits"
+        words = f"nose_radius is {radius:.4g} mm; the part is nowhere concave along the radius, so any nose_radius fits"
         return AccessFinding(name=name, value=radius, limit=limit, margin=limit, where=None, ok=True, sentence=words)
     ok = radius <= limit * (1 + 1e-9)
     words = f"nose_radius is {radius:.4g} mm, the limit is {limit:.4g} mm {_at(where)}"
@@ -575,14 +575,15 @@ def _borders(part: Part, tool: Tool, places: _Places) -> list[AccessFinding]:
 
     def step(size: float, at: str) -> str:
         return (
-            f"the surface has a step of {size:.4g} mm {at}, no nose cuts a wall: a fillet as wide as the edge remains"
+            f"the surface has a step of {size:.4g} mm {at}, a nose cannot cut the wall: a fillet as wide as the edge "
+            "remains"
         )
 
     def valley(size: float, at: str) -> str:
         fillet_um = 1e3 * tool.actual_radius * (1 / math.cos(size / 2) - 1)
         return (
-            f"a sharp valley turns by {_deg(size)} {at}, no nose reaches its bottom: a fillet of "
-            f"{fillet_um:.3g} um height remains"
+            f"the slope changes by {_deg(size)} in a sharp valley {at}, the nose cannot reach its bottom: a fillet "
+            f"{fillet_um:.3g} um high remains"
         )
 
     return find_worst("valley", turn, valley) + find_worst("step", jump, step)

@@ -343,7 +343,7 @@ def generate_polar(
     shape = (angle.size, radius.size)
     z = np.empty(shape) if out is None else out
     if z.shape != shape or z.dtype != np.float64 or not z.flags.c_contiguous:
-        raise InputError(f"out is {z.shape} of {z.dtype}, it must be contiguous, {shape} of float64: make it so")
+        raise InputError(f"out is {z.shape} of {z.dtype}, it must be contiguous, {shape} of float64: correct it")
     cut = _cut(motion, tool, machine)
     if cut.upright and cut.edge.convex:
         _envelopes(cut, radius, angle, z, progress)

@@ -145,7 +145,7 @@ class HeightMap(Compared):
 
         A map with at most that many is returned unchanged.
         """
-        most = whole(most, "most, the heights to keep,", 1)
+        most = whole(most, "most", 1)
         valid = np.isfinite(self.z)
         count = int(np.count_nonzero(valid))
         if count <= most:

@@ -64,7 +64,7 @@ class Instrument(Stated):
     numerical_aperture, wavelength
         Numerical aperture of the objective and mean wavelength of the light; both or none. [mm]
     resolution
-        In place of these, the optical resolution wavelength / (2 NA): the shortest period that is not transmitted. [mm]
+        In place of these, the optical resolution wavelength / (2 NA): periods below it are not transmitted. [mm]
     filling
         Fraction of the aperture that the source fills: 1 for incoherent light, 0 for coherent.
     stylus_radius
@@ -363,7 +363,7 @@ def _resample(seen: HeightMap | Profile, like: HeightMap | Profile) -> HeightMap
 
     if isinstance(seen, Profile):
         if not isinstance(like, Profile):
-            raise InputError("a profile is compared with a map: take a line of the map first (line_profile)")
+            raise InputError("a profile is compared with a map: extract a line of the map first (line_profile)")
         axes, targets, z = [seen.distance], [like.distance], seen.z
     else:
         if not isinstance(like, HeightMap) or like.x is None or like.y is None or like.scattered:
@@ -386,4 +386,4 @@ def _resample(seen: HeightMap | Profile, like: HeightMap | Profile) -> HeightMap
     resampled = ndimage.map_coordinates(_filled(z, missing), grid, order=3, mode="mirror")
     if missing.any():
         resampled[ndimage.map_coordinates(missing.astype(np.float64), grid, order=1, mode="nearest") > 1e-9] = np.nan
-    return replace(like, z=resampled, name=f"{seen.name} as seen".strip())
+    return replace(like, z=resampled, name=f"{seen.name} as measured".strip())

@@ -269,10 +269,9 @@ class Material(Stated, Value):
     brittle_plateau
         Whether the force per width of edge is constant for chips above the critical thickness.
     brittle_force
-        Cutting force and thrust force on that plateau, over those at the critical thickness; forces drop where the
-        material fractures. [1]
+        Cutting force and thrust force on that plateau, as fractions of those at the critical thickness. [1]
     fracture_ratio
-        Depth of a crack below the edge, over the thickness of the chip that started it.
+        Depth of a crack below the edge, as a multiple of the thickness of the chip that started it.
     sources
         Source of each value, by field ("cutting.value"); assumed values are marked.
     notes

@@ -22,7 +22,7 @@ __all__ = ["Blank", "Part", "evenly"]
 class Blank(Stated):
     """The blank of a part: a disc on the spindle axis.
 
-    Its top follows the finished surface at the distance of the part's stock. Beyond the clear aperture it continues at
+    Its top is the part's stock above the finished surface. Beyond the clear aperture it continues at
     the slope of the rim where that rises outward, and level where it falls.
 
     Parameters
@@ -71,8 +71,8 @@ class Part(Stated):
         Heights added to the surface for the tool path, as `correct` writes them, to cancel a repeatable form error.
         The form error is still measured from the design.
     blank
-        The blank; ``None`` if not known. Material is then assumed wherever the tool goes, so that no pass begins next
-        to it.
+        The blank; ``None`` if not known. Material is then assumed wherever the tool goes, so that every pass begins
+        with a plunge.
 
     Raises
     ------

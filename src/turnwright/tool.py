@@ -41,11 +41,11 @@ PLAUSIBLE = MappingProxyType(dict.fromkeys(("offset x", "offset y", "offset z", 
 """Deviations whose plausible size a tool may state, and their units."""
 
 PLAUSIBLE_TEXTS = MappingProxyType({
-    "offset x": "By how much the tip is off centre along X.",
-    "offset y": "By how much it stands above or below the centre.",
-    "offset z": "By how much it was touched off wrongly.",
-    "radius error": "Of the nose.",
-    "waviness": "Of the edge where it is used farthest from the tip.",
+    "offset x": "Tool centring error along X.",
+    "offset y": "Tool height error.",
+    "offset z": "Touch-off error along Z.",
+    "radius error": "Error of the nose radius.",
+    "waviness": "Deviation of the edge at the used sweep farthest from the tip.",
 })  # fmt: skip
 
 
@@ -79,7 +79,7 @@ class WavinessTable(Value):
         if self.sweep.shape != self.deviation.shape or self.sweep.size < 4:
             raise InputError(
                 f"a waviness table has {self.sweep.size} sweeps and {self.deviation.size} deviations, "
-                "it needs at least 4 of each and as many of one as of the other: complete it"
+                "it needs equal numbers of both, at least 4: complete it"
             )
         for end in self.sweep[[0, -1]]:
             check_angle(end, "a sweep of a waviness table", -np.pi, np.pi)
@@ -138,34 +138,34 @@ class Tool(Stated, Value):
 
     The edge lies in the rake plane: an arc of ``nose_radius + radius_error`` plus waviness, inside the included angle,
     and straight flanks, tangent to the arc's ends, beyond it. The *tip* is the lowest point of the nominal arc. A
-    ``radius_error`` leaves the tip where it is, because the tip is what is touched off; ``offset`` says where the tip
-    really is minus where it should be.
+    ``radius_error`` does not move the tip, since the tip is touched off; ``offset`` is its actual minus its nominal
+    position. The *sweep* of a point of the arc is its angle on the nose, 0 at the tip.
 
     Parameters
     ----------
     nose_radius
         Radius of the cutting edge in the rake plane. [mm]
     included
-        Included angle of the arc, symmetric about the tip; ``None`` if not stated, then the edge counts as half a
-        circle and `check_access` says so. [rad]
+        Included angle of the arc, symmetric about the tip. ``None`` if not stated: the edge is then taken as half a
+        circle, which `check_access` reports. [rad]
     rake
-        Angle of the rake face against the vertical, positive leaning back from the cutting direction. [rad]
+        Rake angle; positive if the rake face leans back from the cutting direction. [rad]
     clearance
-        Angle under the clearance face; ``None`` if not stated. [rad]
+        Clearance angle of the edge; ``None`` if not stated. [rad]
     waviness
         Radial deviation of the edge, positive outward: polynomial coefficients (c1, c2, ...) of the sweep in mm/rad^k,
         or a `WavinessTable`.
     radius_error
         Actual minus nominal nose radius. [mm]
     offset
-        (dx, dy, dz), where the tip really is minus where it should be; dy is the height above centre, along the
-        direction of growing spindle angle. [mm]
+        (dx, dy, dz), actual minus nominal position of the tip; dy is the tool height error, positive toward growing
+        spindle angle. [mm]
     name
-        What the shop calls it.
+        Name of the tool.
     edge_length
-        Length of each flank, from the end of the arc on, that is a cutting edge; ``None`` where only the arc is. [mm]
+        Length of the sharp flank beyond each end of the arc; ``None`` if only the arc cuts. [mm]
     plausible
-        Plausible sizes (standard deviations) that differ from `ERROR_SOURCES` of the diagnosis: "offset x",
+        Plausible sizes (standard deviations) of tool errors, where they differ from `ERROR_SOURCES`: "offset x",
         "offset y", "offset z", "radius error", "waviness". [mm]
 
     Raises
@@ -206,8 +206,8 @@ class Tool(Stated, Value):
             check_angle(self.clearance, "clearance", 0.0, STEEPEST)
         if self.nose_radius + self.radius_error <= 0:
             raise InputError(
-                f"radius_error is {self.radius_error:g} mm on a nose_radius of {self.nose_radius:g} mm, nothing is "
-                "left of the nose: give actual minus nominal radius"
+                f"radius_error is {self.radius_error:g} mm on a nose_radius of {self.nose_radius:g} mm, no nose "
+                "remains: give actual minus nominal radius"
             )
         most = LARGEST_ERROR * self.nose_radius
         between(self.radius_error, "radius_error", -most, most, "mm (a tenth of the nose_radius)")

@@ -89,7 +89,7 @@ WRONG = {
         [("part.surface", DEEP), ("tool.clearance", "2 deg")],
         r"clearance needs to be 17\.\d deg .* the tool has 2 deg",
     ),
-    "a sharp valley not accepted": ([("part.surface", HEXAGONS)], r"a sharp valley turns by"),
+    "a sharp valley not accepted": ([("part.surface", HEXAGONS)], r"the slope changes by .* in a sharp valley"),
     "an included angle beyond half a turn": ([("tool.included", "200 deg")], r"included is 3.49066 rad .200 deg."),
     "waviness in one unit": ([("tool.waviness", ["1 nm/deg", "1 nm/deg"])], r"tool\.waviness\[2\]: '1 nm/deg' is a leng"),
     "two offsets": ([("tool.offset", ["1 um", "2 um"])], r"tool\.offset\[3\] is missing"),
@@ -139,7 +139,7 @@ WRONG = {
     "a machine sign that is no sign": ([("machine", {"file": "sign.toml"})], r"x_side is -1\.0, it must be a whole number"),
     "a machine sign that is a yes": ([("machine", {"file": "yes.toml"})], r"x_side is True, it must be a whole number"),
     "a machine faster than numbers": ([("machine", {"file": "fast.toml"})], r"spindle_rpm is beyond the range of numbers"),
-    "a machine that is no TOML": ([("machine", {"file": "broken.toml"})], r"broken\.toml' is not TOML, .*: correct that place"),
+    "a machine that is no TOML": ([("machine", {"file": "broken.toml"})], r"broken\.toml' is not TOML, .*: correct that line"),
     "a machine too deep to read": ([("machine", {"file": "deep.toml"})], r"deep\.toml' nests lists or tables too deeply"),
     "a pass named for a folder": ([("passes", [{"name": "../a"}])], r"passes\[1\]\.name is '\.\./a'"),
     "a depth that is a slip": (
@@ -185,7 +185,7 @@ WRONG = {
     ),
     "an unknown form": ([("roughness.form", "round")], r"roughness\.form: .* got 'round'"),
     "something accepted that is nothing": ([("accept", ["all"])], r"accept\[1\] is 'all', it must be"),
-    "an actual tool without a nose": ([("actual.tool.radius_error", "-1 mm")], r"nothing is left of the nose"),
+    "an actual tool without a nose": ([("actual.tool.radius_error", "-1 mm")], r"no nose remains"),
 }  # fmt: skip
 
 

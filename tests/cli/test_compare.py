@@ -28,7 +28,7 @@ def test_all_keep_what_the_job_keeps(tmp_path):
     flat = 0.5 - math.sqrt(0.5**2 - 0.01**2 / 4)
     assert flat < found.scallop < 1.1 * flat
     assert [one.name for one in found.candidates] == [
-        "the job as it stands", "slow, constant angle", "slow, points by chord", "adaptive points",
+        "the current job", "slow, constant angle", "slow, points by chord", "adaptive points",
         "adaptive points and feed",
     ]  # fmt: skip
     for one in found.candidates:
@@ -62,7 +62,7 @@ def test_the_job_as_it_stands_is_the_first(tmp_path):
     job = Job.load(written(tmp_path, *CHANGES, ("strategy", own), ("strategy.spindle_speed", "40 rpm")))
     found, done = compare(job), run(job)
     first = found.candidates[0]
-    assert first.name == "the job as it stands"
+    assert first.name == "the current job"
     assert first.limits.points == done.passes[-1].points
     assert first.limits.cycle_time_s == done.passes[-1].limits.cycle_time_s
     assert first.limits.peak_acceleration == done.passes[-1].limits.peak_acceleration  # places along the normal too
@@ -139,7 +139,7 @@ def test_a_defect_in_one_strategy_leaves_the_page_of_the_others(tmp_path, monkey
     candidates = json.loads((tmp_path / "out" / "comparison.json").read_text())["candidates"]
     refused = {one["name"]: one["refused"] for one in candidates}
     planned = [name for name, reason in refused.items() if not reason]
-    assert planned == ["the job as it stands", "slow, constant angle", "slow, points by chord"]
+    assert planned == ["the current job", "slow, constant angle", "slow, points by chord"]
     assert "IndexError: index -261" in refused["adaptive points"]
     assert "IndexError: index" in (tmp_path / "out" / "report.html").read_text()
 

@@ -161,7 +161,7 @@ def test_a_run_leaves_the_cusps_of_its_tool(tmp_path):
     assert result.ok
     assert list(dict.fromkeys(stages)) == [
         "access", "depth of cut", "plan", "place", "drive", "limits", "approach", "write program", "read program",
-        "compare", "simulate whole part", "roughness", "highest and lowest place", "simulate patch",
+        "compare", "simulate whole part", "roughness", "highest and lowest point", "simulate patch",
     ]  # fmt: skip
     assert set(result.timings) == set(stages)
     assert 0.01 < result.peak_memory_gb < 4

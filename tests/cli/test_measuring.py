@@ -90,7 +90,7 @@ def test_measure_names_the_instrument_and_what_it_removes(shop, tmp_path, capsys
     texture = strict(out / "measured.json")["texture"]
     # Of a feed of twice the resolution incoherent light passes 2 / pi (pi / 3 - sqrt(3) / 4).
     assert texture["seen_nm"] / texture["predicted_nm"] == pytest.approx(0.391, rel=0.1)
-    assert "Through the instrument" in (out / "report.html").read_text(encoding="utf-8")
+    assert "Effect of the instrument" in (out / "report.html").read_text(encoding="utf-8")
     wrong = ["--out", str(tmp_path / "no"), "--set", "instrument=zygo"]
     assert main(["measure", str(shop / "dish.x3p"), "--job", str(shop / "job.toml"), *wrong]) == 2
     assert "zygo-nexview-10x" in capsys.readouterr().err

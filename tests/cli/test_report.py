@@ -195,7 +195,7 @@ def test_a_margin_inside_its_uncertainty_is_not_ready_to_cut(tmp_path):
     margin, band = 100 * (1 - chips.thickest / 450e-6), 100 * 2 * 90 / 450
     assert abs(margin) < band
     assert f"uncertain {chips.thickest * 1e6:.3g} nm 450 nm {margin:.0f} ± {band:.3g} %" in text
-    assert "Brittle damage possible" in text
+    assert "Brittle fracture possible" in text
     assert "ductile regime not certain" in text
 
 
@@ -289,5 +289,5 @@ def test_a_foreign_program_beyond_the_machine_says_so(small, tmp_path):
     slow = dataclasses.replace(result.machine, block_rate_hz=1.0)
     limits = check_limits(result.motion, slow)
     text = read(write_backplot("foreign.nc", job, result.motion, limits, result.predictions, tmp_path / "p.html")).text
-    assert "Not within limits a machine limit is exceeded" in text
+    assert "Exceeds a limit a machine limit is exceeded" in text
     assert limits.findings[0] in text

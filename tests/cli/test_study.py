@@ -135,7 +135,7 @@ def test_the_table_is_indexed_by_name_and_by_number(job, threads):
     assert found["form_pv_nm"][4] == alone.form_pv_nm
     with pytest.raises(InputError, match="the study has no column 'sq', it has"):
         found["sq"]
-    with pytest.raises(InputError, match="several cases stand at the same"):
+    with pytest.raises(InputError, match="several cases have the same"):
         found.grid("deepest", over=("strategy.feed", "strategy.feed"))
 
 
@@ -163,7 +163,7 @@ def test_it_is_saved_and_loaded_to_the_last_bit(job, threads, tmp_path):
     assert "feed 1 mm per rev is at least the width of the edge" in found.reasons[1]
     assert np.isnan(found["sq_nm"][1])
     assert found["binding"][1] == ""
-    with pytest.raises(StudyError, match=r"holds no whole study \(No such file or directory\): name one"):
+    with pytest.raises(StudyError, match=r"holds no complete study \(No such file or directory\): name one"):
         Study.load(tmp_path / "nowhere")
     table = tmp_path / "study.csv"
     table.write_text("".join(table.read_text(encoding="utf-8").splitlines(keepends=True)[:-1]), encoding="utf-8")
@@ -303,7 +303,10 @@ def test_an_interrupted_command_goes_on_where_it_was(job_file, tmp_path, capsys,
         (["--vary", "tool.nos_radius=1 mm", "--measure", "sq_nm"], "did you mean tool.nose_radius?"),
         (["--vary", "tool.nose_radius=1 mm", "--measure", "sq_nmm"], "'sq_nmm' is not a measure: did you mean sq_nm?"),
         (["--vary", "tool.nose_radius=0.1..1 mm", "--measure", "sq_nm"], "has no single values for a grid"),
-        (["--vary", "tool.nose_radius=0.1..1 mm", "--measure", "sq_nm", "--design", "sobol"], "state how many cases"),
+        (
+            ["--vary", "tool.nose_radius=0.1..1 mm", "--measure", "sq_nm", "--design", "sobol"],
+            "a number of cases",
+        ),
     ],
 )
 def test_a_wrong_command_is_one_sentence_and_leaves_nothing(job_file, tmp_path, capsys, more, said):
@@ -328,7 +331,7 @@ def test_a_file_that_a_job_names_travels_through_the_store(threads, tmp_path, mo
     apart = study(job, vary={"strategy.feed": "9, 10 um/rev"}, measure=deepest, executor=threads, store=tmp_path / "s")
     np.testing.assert_array_equal(apart["deepest"], right["deepest"])
     with pytest.raises(
-        StudyError, match=r"does not have 1 of the files that the job names, such as .*: give the study"
+        StudyError, match=r"does not have 1 of the files that the job names, such as .*: use a store"
     ):
         study(job, vary={"strategy.feed": "9, 10 um/rev"}, measure=deepest, executor=threads)
 
@@ -343,7 +346,7 @@ def test_a_missing_array_is_no_outcome_of_a_case(threads, tmp_path, monkeypatch)
     whole = Store.array
     monkeypatch.setattr(Store, "array", lambda _self, name: whole(Store.open(tmp_path / "elsewhere"), name))
     asked = {"vary": {"strategy.feed": "9 um/rev"}, "measure": deepest, "executor": threads, "store": tmp_path / "s"}
-    with pytest.raises(StudyError, match=r"a worker finds no array 'file-.*: give the study a store that"):
+    with pytest.raises(StudyError, match=r"a worker finds no array 'file-.*: use a store that"):
         study(job, **asked)
     # Where the store is reached the same study is carried out: nothing was kept as the outcome of a case.
     monkeypatch.undo()
@@ -392,7 +395,7 @@ def test_a_store_in_memory_is_refused_for_other_processes(job, job_file, tmp_pat
     ])  # fmt: skip
     said = capsys.readouterr().err
     assert code == 2
-    assert "the store 'memory://kept' lies in the memory of this process" in said
+    assert "the store 'memory://kept' is in the memory of this process" in said
     assert said.strip().endswith("name a folder, or use threads")
     assert len(said.strip().splitlines()) == 1
     asked = {"vary": {"strategy.feed": "9, 10 um/rev"}, "measure": "sq_nm", "store": f"memory://{tmp_path.name}"}

@@ -161,7 +161,7 @@ def test_an_interrupt_keeps_the_finished_tiles_and_says_so(job, tmp_path):
         said = process.stderr.read()
     assert process.returncode == 130
     assert said.splitlines()[-1].startswith("turnwright: interrupted, finished tiles are in")
-    with pytest.raises(tw.InputError, match=r"has \d+ of \d+ tiles: finish it"):
+    with pytest.raises(tw.InputError, match=r"has \d+ of \d+ tiles: repeat the call"):
         tw.studies.TiledMap.open(out / "map.zarr")
 
 
@@ -224,7 +224,7 @@ def test_a_disk_that_becomes_full_keeps_what_is_finished(tmp_path, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(local, "_put", put)
-        with pytest.raises(tw.errors.StudyError, match=r"is full with \d+ of \d+ tiles finished, which stay") as caught:
+        with pytest.raises(tw.errors.StudyError, match=r"is full with \d+ of \d+ tiles finished and kept") as caught:
             made(tmp_path / "map")
     assert "\n" not in str(caught.value)
     kept = chunks(tmp_path / "map")
@@ -264,10 +264,10 @@ def test_a_map_killed_at_its_first_file_begins_again(tmp_path):
         ({"radius": None, "x": (1.0, 0.0), "y": (0.0, 1.0)}, "the extent of the map along x is 1 to 0, it must ascend"),
         ({"radius": 0.001, "pixel": 0.01}, "the map has 1 x 1 pixels"),
         ({"tile": 8}, "the width of a tile in pixels is 8"),
-        ({"store": "memory://map", "executor": LocalPool(workers=1, threads=1)}, "lies in the memory of this process"),
+        ({"store": "memory://map", "executor": LocalPool(workers=1, threads=1)}, "is in the memory of this process"),
         (
             {"store": "memory://map", "executor": Cluster(SimpleNamespace(get_executor=lambda **_: None))},
-            "lies in the memory of this process",
+            "is in the memory of this process",
         ),
         ({"store": "nosuch://there"}, "cannot be used as a store"),
     ],

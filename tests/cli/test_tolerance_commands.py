@@ -136,7 +136,7 @@ def test_a_worker_that_does_not_find_the_motion_ends_the_study(job, tmp_path):
     kept = Store.open(tmp_path / "kept")
     shared = _draws.plan_cuts(job, ErrorBudget.read(table()), kept, correction=False)
     case = {"draw": {"tool offset x": 0.0, "drift z": 0.0}, "seed": [0, 0], "correction": False, "study": "elsewhere"}
-    with pytest.raises(StudyError, match=r"a worker finds no array 'motion-.*: give the study a store that"):
+    with pytest.raises(StudyError, match=r"a worker finds no array 'motion-.*: use a store that"):
         _draws.carry_out(case, shared, Store.open(tmp_path / "elsewhere"))
     assert _draws.carry_out(case, shared, kept)["form_pv_nm"] > 0
 
@@ -190,12 +190,12 @@ def entry(spread="normal(0, 1) nm", source="a"):
         ({"errors": {"drift z": entry("gauss(0, 1) nm")}}, r"errors\.drift z: .*'gauss' is not one of normal, uniform"),
         ({"errors": {"drift z": entry("uniform(0, 1, 2) nm")}}, r"errors\.drift z: uniform has 3 .*2 \(low, high\)"),
         ({"errors": {"drift z": entry("uniform(0, 1) deg")}}, r"errors\.drift z: '0 deg' is an angle.*a length"),
-        ({"errors": {"drift z": entry("1 nm")}}, r"errors\.drift z: '1 nm' is no distribution"),
+        ({"errors": {"drift z": entry("1 nm")}}, r"errors\.drift z: '1 nm' is not a distribution"),
         ({"errors": {"drift z": entry(source=" ")}}, r"errors\.drift z: normal has no source"),
         ({"errors": {"mounting Z2": entry()}}, "mounting Z2 is piston or tilt.*Z4"),
         (
             {"errors": {"waviness P3": entry(), "waviness c3": entry("normal(0, 1) nm/rad^3")}},
-            "the waviness is stated by P and by c",
+            "waviness has terms P and terms c",
         ),
     ],
 )
@@ -229,7 +229,7 @@ def test_a_budget_reads_back_what_it_writes(tmp_path):
     assert ErrorBudget.load(tmp_path / "again.toml") == typical
     assert all(one.source for one in typical.errors.values())
     assert set(typical.only("drift").errors) == {"drift x", "drift z"}
-    with pytest.raises(InputError, match="no error of the budget is of luck, its groups are tool offset"):
+    with pytest.raises(InputError, match="no error of the budget is in the groups luck, its groups are tool offset"):
         typical.only("luck")
     # The part's own draws do not depend on whether test parts are drawn too.
     alone, both = (typical.draw(5, seed=2, correction=one) for one in (False, True))
@@ -239,7 +239,7 @@ def test_a_budget_reads_back_what_it_writes(tmp_path):
 
 def test_a_job_without_tolerances_is_refused(job):
     bare = tw.Job.read({key: value for key, value in JOB.items() if key != "tolerances"})
-    with pytest.raises(JobError, match="the job states 0 tolerances that can be judged"):
+    with pytest.raises(JobError, match="the job states 0 tolerances that can be evaluated"):
         tw.studies.tolerance(bare, count=20)
     with pytest.raises(InputError, match="the study has 3 cases, it needs at least 10"):
         tw.studies.tolerance(job, count=3)
@@ -247,9 +247,9 @@ def test_a_job_without_tolerances_is_refused(job):
 
 def test_a_store_in_memory_is_refused_before_planning(job):
     pytest.importorskip("fsspec")
-    with pytest.raises(InputError, match="'memory://kept' lies in the memory of this process"):
+    with pytest.raises(InputError, match="'memory://kept' is in the memory of this process"):
         tw.studies.tolerance(job, count=20, store="memory://kept", workers=1)
     # Workers of a cluster, whose rows would be brought here, would not find the motion either.
     dask = Cluster(SimpleNamespace(get_executor=lambda **_: None))
-    with pytest.raises(InputError, match="'memory://kept' lies in the memory of this process"):
+    with pytest.raises(InputError, match="'memory://kept' is in the memory of this process"):
         tw.studies.tolerance(job, count=20, store="memory://kept", executor=dask)

@@ -190,8 +190,8 @@ def test_what_does_not_belong_together_is_refused(tmp_path):
     ("change", "words"),
     [
         ({"by": "radius"}, '"position" or "time"'),
-        ({"by": "time"}, "by time it needs one"),
-        ({"by": "position", "rate_hz": 10.0}, "by position it has none"),
+        ({"by": "time"}, "only a table by time has a rate"),
+        ({"by": "position", "rate_hz": 10.0}, "only a table by time has a rate"),
         ({"by": "time", "rate_hz": 1e12}, "lower rate_hz"),
     ],
 )

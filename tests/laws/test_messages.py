@@ -58,7 +58,7 @@ def test_sentences_count_the_places_beyond_the_most():
     with pytest.raises(ValidationError) as caught:
         adapter(Lobes).validate_python({f"key {number}": number for number in range(100)})
     *_, last = sentences(caught.value, Lobes, {})
-    assert last.startswith(f"{102 - MAX_FAULTS} more places are wrong")
+    assert last.startswith(f"{102 - MAX_FAULTS} more keys are wrong")
 
 
 LONG = {

@@ -176,7 +176,7 @@ def test_what_was_read_from_no_file_is_not_written():
     with pytest.raises(InputError, match="write its heights to a file"):
         replace(job, part=replace(job.part, surface=heights)).to_toml()
     bent = replace(job.machine, straightness=([0.0, 1.0], [0.0, 1e-4]))
-    with pytest.raises(InputError, match=r"a job names the file of a straightness"):
+    with pytest.raises(InputError, match=r"a job names a straightness by its file"):
         replace(job, machine=bent).to_toml()
     machine = replace(job.machine, axes={**job.machine.axes, "X": tw.Axis(speed=1.0)})
     with pytest.raises(InputError, match="differs from its file"):

@@ -124,7 +124,7 @@ def judged(table: dict, rng: np.random.Generator) -> dict[str, float]:
     motion, result = finishing_motion(job)
     prediction = result.predictions[0]
     times = result.timings
-    seconds = {"map": times["simulate whole part"], "search": times["highest and lowest place"]}
+    seconds = {"map": times["simulate whole part"], "search": times["highest and lowest point"]}
     part, feed, low, high = job.part, motion.feed, [], []
     near = min(3 * feed, part.radius)
     core = abs(job.actual_tool.offset[1])

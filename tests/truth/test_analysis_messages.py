@@ -32,9 +32,9 @@ LINE = Profile(distance=X, z=Z[0], x=X, y=X)
 @pytest.mark.parametrize(
     ("ask", "words"),
     [
-        (lambda: fit_zernike(MAP, terms=0, indexing="noll"), "0 Zernike terms are asked for, the least is 1"),
-        (lambda: fit_zernike(MAP, terms=10**12, indexing="noll"), "Zernike terms are asked for, the limit is 1000"),
-        (lambda: fit_zernike(MAP, terms=[4, 4], indexing="noll"), "named twice"),
+        (lambda: fit_zernike(MAP, terms=0, indexing="noll"), "0 Zernike terms are requested, at least 1"),
+        (lambda: fit_zernike(MAP, terms=10**12, indexing="noll"), "Zernike terms are requested, the limit is 1000"),
+        (lambda: fit_zernike(MAP, terms=[4, 4], indexing="noll"), "given twice"),
         (lambda: fit_zernike(MAP, terms=[37, 49], indexing="fringe"), "both the polynomial"),
         (lambda: fit_zernike(MAP, terms=3, indexing="zemax"), "known are fringe, noll and ansi"),
         (lambda: fit_zernike(EMPTY, terms=3, indexing="noll"), "has 0 valid heights, a fit of 3 Zernike terms needs 3"),

@@ -112,7 +112,7 @@ def test_a_fast_tool_is_judged_by_all_of_its_limits():
     other = replace(tw.Machine.load("nanoform"), name="bare")
     axes = {"C": turned, "X": 9 - 1e-3 * turned, "Z": 0 * turned, "W": 0 * turned}
     bare = tw.check_limits(tw.Motion(time=turned, axes=axes, machine=other), other)
-    assert "needs axis W, bare does not have it" in bare.findings[0]
+    assert "needs axis W, which bare does not have" in bare.findings[0]
     assert dict(bare.frequency_hz) == {}
 
 

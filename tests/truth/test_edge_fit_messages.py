@@ -75,7 +75,7 @@ def test_one_radius_is_kept_as_nominal():
     ("text", "told"),
     [
         ("1,2,3\n", "has no line 'X,Y,Z' above its points, and not two columns: export"),
-        ("Number of data,661,16\nX,Y,Z\n1,2,3\n", "holds 16 profiles, the limit is 1: say which"),
+        ("Number of data,661,16\nX,Y,Z\n1,2,3\n", "holds 16 profiles, the limit is 1: give its number"),
         ("X,Y,Z\n1,2,3\n1,two,3\n", "holds something that is not a number"),
         ("X,Y,Z\n", "has 0 rows, it needs rows"),
         ("X,Y,Z\n1\n2\n", "has 2 rows, it needs rows"),

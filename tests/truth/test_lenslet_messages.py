@@ -46,14 +46,14 @@ def test_a_form_without_centre_or_sphere_is_refused():
 
 
 def test_a_tilt_that_is_a_shift_is_refused():
-    with pytest.raises(InputError, match=r"squared effect .* the limit is 0.0001; leave the tilt fixed"):
+    with pytest.raises(InputError, match=r"squared effect .* at least 0.0001 is needed; leave the tilt fixed"):
         found(ARRAY, tilt=True)
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"inner": 1.2}, "inner, the share of its radius"),
+        ({"inner": 1.2}, "inner, the fraction of its radius"),
         ({"outer": 0.9}, "outer, where the base begins"),
         ({"form": "cone"}, "form is 'cone'"),
         ({"aperture": -1.0}, "aperture of a lenslet is -1 mm"),

@@ -117,4 +117,4 @@ def test_gaps_in_all_elements_leave_no_spacing():
     z[(np.arange(X.size) % 50) < 10] = np.nan
     found = profile_roughness(as_profile(X, z), cutoff=0.08)
     assert np.isnan(found.rsm)
-    assert any("no whole profile element" in one for one in found.notes)
+    assert any("no complete profile element" in one for one in found.notes)

@@ -14,8 +14,8 @@ MAP = HeightMap(x=AXIS, y=AXIS, z=PART.surface.sag(X, Y))
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        ({"free": ("x", "tip")}, r"free holds \['tip'\], known are x, y, z, rotation, tilt_x, tilt_y"),
-        ({"free": ()}, "free holds nothing"),
+        ({"free": ("x", "tip")}, r"free has \['tip'\], allowed are x, y, z, rotation, tilt_x, tilt_y"),
+        ({"free": ()}, "free has no entry"),
         ({"distance": "radial"}, 'distance is \'radial\', it must be "vertical" or "normal"'),
         ({"loss": "l1"}, 'loss is \'l1\', it must be "linear", "huber" or "tukey"'),
         ({"undetermined": "no"}, "undetermined is 'no'"),
@@ -39,7 +39,7 @@ def test_a_field_too_small_to_be_looked_for_is_refused(across):
     axis = np.linspace(-across / 2, across / 2, 41)
     x, y = np.meshgrid(axis, axis)
     small = HeightMap(x=axis, y=axis, z=part.surface.sag(x, y))
-    with pytest.raises(InputError, match=r"a reach of 5 mm .* million places .* Check the unit .* a reach of at most"):
+    with pytest.raises(InputError, match=r"a reach of 5 mm .* million positions .* Check the unit .* of at most"):
         register(small, part)
     assert register(small, part, reach=across, clocking=0.0).rms_nm < 1e-3
 

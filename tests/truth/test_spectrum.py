@@ -133,7 +133,7 @@ def test_missing_points_leave_a_rectangle_or_a_mask():
     z[np.hypot(x - 3, x[:, None] - 3) > 2.9] = np.nan
     z[rng.random(z.shape) < 1e-4] = np.nan
     holed = HeightMap(x=x, y=x, z=z)
-    for missing, said in (("rectangle", "largest whole rectangle"), ("mask", "smeared")):
+    for missing, said in (("rectangle", "largest rectangle without gaps"), ("mask", "smears")):
         found = area_psd(holed, missing=missing)
         assert found.band_rms_nm(5, 7) == pytest.approx(30 / np.sqrt(2), rel=0.02)
         assert found.radial().density[-20:].mean() == pytest.approx(

@@ -49,7 +49,7 @@ BAD = {
     "offset of one": (lambda: square(offset=(1.0,)), r"offset of a lens array is \(1.0,\)"),
     "rings and within": (
         lambda: LensArray.hexagonal(pitch=1.0, lenslet=FLAT, rings=1, within=2.0),
-        "takes one of them",
+        "only one of them is allowed",
     ),
     "rings negative": (lambda: LensArray.hexagonal(pitch=1.0, lenslet=FLAT, rings=-1), "rings of a lens array is -1"),
     "table with a hole": (

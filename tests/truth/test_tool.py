@@ -192,7 +192,7 @@ def test_convexity_is_seen():
         ({"nose_radius": 0.5, "included": 4.0}, "included is 4 rad .229.183 deg.*180 deg"),
         ({"nose_radius": 0.5, "rake": 2.0}, "rake is 2 rad .114.592 deg.*80 deg"),
         ({"nose_radius": 0.5, "clearance": -0.1}, "clearance is -0.1 rad .-5.72958 deg"),
-        ({"nose_radius": 0.5, "radius_error": -0.6}, "nothing is left of the nose"),
+        ({"nose_radius": 0.5, "radius_error": -0.6}, "no nose remains"),
         ({"nose_radius": 0.5, "offset": (0.0, 1.0)}, "3 finite numbers"),
         ({"nose_radius": 0.5, "waviness": (float("inf"),)}, "waviness holds inf, it must be finite"),
         ({"nose_radius": 0.5, "waviness": (1.0,)}, "check its unit"),

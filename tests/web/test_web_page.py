@@ -659,7 +659,7 @@ def test_strategies_stand_side_by_side(bench, compared, folder):
     refused = {each["name"] for each in told["candidates"] if each["refused"]}
     assert {each.inner_text() for each in page.locator("#panel-compare .sentences strong").all()} == refused
     for error in ("pv_nm", "rms_nm"):
-        page.get_by_label("Error to judge by").select_option(error)
+        page.get_by_label("Error to compare").select_option(error)
         places = {name: (one["limits"]["cycle_time_s"], one["shares"][error]) for name, one in planned.items()}
         unbeaten = {
             name for name, (time, left) in places.items()

@@ -119,7 +119,7 @@ def check(context: typer.Context, job: JobFile) -> None:
         session.echo(f"{name}: {points} points, at least {plan.shortest_s[name] / 60:.1f} min")
     for name, sentence in plan.chips.items():
         session.echo(f"{name}: {sentence}")
-    for verdict in unjudged(recipe, "only run predicts the surface"):
+    for verdict in unjudged(recipe, "only a run predicts the surface"):
         session.echo(verdict.sentence)
     warn(plan.warnings)
     if plan.refused:

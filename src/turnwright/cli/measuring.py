@@ -81,7 +81,7 @@ def write_test_part(
     slope: Annotated[
         str | None,
         typer.Option(
-            help='Tilt or edge slope, such as "3 deg"; by default it uses as much of the tool nose as the part.'
+            help='Tilt or edge slope, such as "3 deg"; by default it uses the same arc of the tool nose as the part.'
         ),
     ] = None,
 ) -> None:

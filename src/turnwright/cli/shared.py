@@ -68,7 +68,7 @@ app = typer.Typer(
 JobFile = Annotated[Path, typer.Argument(metavar="JOB.toml", help="The job file.", show_default=False)]
 Folder = Annotated[Path, typer.Option(help="Folder for the results; created on completion.", show_default=False)]
 Unit = Annotated[str | None, typer.Option(help='Height unit of a text file that states none, such as "um".')]
-Force = Annotated[bool, typer.Option("--force", help="Rename an existing folder instead of refusing it.")]
+Force = Annotated[bool, typer.Option("--force", help="Rename an existing result folder instead of stopping.")]
 
 
 class Session:

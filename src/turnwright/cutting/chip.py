@@ -398,8 +398,8 @@ def chip_map(
     _fill_rows(moved, earlier, tool, part, stock, at, contact, properties, rows, progress)
     if rows[:, kernel.CUT_SHORT].any():
         raise InputError(
-            f"the edge does not leave the stock at {np.count_nonzero(rows[:, kernel.CUT_SHORT])} points, within "
-            f"{MAX_WINDOWS} windows: check the stock and the nose radius"
+            f"the chip does not end at {np.count_nonzero(rows[:, kernel.CUT_SHORT])} points within "
+            f"{MAX_WINDOWS} searched widths: check the stock and the nose radius"
         )
     column = [np.ascontiguousarray(rows[:, k]) for k in range(kernel.ROWS)]
     forces = {}

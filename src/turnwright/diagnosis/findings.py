@@ -34,14 +34,14 @@ DISPLAY_UNITS = MappingProxyType({"mm": ("um", 1e3), "rad": ("urad", 1e6), "rad^
 
 REMEDY = MappingProxyType(
     {
-        "offset x": "move the tool by {back} along X, or plan with the real offset",
-        "offset y": "move the tool by {back} in height, or plan with the real offset",
+        "offset x": "move the tool by {back} along X, or plan with the actual offset",
+        "offset y": "move the tool by {back} in height, or plan with the actual offset",
         "offset z": "move the tool by {back} along Z",
-        "radius error": "plan with the real nose radius",
-        "waviness": "plan with the real edge",
-        "squareness": "plan with the real squareness, or rotate the slide by {back}",
-        "straightness": "plan with the real slide",
-        "servo lag": "advance Z by as much, with its dead time in the machine file or by clocking the part",
+        "radius error": "plan with the actual nose radius",
+        "waviness": "plan with the actual edge",
+        "squareness": "plan with the actual squareness, or rotate the slide by {back}",
+        "straightness": "plan with the actual straightness",
+        "servo lag": "advance Z by this angle: state a dead time in the machine file, or clock the part",
         "servo amplitude": "set the response of Z in the machine file, and precorrect",
     }
 )
@@ -356,13 +356,13 @@ def judge(
         ),
         (not finding.determined, f"the maps do not determine {name} ({value}): {where}"),
         (low <= 0 <= high, f"{name} is {value}, which does not differ significantly from 0"),
-        (source and source.mount, f"{made}, which may be the mount that bends the part: {where}"),
+        (source and source.mount, f"{made}, which may come from a mount that bends the part: {where}"),
         (
             each and not steady,
-            f"{name} differs between the maps ({each}) and cannot be corrected by planning: find what moved",
+            f"{name} differs between the maps ({each}) and cannot be corrected by planning: find its cause",
         ),
-        (not allowed, f"{made}: left to the compensation of the form, as requested"),
-        (rms_nm < min_effect_nm, f"{made}, less than the {min_effect_nm:g} nm that are worth a correction"),
+        (not allowed, f"{made}: compensated as form, as requested"),
+        (rms_nm < min_effect_nm, f"{made}, below the least effect for a correction, {min_effect_nm:g} nm"),
         (not certain, f"{made}, with an uncertainty above 50 %: {where}"),
     )
     for applies, reason in reasons:

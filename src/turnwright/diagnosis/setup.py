@@ -64,7 +64,7 @@ def moves(diagnosis: Diagnosis) -> tuple[Move, ...]:
     """
     axes: dict[str, tuple[Literal["X", "Z", "tool height"], str]] = {
         "offset x": ("X", "along X"),
-        "offset y": ("tool height", "in height (up is the direction in which the spindle angle under the tool grows)"),
+        "offset y": ("tool height", "in height (positive toward increasing spindle angle under the tool)"),
         "offset z": ("Z", "along Z"),
     }
     out = []

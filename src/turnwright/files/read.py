@@ -104,7 +104,7 @@ def read_contents(path: Path) -> bytes:
         data = path.read_bytes() if 0 < size <= MAX_FILE_BYTES else b""
     except (OSError, MemoryError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise MapError(f"{path} cannot be read ({reason}): check its name and place") from error
+        raise MapError(f"{path} cannot be read ({reason}): check its name and folder") from error
     if size < 0:
         raise MapError(f"{path} is not a file: name the instrument's file")
     if not data:

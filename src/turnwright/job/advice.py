@@ -55,13 +55,13 @@ def _trim(settings: MeasurementTable, radius: float) -> str:
     keys: dict[str, object] = {"trim": _length(max(2 * settings.trim, EDGE_FRACTION * radius))}
     if settings.outliers != "robust":
         keys = {"outliers": "robust", **keys}
-    return f"Write {_keys(keys)} in [measurement], or mirrored or inverted if the map is."
+    return f"Write {_keys(keys)} in [measurement], or state mirrored or inverted if the map is so."
 
 
 def _larger(settings: MeasurementTable) -> str:
     return (
-        "Unless they are points beyond the rim, state shift and rotation of the map, and a reach of more than "
-        f"{_length(settings.reach)}, in [measurement]."
+        "Unless these points lie beyond the rim of the part, state shift and rotation of the map, and a reach of more "
+        f"than {_length(settings.reach)}, in [measurement]."
     )
 
 

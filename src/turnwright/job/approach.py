@@ -223,7 +223,7 @@ def _plan_entry(job: Job, name: str, motion: Motion, before: Motion | None) -> E
         )
     if depth is not None and job.program.fast_tool == "time" and float(np.ptp(w)) > 1e-6:
         raise LimitError(
-            f"pass {name}: a fast tool with a table by time stands still in a plunge, so the pass must begin outside "
+            f"pass {name}: a fast tool with a table by time cannot move in a plunge, so the pass must begin outside "
             'the blank: state part.blank and a longer lead_in, or fast_tool = "position"'
         )
     approach = approach_to(
@@ -237,7 +237,7 @@ def _plan_entry(job: Job, name: str, motion: Motion, before: Motion | None) -> E
     least = GAP / 2 if depth is not None else MIN_GAP_MM
     if not gap >= least:
         raise LimitError(
-            f"pass {name}: the tool would come within {gap:.4g} mm of the material while C stands still, the limit is "
+            f"pass {name}: the tool would come within {gap:.4g} mm of the material while C is at rest, the limit is "
             f"{least:g} mm: state part.blank and a longer lead_in"
         )
     return Entry(

@@ -35,7 +35,7 @@ from turnwright.tool import Tool
 __all__ = ["Candidate", "Comparison", "compare", "strategies_of"]
 
 TURN = 2 * math.pi
-AS_IT_STANDS = "the job as it stands"
+AS_IT_STANDS = "the current job"
 
 SHORT_STEP_FRACTION = 1e-4
 """Fraction of the steps of a plan by chord that may be shorter than the steps of the plan at a constant angle."""
@@ -113,7 +113,7 @@ class Comparison:
 def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
     """Plan the finishing pass with every strategy, to the same cusp height and chord error, and simulate each surface.
 
-    The first candidate is the job as it stands, with its own points, feed and speeds.
+    The first candidate is the current job, with its own points, feed and speeds.
     An adaptive job states cusp height and chord error. For any other job, the cusp height is the largest that its feed
     leaves away from the axis; where the surface is in pieces it is that of a flat, since no nose reaches the valleys.
     The chord error is the one that the job states, or the largest between its points. Strategies of constant feed keep

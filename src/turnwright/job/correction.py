@@ -185,7 +185,7 @@ def correct(
     _check_new(job, every, is_same_part)
     _check_sane(diagnosis)
     cached_motion = cache(motion_of)
-    with watch.stage("prove the correction") as tell:
+    with watch.stage("verify the correction") as tell:
         plan = _choose_plan(job, diagnosis, is_same_part)
         tell(1, 2)
         if any(is_same_part):
@@ -481,7 +481,7 @@ def _refusal(diagnosis: Diagnosis, plan: _Plan, parts: int) -> str:
     if proof.before_nm < MIN_ERROR_RATIO * proof.min_effect_nm:
         return (
             f"no correction is written: the next part has a form error of {proof.before_nm:.2g} nm rms without cusps "
-            f"and noise, too small for a certain gain of {proof.min_effect_nm:g} nm: cut on, or lower "
+            f"and noise, too small for a certain gain of {proof.min_effect_nm:g} nm: keep this job, or lower "
             "measurement.min_effect"
         )
     gain = proof.gain_nm
@@ -490,8 +490,9 @@ def _refusal(diagnosis: Diagnosis, plan: _Plan, parts: int) -> str:
     )
     worst = f"worse by {proof.worst_nm:.2g} nm" if proof.worst_nm > 0 else f"better by {-proof.worst_nm:.2g} nm"
     why = (
-        f"no correction is written: of {proof.draws} draws of the next part, {proof.before_nm:.3g} nm rms before, "
-        f"{usual}, and the worst becomes {worst}; 95 % must gain {proof.min_effect_nm:g} nm, and none may lose as much"
+        f"no correction is written: of {proof.draws} simulated next parts, {proof.before_nm:.3g} nm rms before, "
+        f"{usual}, and the worst becomes {worst}; 95 % must improve by {proof.min_effect_nm:g} nm, none may become "
+        "worse by as much"
     )
     if plan.draws.unmeasured:
         return f"{why}. {plan.draws.unmeasured:.0%} of the part lies beyond the map: measure all of it"
@@ -499,7 +500,7 @@ def _refusal(diagnosis: Diagnosis, plan: _Plan, parts: int) -> str:
     if scatter is not None and scatter > 1:
         shared = math.sqrt(max(diagnosis.explained_rms_nm**2 - scatter**2, 0.0))
         more = math.ceil(4 * (scatter / shared) ** 2) - parts if shared > scatter / 4 else 0
-        remedy = f"measure {more} more" if more > 0 else "find what moves from part to part"
+        remedy = f"measure {more} more" if more > 0 else "find what differs between the cuts"
         return f"{why}. The maps differ by {scatter:.3g} nm rms: {remedy}"
     hidden = next((one for one in diagnosis if one.verdict != "correct" and one.rms_nm > 1), None)
     return f"{why}. {hidden.why if hidden else 'Measure more points, or more parts'}"
@@ -517,9 +518,9 @@ def _check_linear(job: Job, draws: Draws, motion_of: MotionOf) -> None:
         off, size = (_rms_of_draws(draws, some, one) for one in (made - linear, linear))
         if off > max(LINEAR_TOL * size, LINEAR_TOL_NM):
             raise CorrectionError(
-                f"nothing is corrected: a draw of the errors makes {size:.3g} nm rms in the linear model and differs "
-                f"by {off:.3g} nm in full simulation, the limit is {LINEAR_TOL:.0%}: correct the largest error at the "
-                "machine first, then measure again"
+                f"nothing is corrected: a random set of errors causes {size:.3g} nm rms in the linear model, which "
+                f"differs by {off:.3g} nm in full simulation, the limit is {LINEAR_TOL:.0%}: correct the largest error "
+                "at the machine first, then measure again"
             )
 
 
@@ -559,9 +560,9 @@ def _check_claim(job: Job, plan: _Plan, *, off: tuple[Floats, Floats, Floats], p
     claimed = math.hypot(plan.proof.after_nm, cusps)
     if simulated > claimed + max(SIMULATION_TOL * claimed, SIMULATION_TOL_NM):
         raise CorrectionError(
-            f"nothing is corrected: the draws predict {claimed:.3g} nm rms with the cusps, the simulation of the "
-            f"corrected job {simulated:.3g} nm, the limit is {SIMULATION_TOL:.0%} and {SIMULATION_TOL_NM:g} nm more: "
-            "mask what is not the part in the map, or measure a second part"
+            f"nothing is corrected: {claimed:.3g} nm rms with the cusps are predicted, the simulation of the "
+            f"corrected job gives {simulated:.3g} nm, the limit is {SIMULATION_TOL:.0%} and {SIMULATION_TOL_NM:g} nm "
+            "more: mask what is not the part in the map, or measure a second part"
         )
 
 
@@ -630,8 +631,8 @@ def _sentences(
         + (", all other errors that repeat by the target surface" if form else "")
     )
     sentences.append(
-        f"of {proof.draws} random draws of the uncertainties, 95 % improve by {proof.gain_nm:.3g} nm rms or more and "
-        f"none becomes worse by more than {max(proof.worst_nm, 0.0):.2g} nm: {proof.before_nm:.3g} nm rms before, "
+        f"of {proof.draws} next parts simulated with random errors, 95 % improve by {proof.gain_nm:.3g} nm rms or more "
+        f"and none becomes worse by more than {max(proof.worst_nm, 0.0):.2g} nm: {proof.before_nm:.3g} nm rms before, "
         f"{proof.after_nm:.3g} nm after"
     )
     stays = [

@@ -99,7 +99,7 @@ def _with_first_revolution(report: PassChips, chips: ChipMap, gate: DuctileCheck
         f"{say_length(float(chips.thickness[first].max()))} thick"
     )
     if away[first].max() > radius / 2:
-        sentence += ": increase lead_in, so that it lies outside"
+        sentence += ": increase lead_in, so that this revolution lies outside"
     return replace(report, ok=False, sentence=sentence)
 
 

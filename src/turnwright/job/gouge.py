@@ -39,7 +39,7 @@ class Gouge(NamedTuple):
         """Depth, position and allowed depth."""
         return (
             f"the tool gouges by {say_length(self.depth)} at x = {self.x:.4g} mm, y = {self.y:.4g} mm, where the "
-            f"decimals of the program and the chords between its points allow {say_length(self.allowed)}: take more "
+            f"decimals of the program and the chords between its points allow {say_length(self.allowed)}: use more "
             "points, or state a chord"
         )
 

@@ -58,7 +58,7 @@ class TextureComparison:
         """The comparison in a sentence."""
         return (
             f"texture below {1e3 * self.cutoff:.3g} um in the middle {self.side[0]:.3g} x {self.side[1]:.3g} mm: Sq "
-            f"{self.measured_nm:.3g} nm measured, {self.seen_nm:.3g} nm predicted through the instrument, "
+            f"{self.measured_nm:.3g} nm measured, {self.seen_nm:.3g} nm predicted with the instrument, "
             f"{self.predicted_nm:.3g} nm without it"
         )
 

@@ -169,7 +169,7 @@ class Measured:
     def verdicts(self) -> tuple[Verdict, ...]:
         """Which stated form tolerances the measured part meets; a form map does not resolve the finish."""
         return judge_form(
-            self.job, self.form_pv_nm, sq_reason="it is that of the patches, predict them or measure each"
+            self.job, self.form_pv_nm, sq_reason="a form map does not resolve it, predict or measure the patches"
         )
 
     @property
@@ -178,7 +178,7 @@ class Measured:
         seen = self.job.measurement.instrument
         if seen is None:
             return ()
-        stated = f"seen through {seen.name or 'the stated instrument'} ({seen.summary})"
+        stated = f"measured with {seen.name or 'the stated instrument'} ({seen.summary})"
         if self.instrument_effect_nm is None:
             return (f"{stated}: its model cannot be applied to these points, it needs an evenly spaced grid",)
         return (
@@ -531,7 +531,7 @@ def diagnose(
         if parts is not None and tool is not None and machine is not None:
             return attribute([one for one in every if isinstance(one, HeightMap)], parts, tool, machine, **options)
         if len(samples) < len(every) or options:
-            raise InputError("a bare map needs part, tool and machine: give them, or measure it by its job")
+            raise InputError("a map without a job needs part, tool and machine: give them, or give the job")
         return _diagnose_all(samples)
 
 
@@ -543,7 +543,7 @@ def _diagnose_all(every: Sequence[Measured]) -> Diagnosis:
         if not same_part(one.job, first) and _planned_with(one.job) != _planned_with(first):
             raise InputError(
                 f"{one.job.part.name!r} and {first.part.name!r} were planned with different tools or machines, a "
-                "diagnosis takes 1 of each: diagnose them separately"
+                "diagnosis allows 1 of each: diagnose them separately"
             )
     for k, one in enumerate(every):
         if any(one.fingerprint == other.fingerprint for other in every[:k]):

@@ -201,7 +201,7 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
 
 def stage_of(interpolation: str) -> str:
     """Return the name of the stage of a plan that tries an interpolation."""
-    return f"points, speed and proof, {interpolation}"
+    return f"points, speed and verification, {interpolation}"
 
 
 def _plan_interpolation(job: Job, form: float, sq: float, report: StageProgress) -> Plan:
@@ -438,7 +438,7 @@ def _largest_feed(job: Job, form: float, sq: float) -> tuple[float, float]:
         across *= ((1 + NEAR) / 2 / share) ** (1.0 if scallop else 0.5)
     name, unit = _key(job)
     raise LimitError(
-        f"no {name} keeps form_pv {form * NM:.3g} nm and sq {sq * NM:.3g} nm: at {write(round_down(across), unit)} the "
+        f"no {name} meets form_pv {form * NM:.3g} nm and sq {sq * NM:.3g} nm: at {write(round_down(across), unit)} the "
         f"exact path leaves {pv * NM:.3g} nm and {finish * NM:.3g} nm, which are not from cusps: use a smaller "
         "nose_radius"
     )

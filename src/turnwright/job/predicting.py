@@ -110,7 +110,7 @@ def predict(
 def _with_extremes(job: Job, whole: Prediction, motion: Motion, watch: Watch) -> Prediction:
     """Return the whole part with its highest and lowest point, and with the finish of a job without patches."""
     tool, part, machine = job.actual_tool, job.part, job.actual_machine
-    with watch.stage("highest and lowest place") as tell:
+    with watch.stage("highest and lowest point") as tell:
         form = find_extremes(motion, tool, part, machine=machine, known=whole.error, progress=tell)
     ring = None
     if job.tolerances.sq is not None and not job.simulation.patches:

@@ -101,7 +101,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     if difference > limit:
         warnings.append(
             f"the surface of the program on disk differs by {difference:.3g} nm from that of the motion in memory, its "
-            f"decimals allow {limit:.3g} nm: find the reason before cutting"
+            f"decimals allow {limit:.3g} nm: find the reason before you cut"
         )
     return Result(
         job=job, part=job.part, tool=job.tool, machine=job.machine,

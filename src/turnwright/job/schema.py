@@ -69,7 +69,7 @@ class ToolDeviations(Table):
         Actual minus nominal position of the tip: along X (tool centring error), in height (tool height error), along
         Z. [mm]
     rake
-        Angle of the rake face against the vertical, positive leaning back from the cutting direction. [rad]
+        Rake angle; positive if the rake face leans back from the cutting direction. [rad]
     """
 
     waviness: Waviness | None = None
@@ -330,7 +330,7 @@ class MeasurementTable(Table):
     waviness
         Powers of the sweep used to fit the waviness of the edge.
     min_effect
-        Least certain improvement of the rms that justifies a correction, and least effect of an error source. [mm]
+        Least certain improvement of the rms for a correction, and least effect of a corrected error source. [mm]
     cutoff
         Shortest wavelength of the form correction; derived from part and feed if left out. [mm]
     correct
@@ -341,7 +341,7 @@ class MeasurementTable(Table):
     corrected
         Maps that this job was corrected with, as `correct` records them, so that none is applied twice.
     cut_by
-        "this job", if the measured part was cut by the corrected job though it shows the corrected error again.
+        "this job", if this corrected job cut the measured part although its map still shows the corrected error.
     """
 
     pixel_size: Size | tuple[Size, Size] | None = None

@@ -127,7 +127,8 @@ def _correction(text: str, folder: str) -> Gridded:
     heights = read_map(file)
     if heights.x is None or heights.y is None or heights.scattered or np.isnan(heights.z).any():
         raise JobError(
-            f"{file.name} must be a full grid of heights over x and y: name a file that turnwright correct wrote"
+            f"{file.name} must be a grid of heights over x and y without gaps: name a file that turnwright correct "
+            "wrote"
         )
     return Gridded(x=heights.x, y=heights.y, z=heights.z, source=HeightFile(file=file))
 
@@ -316,7 +317,7 @@ class MachineTable(MachineDeviations):
             file = machine.sources.get("straightness", "")
             if not File(file).is_absolute():
                 raise InputError(
-                    f"a job names the file of a straightness, that of {machine.name!r} has none: write one"
+                    f"a job names a straightness by its file, that of {machine.name!r} has none: write a file"
                 )
             table["straightness_file"] = file
         sizes = {name: size for name, size in machine.plausible.items() if loaded.plausible.get(name) != size}

@@ -85,7 +85,7 @@ def steps_of_prediction(job: Job, *, tracking: bool | None = None) -> tuple[Step
             steps.append(Step(stage=f"simulate {name} with servos", work=work))
         steps.append(Step(stage="roughness", work=0.1 + heights / MILLION))
         if name == "whole part":
-            steps.append(Step(stage="highest and lowest place", work=1.5 + EXTREMES_S * points))
+            steps.append(Step(stage="highest and lowest point", work=1.5 + EXTREMES_S * points))
             if job.tolerances.sq is not None and not job.simulation.patches:
                 steps.append(Step(stage="roughest ring", work=0.5))
     return tuple(steps)
@@ -137,7 +137,7 @@ def steps_of_diagnosis(heights: Sequence[float]) -> tuple[Step, ...]:
 def steps_of_correction(heights: Sequence[float]) -> tuple[Step, ...]:
     """Return the steps of `correct`, with measurement, diagnosis and the report."""
     *steps, report = steps_of_diagnosis(heights)
-    return (*steps, Step(stage="prove the correction", work=8.0), Step(stage="simulate", work=3.0), report)
+    return (*steps, Step(stage="verify the correction", work=8.0), Step(stage="simulate", work=3.0), report)
 
 
 def _placed(job: Job, points: float) -> Iterator[Step]:

@@ -48,14 +48,14 @@ class Axis(Stated):
     Parameters
     ----------
     speed, acceleration, jerk
-        Largest magnitude, in mm or rad and s.
+        Limit of the magnitude, in mm or rad and s.
     low, high
         Ends of the travel. [mm or rad]
     bandwidth_hz
         Highest frequency that the axis follows; `check_limits` compares a motion with it. [Hz]
     bandwidth_residual
-        Motion allowed above the bandwidth: the amplitude of a sine of the same power over two revolutions; ``None`` for
-        1e-5. [mm or rad]
+        Largest motion above the bandwidth, as the amplitude of a sine of equal power over two revolutions; ``None``
+        for 1e-5. [mm or rad]
     response
         Closed-loop response from command to position; ``None`` for an axis that follows exactly.
     dead_time

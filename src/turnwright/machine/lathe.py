@@ -33,11 +33,11 @@ PLAUSIBLE = MappingProxyType(
 """Error sources whose plausible size a machine may give, and their units."""
 
 PLAUSIBLE_TEXTS = MappingProxyType({
-    "squareness": "Of the X slide to the spindle.",
-    "straightness": "Of the X slide.",
+    "squareness": "Squareness of the X slide to the spindle.",
+    "straightness": "Straightness of the X slide.",
     "servo lag": "Angle of C by which Z lags.",
-    "drift of X": "Over the time of a cut; limited only by the maps if not given.",
-    "drift of Z": "Over the time of a cut; limited only by the maps if not given.",
+    "drift of X": "Drift over the time of a cut; limited only by the maps if not given.",
+    "drift of Z": "Drift over the time of a cut; limited only by the maps if not given.",
 })  # fmt: skip
 
 ErrorSizes: TypeAlias = Annotated[Mapping[str, float], Plausible(PLAUSIBLE, PLAUSIBLE_TEXTS, slopes=("squareness",))]
@@ -72,7 +72,7 @@ class Machine(Stated, Value):
         Further height error of the tip along X: ascending positions and errors, linear in between, constant beyond the
         ends. ((n,), (n,)) [mm]
     plausible
-        Plausible sizes (standard deviations) that differ from `ERROR_SOURCES` of the diagnosis: "squareness" [rad],
+        Plausible sizes (standard deviations) of errors, where they differ from `ERROR_SOURCES`: "squareness" [rad],
         "straightness" [mm], "servo lag" [rad]; and "drift of X", "drift of Z" over the time of a cut [mm], limited only
         by the maps if not given.
     sources

@@ -179,7 +179,7 @@ def _texture(residual: HeightMap, grid: Grid, sq: float) -> tuple[float, float, 
     nothing = float("nan"), float("nan")
     steps = [np.diff(axis) for axis in (grid.columns, grid.rows)]
     if residual.polar:
-        return *nothing, ("Sal and Str cannot be stated: a polar grid has no even lags, so take a rectangular patch",)
+        return *nothing, ("Sal and Str cannot be stated: a polar grid has no even lags, so use a rectangular patch",)
     if any(step.size < 3 or np.ptp(step) > 1e-6 * step.mean() for step in steps):
         return *nothing, ("Sal and Str cannot be stated: they need an even grid of at least 4 x 4 points",)
     if sq == 0:

@@ -398,15 +398,15 @@ def _search(profile: Profile, feed: float | None, axis: float | None) -> _Crests
     run = _runs(crest, guess, axis, given=feed is not None)
     if np.bincount(run, minlength=1).max() < MIN_CUSPS:
         raise InputError(
-            f"the profile shows {crest.size} crests and no {MIN_CUSPS} that are neighbours: give the feed as a first "
+            f"the profile shows {crest.size} crests and no {MIN_CUSPS} consecutive ones: give the feed as a first "
             "guess, or a profile across the lay"
         )
     scallops = _scallops(profile.distance[valid], level[valid], (z - level)[valid], crest, run, half)
     if feed is None and _alternating(scallops):
         if 2 * guess * MIN_PERIODS > np.ptp(profile.distance):
             raise InputError(
-                f"every second crest is lower, and {2e3 * guess:.3g} um is more than the profile over {MIN_PERIODS}: "
-                "state the feed, or measure a longer profile"
+                f"every second crest is lower, so the feed would be {2e3 * guess:.3g} um, too long for {MIN_PERIODS} "
+                "cusps: state the feed, or measure a longer profile"
             )
         return _search(profile, 2 * guess, axis)
     return scallops
@@ -470,7 +470,7 @@ def _even(relative: Floats, apart: Bools, guess: float, *, given: bool) -> Bools
     if not good.any():
         raise InputError(
             f"{off.size + 1} crests about {1e3 * guess:.3g} um apart scatter by {100 * np.sqrt(square.min()):.2g} % of "
-            f"it (at most {100 * SPACING_TOL:g} % each), as those of noise do; cusps scatter by less than "
+            f"it (at most {100 * SPACING_TOL:g} % each), like noise; cusps scatter by less than "
             f"{100 * np.sqrt(limit):.2g} %: check the feed if it is given, state it if not, or measure with less noise"
         )
     even = np.ones(relative.size, dtype=bool)
@@ -502,7 +502,7 @@ def _strongest_period(profile: Profile, z: Floats, step: float) -> float:
     if not score.any():
         most = int(np.argmax(np.where(allowed, outstanding, 0.0)))
         raise InputError(
-            f"no cusps stand out of the profile's noise: its strongest period, {1e3 / frequency[most]:.3g} um, has "
+            f"no cusps are above the profile's noise: its strongest period, {1e3 / frequency[most]:.3g} um, has "
             f"{outstanding[most]:.2g} times the power of those around it, the limit is {limit:.2g}: state the feed if "
             f"there are fewer than {MIN_PERIODS} cusps, measure with less noise, or give a profile across the lay"
         )
@@ -734,7 +734,7 @@ def _summed_up(found: _Crests, axis: float | None, gaps: list[tuple[float, float
     counted = found.counted()
     if not counted.run.size:
         raise InputError(
-            f"the profile shows {found.crest.size} crests and no {MIN_CUSPS} that are neighbours: choose more"
+            f"the profile shows {found.crest.size} crests and no {MIN_CUSPS} consecutive ones: choose more"
         )
     crest, height, at, heights = counted.crest, counted.crest_z, counted.height_at, counted.height_nm
     run = np.unique(counted.run, return_inverse=True)[1].astype(np.int64)

@@ -131,7 +131,7 @@ def _order(kind: str, order: int | None, along: str | None) -> int:
     one_of(kind, "the kind of filter", ("gaussian", "robust", "spline"))
     if kind == "spline" and (order is not None or along is None):
         raise InputError(
-            "a spline filter works along lines and has no order: give along and leave the order out, or take a Gaussian"
+            "a spline filter works along lines and has no order: give along and leave the order out, or use a Gaussian"
         )
     order = DEFAULT_ORDERS.get(kind, 0) if order is None else order
     one_of(order, "the order of the filter", (0, 1, 2))
@@ -143,7 +143,7 @@ def _steps(heights: HeightMap, along: str | None) -> tuple[float, ...]:
     grid = measure(heights)
     one_of(along or "x", "the direction of the lines", ("x", "y", "radius"))
     if heights.polar != (along == "radius"):
-        lines = 'take its lines with along="radius"' if heights.polar else 'take along="x" or "y"'
+        lines = 'use its lines with along="radius"' if heights.polar else 'use along="x" or "y"'
         way = "areas" if along is None else f"lines along {along}"
         raise InputError(
             f"the {'polar' if heights.polar else 'rectangular'} map cannot be filtered over {way}: {lines}"

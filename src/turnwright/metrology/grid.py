@@ -141,7 +141,7 @@ def area_rms(heights: HeightMap, *, like: HeightMap | None = None) -> float:
     if areas.size != measured.size:
         raise InputError(
             f"like must have as many valid heights as there are scattered points, {measured.size}, got {areas.size}: "
-            "give the map that the points were taken from"
+            "give the map from which the points were selected"
         )
     return float(np.sqrt(np.average(heights.z[measured] ** 2, weights=areas[measured])))
 

@@ -336,7 +336,7 @@ def lenslets(
     >>> found[0].dislocation[0].__round__(9), found[3].measured
     (0.003, True)
     """
-    between(inner, "inner, the share of its radius that belongs to a lenslet,", 0.1, 1.0, "lens radii")
+    between(inner, "inner, the fraction of its radius that belongs to a lenslet,", 0.1, 1.0, "lens radii")
     between(outer, "outer, where the base begins,", inner, 10.0, "lens radii")
     one_of(form, "form", ("design", "sphere"))
     if not 0 <= base_degree <= MAX_BASE_DEGREE or base_degree == 1:

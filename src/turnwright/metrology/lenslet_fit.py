@@ -270,8 +270,8 @@ def free_parameters(design: Design, inner: float, *, radius: bool, tilt: bool) -
     for column, share in alone(free).items():
         if share < MIN_INDEPENDENT_SHARE:
             raise InputError(
-                f"the form of the lenslet does not determine the {names[column]}: a share of {share:.1g} of its "
-                f"squared effect is independent of the other parameters, the limit is {MIN_INDEPENDENT_SHARE:g}; "
+                f"the form of the lenslet does not determine the {names[column]}: only {share:.1g} of its squared "
+                f"effect is independent of the other parameters, at least {MIN_INDEPENDENT_SHARE:g} is needed; "
                 + ("leave the tilt fixed" if tilt else "fit a form with more curvature, or a larger aperture")
             )
     is_separable = np.isfinite(design.radius) and min(alone(sorted({*free, 3})).values()) >= MIN_INDEPENDENT_SHARE

@@ -299,7 +299,7 @@ def _places(
         remedy = f"a reach of at most {say_length(widest)}" if widest > step else "a smaller reach and clocking"
         raise InputError(
             f"the map's field of {say_length(2 * rim)} cannot be searched within a reach of {say_length(reach)} and "
-            f"a clocking of {np.rad2deg(clocking):.3g} deg: these are {total / 1e6:,.0f} million places "
+            f"a clocking of {np.rad2deg(clocking):.3g} deg: these are {total / 1e6:,.0f} million positions "
             f"{say_length(step)} apart, the limit is {MAX_PLACES / 1e6:g} million. Check the unit of its lengths; if "
             f"that is right, state shift and rotation of the map and {remedy}"
         )

@@ -122,7 +122,7 @@ def profile_roughness(
     if fit < max(wanted, 1):
         raise InputError(
             f"the profile is {length:.4g} mm long, {max(wanted, 1)} sections of {cutoff:g} mm need more: "
-            "measure a longer one, or take a shorter cutoff"
+            "measure a longer one, or use a shorter cutoff"
         )
     notes = (
         []
@@ -141,7 +141,7 @@ def profile_roughness(
     valid = parts[~np.isnan(parts)]
     filled = [one[~np.isnan(one)] for one in counts]
     if any(one.size == 0 for one in filled):
-        notes.append(f"{sum(one.size == 0 for one in filled)} sections have no height and are left out")
+        notes.append(f"{sum(one.size == 0 for one in filled)} sections have no valid heights and are left out")
         filled = [one for one in filled if one.size]
     if not valid.size:
         raise InputError("the profile has 0 valid heights in its sections, roughness needs 1: measure another")
@@ -152,7 +152,7 @@ def profile_roughness(
     if crossed:
         notes.append(f"{crossed} profile elements reach a gap without heights and do not count for rsm")
     if np.isnan(rsm):
-        notes.append("rsm is nan: the evaluation length holds no whole profile element without a gap")
+        notes.append("rsm is nan: the evaluation length has no complete profile element")
     return ProfileRoughness(
         ra_nm=float(np.mean(np.abs(valid))) * NM,
         rq_nm=rq * NM,

@@ -258,8 +258,9 @@ class Registration:
             f"frame to the part's; {self.count} points fit to {self.rms_nm:.4g} nm rms along the {along}."
         )
         remedies = {
-            "tails": 'Clean the map, mask it, or take loss="huber".',
-            "ambiguous": "Measure the edge of the part or a fiducial, and give a start and a reach that leave one.",
+            "tails": 'Clean the map, mask it, or use loss="huber".',
+            "ambiguous": "Measure the edge of the part or a fiducial, and give a start and a reach that exclude the "
+            "others.",
         }
         return first, *(" ".join(filter(None, (fact, remedies.get(kind)))) for kind, fact in self.findings)
 
@@ -431,7 +432,7 @@ def _task(
     heights.require_calibrated()
     unknown = sorted(set(free) - set(NAMES))
     if unknown or not free:
-        raise InputError(f"free holds {unknown or 'nothing'}, known are {', '.join(NAMES)}: choose among them")
+        raise InputError(f"free has {unknown or 'no entry'}, allowed are {', '.join(NAMES)}: choose among them")
     one_of(distance, "distance", ("vertical", "normal"))
     one_of(loss, "loss", ("linear", *LOSS_WIDTHS))
     noise = None if noise_nm is None else positive(noise_nm, "noise", "nm") / NM

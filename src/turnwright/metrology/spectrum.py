@@ -291,17 +291,20 @@ def _cut(z: Floats, missing: str, steps: tuple[float, float], *, rows: int) -> t
         row, tall, column, wide = largest_rectangle(np.ascontiguousarray(valid), steps[1], steps[0])
         part = z[row : row + tall, column : column + wide]
         share = part.size / np.count_nonzero(valid)
-        note = f"of the valid heights {100 * share:.3g} % lie in the largest whole rectangle, the others are left out"
+        note = (
+            f"{100 * share:.3g} % of the valid heights lie in the largest rectangle without gaps, the others are left "
+            "out"
+        )
     else:
         some_rows, some_columns = np.flatnonzero(valid.any(axis=1)), np.flatnonzero(valid.any(axis=0))
         part = z[some_rows[0] : some_rows[-1] + 1, some_columns[0] : some_columns[-1] + 1]
         note = (
-            f"{100 * np.isnan(part).mean():.3g} % of the heights are missing and of no weight: the density is smeared "
-            "by the spectrum of the mask, so a steep one reads too high where it is low"
+            f"{100 * np.isnan(part).mean():.3g} % of the heights are missing: the spectrum of the mask smears the "
+            "density, so a steep density reads too high where it is low"
         )
     if part.shape[0] < rows or part.shape[1] < FEWEST:
         raise InputError(
             f"the part of the map for the spectrum has {part.shape[0]} x {part.shape[1]} points, the least is {rows} x "
-            f'{FEWEST}: map more of the part, or take missing="mask"'
+            f'{FEWEST}: map more of the part, or use missing="mask"'
         )
     return part, (note,)

@@ -121,7 +121,7 @@ def read_edge_trace(path: str | PathLike[str], *, profile: int | None = None) ->
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}): check its name and place") from error
+        raise InputError(f"{path} cannot be read ({error.strerror}): check its name and folder") from error
     heads = [number for number, line in enumerate(lines) if line.replace(" ", "").upper() == "X,Y,Z"]
     head, body = (lines[: heads[0]], lines[heads[0] + 1 :]) if heads else ([], lines)
     body = _profile(path, head, body, profile)
@@ -148,11 +148,13 @@ def _profile(path: Path, head: list[str], body: list[str], profile: int | None) 
         if cells[0] == "Number of data" and len(cells) == 3 and cells[1].isdigit() and cells[2].isdigit():
             size, profiles = int(cells[1]), int(cells[2])
     if profiles > 1 and (profile is None or size == len(body)):
-        raise InputError(f"{path} holds {profiles} profiles, the limit is 1: say which (profile=1, ...), or export one")
+        raise InputError(
+            f"{path} holds {profiles} profiles, the limit is 1: give its number (profile=1, ...), or export one"
+        )
     if profile is None:
         return body
     if not 1 <= profile <= profiles:
-        raise InputError(f"{path} has no profile {profile}, it holds {profiles}: ask for one of them, from 1")
+        raise InputError(f"{path} has no profile {profile}, it holds {profiles}: give one of these numbers, from 1")
     return body[(profile - 1) * size : profile * size]
 
 
@@ -226,8 +228,8 @@ def fit_edge(
         )
     except InputError as error:
         raise InputError(
-            f"a trace of {along.size} points shows an arc of {radius:.4g} mm that no nose has ({error}): clean the "
-            "tool and trace its nose again"
+            f"a trace of {along.size} points shows an arc of {radius:.4g} mm that is no possible nose ({error}): clean "
+            "the tool and trace its nose again"
         ) from error
     return EdgeFit(
         tool=tool,
@@ -362,7 +364,7 @@ def _smooth(sweep: Floats, off: Floats, cutoff: float) -> tuple[WavinessTable, F
     if np.count_nonzero(filled) < POINTS_PER_CUTOFF:
         raise InputError(
             f"the arc spans {np.rad2deg(np.ptp(sweep)):.3g} deg and the cutoff {np.rad2deg(cutoff):.3g} deg of it, at "
-            "least one cutoff must fit: take a smaller cutoff"
+            "least one cutoff must fit: use a smaller cutoff"
         )
     at, height = (np.bincount(number, weights=values)[filled] / count[filled] for values in (sweep, off))
 

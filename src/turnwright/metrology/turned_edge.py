@@ -487,7 +487,7 @@ def _as_tool(
         compensated = replace(tool, waviness=table)
     except InputError as error:
         raise InputError(
-            f"{count} valleys show an edge that no tool has ({error}): check nose_radius, axis and removed form"
+            f"{count} valleys give an impossible edge ({error}): check nose_radius, axis and removed form"
         ) from error
     return TurnedEdge(
         tool=compensated,

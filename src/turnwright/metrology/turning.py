@@ -165,7 +165,7 @@ def turning_centre(
         positive(feed, "feed", "mm/rev")
     grid = measure(error)
     if error.x is None or error.y is None:
-        raise InputError("the map is polar, which has the middle of its rings for an axis: give a rectangular map")
+        raise InputError("the map is polar, so its axis is the centre of its rings: give a rectangular map")
     valid_points(error, TILE_PIXELS[0], "a turning centre")
     step = float(np.diff(grid.columns).mean()) if grid.columns.size > 1 else 1.0
     for side in TILE_PIXELS:

@@ -128,14 +128,16 @@ def fit_zernike(
     """
     first = FIRST.get(indexing, 0)
     if isinstance(terms, int) and terms > MAX_TERMS:
-        raise InputError(f"{terms} Zernike terms are asked for, the limit is {MAX_TERMS}: ask for fewer")
+        raise InputError(f"{terms} Zernike terms are requested, the limit is {MAX_TERMS}: reduce their number")
     indices = tuple(range(first, first + terms)) if isinstance(terms, int) else tuple(terms)
     if not indices:
-        raise InputError("0 Zernike terms are asked for, the least is 1: name some, or say how many")
+        raise InputError("0 Zernike terms are requested, at least 1 is needed: give indices or a number")
     # Refuses what it cannot hold: unknown terms, and those named twice.
     Zernike(terms=dict.fromkeys(indices, 1.0), radius=1.0, indexing=indexing)
     if len(set(indices)) < len(indices):
-        raise InputError(f"of the {len(indices)} Zernike terms some are named twice, once is the limit: correct them")
+        raise InputError(
+            f"of the {len(indices)} Zernike terms some are given twice, only once is allowed: correct them"
+        )
     normal_terms = indexing != "fringe" if normalised is None else normalised
     valid = valid_points(heights, len(indices), f"a fit of {len(indices)} Zernike terms")
     cloud = Cloud.of(heights, valid)
@@ -146,7 +148,7 @@ def fit_zernike(
     if inside < len(indices):
         raise InputError(
             f"the aperture of {radius:g} mm around ({centre[0]:g}, {centre[1]:g}) mm has {inside} valid heights, "
-            f"{len(indices)} Zernike terms need as many: correct the aperture"
+            f"{len(indices)} Zernike terms need at least that number: enlarge the aperture"
         )
     cloud = replace(cloud, used=used)
     residual = np.full(heights.z.shape, np.nan)

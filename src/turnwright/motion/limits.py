@@ -224,7 +224,7 @@ def find_limit_demands(
 def _check_travel(letter: str, top: Mapping[str, float], machine: Machine) -> list[str]:
     axis = machine.axes.get(letter)
     if axis is None:
-        return [f"the motion needs axis {letter}, {machine.name} does not have it: choose another machine"]
+        return [f"the motion needs axis {letter}, which {machine.name} does not have: choose another machine"]
     slide = FAST.get(letter)
     remedy = f"move more of the motion to {slide}" if slide else "move the part on the spindle"
     return [

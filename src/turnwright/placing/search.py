@@ -143,9 +143,9 @@ def _search_widening(
         some = some[narrow]
         if window.high > max(MAX_WINDOW_RATIO * contact.edge.high_u, 4 * contact.extent):
             raise GougeError(
-                f"with the tip {tips.radius[some[0]]:.6g} mm from the axis the surface stands above the edge "
-                f"even {window.high:.3g} mm up its flanks: take a tool with a larger included angle, or a surface "
-                "that does not run away outside the part"
+                f"with the tip {tips.radius[some[0]]:.6g} mm from the axis the surface is above the edge "
+                f"even {window.high:.3g} mm up its flanks: use a tool with a larger included angle, or a surface "
+                "that rises less outside the part"
             )
         window = window._replace(low=2 * window.low, high=2 * window.high)
         if line is not None:
@@ -180,7 +180,7 @@ def _find_contacts(contact: Contact, window: _Window, tips: Tips, line: Ints | N
     if not (np.isfinite(z) | narrow).all():
         k = int(np.argmin(np.isfinite(z) | narrow))
         raise GougeError(
-            f"no place on the edge touches with the tip {tips.radius[k]:.6g} mm from the axis at azimuth "
+            f"no point of the edge touches with the tip {tips.radius[k]:.6g} mm from the axis at azimuth "
             f"{np.rad2deg(tips.angle[k]) % 360:.4g} deg, the surface must be finite there: check the prescription"
         )
     part = Touch(z, best, *contact.under_edge(tips, best), z + edge.points(best)[2])
@@ -281,7 +281,7 @@ def _check_ends(contact: Contact, tips: Tips, at: Touch) -> None:
         raise GougeError(
             f"with the tip {tips.radius[k]:.6g} mm from the axis at azimuth "
             f"{np.rad2deg(tips.angle[k]) % 360:.4g} deg a flank of the tool touches the rim of the path, "
-            f"{contact.rim:.6g} mm from the axis, where the surface is steeper than the flank: take a tool with a "
+            f"{contact.rim:.6g} mm from the axis, where the surface is steeper than the flank: use a tool with a "
             "larger included angle, or reduce the clear aperture or the lead-in"
         )
 

@@ -249,7 +249,7 @@ def find_tangents_through(surface: Surface, edge: Edge, contacts: Tips) -> tuple
             raise GougeError(
                 f"the surface slopes {np.rad2deg(np.arctan(np.hypot(zx[k], zy[k]))):.4g} deg at x = {x[k]:.6g} mm, "
                 f"y = {y[k]:.6g} mm, the arc of the tool covers slopes from {low:.4g} to {high:.4g} deg: "
-                "take a tool with a larger included angle"
+                "use a tool with a larger included angle"
             )
         moved = contacts.lateral + edge.points(sweep)[1]
         # An edge without rake stays in the radial plane; with rake, its lateral position depends on the sweep.

@@ -179,7 +179,8 @@ def _plunge(
             divided = _add_velocities(plunge, turned, curves, subdivision, height / turns)
             return _drop_close_points(from_rest_to_rest(divided)), height / turns
     raise ProgramError(
-        f"pass {name} has too few points per turn for a plunge with C turning: use more, or begin it outside the blank"
+        f"pass {name} has too few points per revolution for a plunge with C rotating: use more, or begin it outside "
+        "the blank"
     )
 
 
@@ -430,6 +431,6 @@ def entry_words(approach: Approach) -> str:
     if approach.plunge is None:
         return "begins clear of the material, no plunge"
     return (
-        f"C turns while the tool plunges {approach.height:.3f} mm at {approach.plunge_feed * 60:.3f} mm/min, "
+        f"C rotates while the tool plunges {approach.height:.3f} mm at {approach.plunge_feed * 60:.3f} mm/min, "
         f"{approach.per_rev * 1e3:.3f} um a revolution"
     )

@@ -63,4 +63,4 @@ def reading(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         where = error.filename or path
-        raise ProgramError(f"{where} cannot be read ({error.strerror}): check its name and place") from error
+        raise ProgramError(f"{where} cannot be read ({error.strerror}): check its name and folder") from error

@@ -57,8 +57,8 @@ class Dialect(Stated):
     wrapped
         Whether C is written modulo one turn (the axis rolls over and takes the short way) or cumulative.
     feed
-        Meaning of F under G93: the block time in seconds, or one over the block time in minutes; where words have
-        velocities, the meaning of PVT: the block time in milliseconds.
+        Meaning of F under G93: the block time in seconds, or its inverse in 1/min. With velocities, the meaning of
+        PVT: the block time in milliseconds.
     feed_decimals
         Largest number of decimals of the block time.
     feed_every_block
@@ -78,7 +78,7 @@ class Dialect(Stated):
     rapid_move
         Lines of a rapid move with ``{words}``, after which feed moves continue.
     call
-        Call of the sub-program ``{file}``; empty where there is none.
+        Line that calls the sub-program ``{file}``; empty if the dialect has no sub-programs.
     always_call
         Whether every pass is a sub-program, or only those of a program too long for one file.
     program_end, call_end
@@ -88,7 +88,7 @@ class Dialect(Stated):
     velocities
         Whether each word ends with the velocity of the axis at the end of the block, ``X1.5:20``, in mm/s or deg/s.
     comment
-        Text that begins a comment, before its bracket; empty where the bracket does.
+        Text before the bracket of a comment; empty if the bracket alone begins a comment.
     longest_block
         Longest block time. [s]
     sources
@@ -225,12 +225,12 @@ def _check_line(place: str, line: str) -> None:
     try:
         parts = [(name, form, kind) for _, name, form, kind in Formatter().parse(line) if name is not None]
     except ValueError as error:
-        raise InputError(f"{place} has the line {shown(line)}, its braces cannot be read: close them") from error
+        raise InputError(f"{place} has the line {shown(line)}, its braces do not match: close them") from error
     for name, form, kind in parts:
         if name not in allowed or kind or not (FEED_FORM.fullmatch(form or "") if name == "feed" else not form):
             raise InputError(
-                f"{place} has {shown(name)} in braces, {', '.join(sorted(allowed))} can be, the feed with a form such "
-                "as {feed:.4f}: correct it"
+                f"{place} has {shown(name)} in braces, {', '.join(sorted(allowed))} are allowed, the feed with a "
+                "form such as {feed:.4f}: correct it"
             )
 
 

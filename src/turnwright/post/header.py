@@ -144,10 +144,10 @@ def language(machine: Machine, dialect: Dialect) -> list[str]:
 def _feed_line(dialect: Dialect) -> str:
     if dialect.velocities:
         return (
-            "( FEED: PVT IS THE MILLISECONDS OF A BLOCK, AFTER A COLON STANDS THE VELOCITY AT ITS END, MM/S OR DEG/S; "
+            "( FEED: PVT IS THE TIME OF A BLOCK IN MS; THE VELOCITY AT ITS END FOLLOWS A COLON, MM/S OR DEG/S; "
             "F IS MM/S; FROM REST TO REST )"
         )
-    meaning = "THE SECONDS OF A BLOCK" if dialect.feed == "seconds" else "ONE OVER THE MINUTES OF A BLOCK"
+    meaning = "THE BLOCK TIME IN SECONDS" if dialect.feed == "seconds" else "1 / BLOCK TIME IN 1/MIN"
     validity = "" if dialect.feed_every_block else ", IN FORCE UNTIL THE NEXT F"
     return f"( FEED: UNDER G93, F IS {meaning}{validity}; WITH {dialect.feed_decimals} DECIMALS AT MOST )"
 
@@ -157,7 +157,7 @@ def after_stop(dialect: Dialect) -> tuple[str, ...]:
     restart = "Retract in Z first, then begin the pass again with its approach"
     if dialect.wrapped:
         return (restart,)
-    unwind = "Before that, set C by whole turns to within 360 deg of where that approach begins, else it unwinds"
+    unwind = "Before that, set C by whole turns to within 360 deg of the start of that approach, or it unwinds"
     return restart, unwind
 
 
@@ -177,7 +177,7 @@ def lines(
         text = getattr(header, key)
         written += comments(key.upper(), text) if text else []
     away, outward, turning = ("GROWS" if axis_signs(machine)[letter] > 0 else "FALLS" for letter in "XZC")
-    counting = "CUMULATIVE FROM PASS TO PASS; FROM C BELOW IS LESS WHOLE TURNS"
+    counting = "CUMULATIVE FROM PASS TO PASS; FROM C BELOW IS WITHOUT WHOLE TURNS"
     if dialect.wrapped:
         counting = "WRITTEN FROM 0 TO 360, SHORT WAY"
     dialect_comment, convention_comment = language(machine, dialect)

@@ -263,10 +263,10 @@ def _motion(path: Path, cut: _Cut, header_pass: ProgramPass | None, machine: Mac
         cumulative = False
     if bad >= 0:
         reason = "" if within_one_turn else " (it leaves 0 to 360, so it does not roll over)"
-        alternative = "or not at all" if cumulative else "by nothing or by half a turn"
+        alternative = "or not at all" if cumulative else "not at all or by half a turn"
         raise ProgramError(
-            f"{path}: block {bad} of {cut.name} turns C back, {alternative}, to {axes['C'][bad]:g}{reason}, the sense "
-            "of rotation must not change: split the program there"
+            f"{path}: block {bad} of {cut.name} turns C backwards, {alternative}, to {axes['C'][bad]:g}{reason}, the "
+            "sense of rotation must not change: split the program there"
         )
     time = rows[4]
     kernel.clock(time)
@@ -692,7 +692,7 @@ class _Reader:
                 raise self._error(f"begins loop {loop[2]} within itself", "give each loop its own number")
             self.loops[int(loop[2])] = loop[1]
             if not self.macros.holds(loop[1]):
-                raise self._error("begins a loop that never runs", "give a program that cuts once")
+                raise self._error("begins a loop that runs 0 times", "give a program whose loop runs once")
         elif end := END.fullmatch(bare):
             label = next(reversed(self.loops), None)
             if label != int(end[1]):
@@ -701,7 +701,7 @@ class _Reader:
             if self.macros.holds(self.loops.pop(label)):
                 raise self._error("repeats a loop, only one run is allowed", "give a program of one pass")
         elif OTHER.match(bare):
-            raise self._error(f"is a statement that Turnwright does not follow ({bare[:30]})", "give plain blocks")
+            raise self._error(f"is a statement that Turnwright does not support ({bare[:30]})", "give plain blocks")
         else:
             return False
         return True
@@ -830,7 +830,7 @@ class _Reader:
         elif code in {2, 3}:
             raise self._error(f"is an arc (G{code:g})", "write the program in straight blocks (G1)")
         elif code not in IGNORED_G | MACHINE_G | SHIFT_G | UNSET_G | {SET_G}:
-            raise self._error(f"has G{code:g}, which Turnwright does not follow", "remove it, or write it with G1")
+            raise self._error(f"has G{code:g}, which Turnwright does not support", "remove it, or write it with G1")
 
     def _change_mode(self, mode: int) -> None:
         """Change the meaning of F; an F of the other mode is not valid.
@@ -957,7 +957,7 @@ class _Reader:
         elif np.any(step != 0):
             self._close()
         elif self.cut is not None:
-            raise self._error("stands still within a cut", "remove the repeated point")
+            raise self._error("does not move within a cut", "remove the repeated point")
 
     def _cut(self, before: Floats, step: Floats) -> None:
         """Add the current block to the cut, beginning one if none is open."""

@@ -134,9 +134,7 @@ def write_fast_tool(
     if by not in COLUMNS:
         raise ProgramError(f'by is {by!r}, it must be "position" or "time": choose one')
     if (rate_hz is None) != (by == "position"):
-        raise ProgramError(
-            f"a table by {by} has the rate {rate_hz}, by time it needs one and by position it has none: correct it"
-        )
+        raise ProgramError(f"a table by {by} has the rate {rate_hz}, only a table by time has a rate: correct it")
     dialect = dialect_of(machine)
     table = path.parent / f"{path.stem}.fast.csv"
     hidden = table.with_name(f".{table.name}.{os.getpid()}")
@@ -218,7 +216,7 @@ def _make_position_rows(motion: Motion, machine: Machine, dialect: Dialect) -> t
     if bad.size:
         raise ProgramError(
             f"row {bad[0] + 2} of the fast tool's table turns C by {step[bad[0]] / scale[1]:g} deg, the limits are one "
-            f"unit of the program, {1 / scale[1]:g} deg, and half a turn: use other points per turn"
+            f"unit of the program, {1 / scale[1]:g} deg, and half a turn: use another number of points per revolution"
         )
     return rows, decimals, off
 

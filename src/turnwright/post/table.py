@@ -75,11 +75,11 @@ def read_table(
     first, last = int(cutting[0]), int(cutting[-1]) + 1
     if not turning[first:last].all():
         bad = rows[first + 1 + int(np.argmin(turning[first:last]))]
-        raise ProgramError(f"{path} line {bad} moves the tool within a cut while C stands still: split the table there")
+        raise ProgramError(f"{path} line {bad} moves the tool within a cut while C is at rest: split the table there")
     dropped = len(rows) - (last + 1 - first)
     if dropped:
         warnings.warn(
-            f"{path}: {dropped} rows of plunge and retract, in which C stands still, were dropped",
+            f"{path}: {dropped} rows of plunge and retract, in which C is at rest, were dropped",
             ProgramWarning,
             stacklevel=2,
         )

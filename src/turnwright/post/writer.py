@@ -598,7 +598,7 @@ class _Job:
                 span = one.motion.time[bad] - one.motion.time[bad - 1]
                 raise ProgramError(
                     f"block {bad} of pass {one.name} lasts {span:.6g} s, the limits are 1e-6 s to {longest:g} s: check "
-                    "the spindle speed and the points per turn"
+                    "the spindle speed and the points per revolution"
                 )
             if self.dialect.velocities:  # block times are separate lines
                 self.lines += int(np.count_nonzero(mantissa))
@@ -612,11 +612,11 @@ def _step_error(one: _Pass, index: int) -> ProgramError:
     if step >= 180:
         return ProgramError(
             f"block {index} of pass {one.name} turns C by {step:g} deg, it must be below 180 deg, so that the sense of "
-            "rotation is unambiguous: use more points per turn"
+            "rotation is unambiguous: use more points per revolution"
         )
     return ProgramError(
         f"block {index} of pass {one.name} turns C by {step:g} deg, it must be at least one unit of the program, "
-        f"{10.0**-places:.{places}f} deg: use fewer points per turn"
+        f"{10.0**-places:.{places}f} deg: use fewer points per revolution"
     )
 
 

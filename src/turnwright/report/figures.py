@@ -815,8 +815,8 @@ def minutes_and_errors(tried: Sequence[Candidate]) -> Picture:
     named = ", ".join(f"{number} {one.name}" for number, one in enumerate(tried, 1))
     return Picture(
         canvas.svg,
-        f"Form error over cutting time, {named}: the line (the Pareto front) joins the strategies that no other one "
-        "beats in both.",
+        f"Form error over cutting time, {named}: the line (the Pareto front) joins the strategies that no other "
+        "beats in both time and error.",
     )
 
 

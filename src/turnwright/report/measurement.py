@@ -33,7 +33,7 @@ MAX_SIGNATURES = 6
 
 PREDICTION_TEXT = (
     "The prediction is the measured error, including cusps and instrument noise, plus the simulated change by the "
-    "correction. It assumes that the diagnosed errors repeat."
+    "correction. The diagnosed errors are assumed to repeat."
 )
 
 SIMULATION_TEXT = (
@@ -176,7 +176,7 @@ def _through_instrument(measured: Measured) -> list[Section]:
     seen = measured.job.measurement.instrument
     if seen is not None and seen.source:
         text.append(f"Source: {seen.source}.")
-    return [Section(title="Through the instrument", text=text)] if text else []
+    return [Section(title="Effect of the instrument", text=text)] if text else []
 
 
 def _form(measured: Measured) -> list[Section]:

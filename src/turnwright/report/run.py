@@ -54,8 +54,8 @@ APPROACH_TEXT = (
 
 CHIP_TEXT = (
     "Cutting is brittle above the critical chip thickness; cracks are harmless where later passes remove more than "
-    "their depth. On the first revolution and outside the clear aperture, no previous revolution limits the chip "
-    "thickness."
+    "their depth. The first revolution and points outside the clear aperture have thicker chips, as no previous "
+    "revolution limits them."
 )
 
 
@@ -70,7 +70,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
     if failed:
         grade, word, why = "bad", "Not ready", "; ".join(failed)
     elif brittle := [cut.name for cut in result.passes if cut.chips is not None and not cut.chips.ok]:
-        grade, word, why = "warn", "Brittle damage possible", f"not in the ductile regime: {', '.join(brittle)}"
+        grade, word, why = "warn", "Brittle fracture possible", f"not in the ductile regime: {', '.join(brittle)}"
     elif not result.ok:
         grade, word, why = "warn", "Ready with exceptions", "exceeds a limit that the job accepts"
     else:
@@ -174,7 +174,7 @@ def write_backplot(
         kind=f"Back-plot of {program.name}",
         job=job,
         grade="bad" if failed else "good",
-        word="Not within limits" if failed else "Within limits",
+        word="Exceeds a limit" if failed else "Within limits",
         why=["; ".join(failed)],
         numbers=_numbers(predictions, [limits], verdicts),
         notes=[*limits.findings, *(sentence for one in predictions for sentence in one.remarks)],

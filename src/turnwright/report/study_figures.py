@@ -31,7 +31,7 @@ MAX_BINS = 40
 MAX_GROUPS = 12
 """Groups of errors shown in the picture; the table has all of them."""
 
-REFUSED_TEXT = " Crosses are cases that run would refuse."
+REFUSED_TEXT = " Crosses: cases that a run would refuse."
 
 STEP_TOL = 1e-6
 """Relative tolerance on equal steps of a field."""
@@ -136,7 +136,7 @@ def map_over(study: Study, measure: str) -> Picture:
             caption += " The dot marks the job."
         axes.set(xlim=limits[0], ylim=limits[1])
     if not grid.ok.all():
-        caption += " Hatched cases are those that run would refuse, or without a value."
+        caption += " Hatched: cases that a run would refuse, or without a value."
     return Picture(canvas.svg, caption)
 
 

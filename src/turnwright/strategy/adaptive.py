@@ -122,8 +122,8 @@ class AdaptiveToolServo(Strategy):
     r"""Adaptive tool servo: every cusp as high as the scallop allows, as few points as the chord allows.
 
     Neighbouring edges meet exactly ``scallop`` above the surface, and each point is the furthest from the previous one
-    for which the interpolation of the controller keeps within ``chord`` of the exact height of the tip *at the radius
-    where it then is*. With linear interpolation the points may be off the path by the chord (`Path.lift`).
+    for which the interpolation of the controller keeps within ``chord`` of the exact height of the tip *at its actual
+    radius*. With linear interpolation the points may be off the path by the chord (`Path.lift`).
 
     The scallop is kept on surfaces without slope discontinuities. Where the contact changes from one piece of a lens
     array to another, the step of the previous piece is continued, so that cusps in a sharp valley or at a ridge are
@@ -132,9 +132,9 @@ class AdaptiveToolServo(Strategy):
     Parameters
     ----------
     scallop
-        Height of the cusps between neighbouring revolutions. Their nominal height is 99.25 % of it; with the radius
-        error of the controller between two points they are from 98 to 100.5 %, for a tip at its exact height. The error
-        of the height, up to the chord, adds to them. [mm]
+        Largest cusp height between neighbouring revolutions. Cusps are planned at 99.25 % of it. Radius errors from
+        the interpolation between points change them to 98 to 100.5 %; the height error of the tip, up to the chord,
+        comes on top. [mm]
     chord
         Largest height between the exact path and the interpolation of the controller. [mm]
     interpolation
@@ -143,9 +143,9 @@ class AdaptiveToolServo(Strategy):
     off_path
         Whether the points of a linear program may be off the exact path. Cubics always pass through it.
     x_motion
-        "servo": X follows the steps. "split": the same tip, with X in steady motion and the difference on U, the second
-        axis of a fast tool. "steady": the largest constant feed that keeps every cusp within the scallop; only the
-        points adapt, and X needs no servo. `FastToolServo` takes either of the last two as its plan.
+        "servo": X follows the steps. "split": the same path, with X in steady motion and the difference on U, the
+        second axis of a fast tool. "steady": the largest constant feed that keeps every cusp within the scallop; only
+        the points adapt, and X needs no servo. `FastToolServo` takes either of the last two as its plan.
 
     Raises
     ------
@@ -323,7 +323,7 @@ class _Steps:
         if scallop >= height.min():
             raise GougeError(
                 f"scallop is {scallop:g} mm, the arc of the tool is only {height.min():.4g} mm high, so cuts do not "
-                "overlap: set a smaller scallop, or take a tool with a larger nose_radius or included angle"
+                "overlap: set a smaller scallop, or use a tool with a larger nose_radius or included angle"
             )
         self.flat = math.sqrt(8 * edge.radius * scallop)
         self.width = edge.radius * (math.sin(edge.high) - math.sin(edge.low))

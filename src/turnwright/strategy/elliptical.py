@@ -216,7 +216,7 @@ class QuasiEllipticalToolServo(Strategy):
         self._make_slow_servo()
         needed, other = ("y_acceleration", "shortest") if self.short == "slow" else ("shortest", "y_acceleration")
         if getattr(self, needed) is None or getattr(self, other) is not None:
-            raise InputError(f'short="{self.short}" takes {needed} and not {other}: set {needed} alone')
+            raise InputError(f'short="{self.short}" needs {needed} and must not have {other}: set {needed} alone')
         if self.short == "slow" and self.spindle_rpm is None:
             raise InputError('short="slow" needs spindle_rpm, none is set: set the spindle speed')
 
@@ -386,9 +386,9 @@ class QuasiEllipticalToolServo(Strategy):
         off = float(np.abs(moment - edges).max())
         if off > MAX_SWING_RAD / 2:
             raise LimitError(
-                f"Y would swing by {off * float(radius.max()):.3g} mm to keep y_acceleration "
-                f"{self.y_acceleration:g} mm/s^2 at {self.spindle_rpm:g} rev/min, the limit is half a radian: use a "
-                "lower spindle speed"
+                f"Y would swing by {off * float(radius.max()):.3g} mm to stay within y_acceleration "
+                f"{self.y_acceleration:g} mm/s^2 at {self.spindle_rpm:g} rev/min, the limit is half the "
+                "radius: use a lower spindle speed"
             )
         return np.ascontiguousarray(moment[1:-1], dtype=np.float64)
 

@@ -48,7 +48,7 @@ class HybridToolServo(OverPlan):
         The limits of the fast tool, ``machine.axes["W"]``, with both ends of its travel; in a job those of its machine.
     blocks_per_rev
         Least number of blocks of the lathe per revolution. Z then moves straight from one to the next, as with linear
-        interpolation of the controller, W makes the difference, and the program of the lathe is short. If not set, Z is
+        interpolation of the controller, W adds the difference, and the program of the lathe is short. If not set, Z is
         smooth and every point may be a block, see `Motion.lathe`.
 
     Raises
@@ -94,7 +94,7 @@ class HybridToolServo(OverPlan):
 
     def _raise_split_error(self) -> NoReturn:
         raise InputError(
-            f"the motion is split by {' and '.join(self._split_fields) or 'nothing'}, it takes base and tool, or fast "
+            f"the motion is split by {' and '.join(self._split_fields) or 'nothing'}, it needs base and tool, or fast "
             "alone: set the slow part of the surface, or the limits of the fast tool"
         )
 

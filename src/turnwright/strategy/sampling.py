@@ -50,9 +50,9 @@ def check_interval(step: Floats, turned: Floats, chord: float) -> None:
     """Raise if intervals at some angles turned are so short that the path must jump there. Each (n,) [rad]."""
     if step.min() < MIN_INTERVAL_RAD:
         raise InputError(
-            f"the path jumps {turned[np.argmin(step)] / TURN:.3f} turns from the inner end, so no points keep the "
-            f"chord tolerance of {chord:g} mm: plan with points_per_rev or arc_length, or use a tool with a smaller "
-            "included angle"
+            f"the path jumps {turned[np.argmin(step)] / TURN:.3f} revolutions from the inner end, so no points "
+            f"meet the chord tolerance of {chord:g} mm: plan with points_per_rev or arc_length, or use a tool with a "
+            "smaller included angle"
         )
 
 

@@ -61,7 +61,7 @@ RIM_AZIMUTHS = 3600
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlowToolServo(Strategy):
-    r"""Slow tool servo (slow slide servo): C turns steadily, X advances by the feed per turn, Z follows the surface.
+    r"""Slow tool servo (slow slide servo): steady C, X advancing by the feed per revolution, Z following the surface.
 
     The tip runs along an Archimedean spiral between the rim and the axis. The inner end is exact; the outer end is
     moved outward by less than one step if this makes every step equal. The points are set in one of four ways:
@@ -94,7 +94,7 @@ class SlowToolServo(Strategy):
         raised if it would leave a band uncut. [mm]
     overrun
         Distance beyond the axis at which the tip ends, or starts. A quarter of a feed keeps the cusp at the axis as low
-        as the others. It is 0 by default, since the part moves against the back of the edge beyond the axis. [mm]
+        as the others. It is 0 by default: beyond the axis the part moves toward the clearance face. [mm]
 
     Raises
     ------
@@ -307,7 +307,7 @@ class SlowToolServo(Strategy):
 
 def _require_room(count: float, bytes_each: int = BYTES_PER_POINT) -> None:
     require_memory(
-        bytes_each * count, f"a path of {count:.3g} points", "take a larger feed, fewer points, or another computer"
+        bytes_each * count, f"a path of {count:.3g} points", "use a larger feed, fewer points, or more memory"
     )
 
 

@@ -125,7 +125,7 @@ def find_smoothest(turned: Floats, height: Floats, fast: Axis, omega: float | No
         required = float(np.abs(kind.value).max()) * float(omega or 0.0) ** kind.order
         limits.append(f"{kind.high * float(omega or 0.0) ** kind.order:.4g} {unit} (the path has {required:.4g})")
     raise LimitError(
-        f"no motion of the slow slide with {CELLS_PER_REV[-1]} cells a turn keeps the fast tool within "
+        f"no motion of the slow slide with {CELLS_PER_REV[-1]} cells a revolution keeps the fast tool within "
         f"{' and '.join(limits)}: use a lower spindle speed or a fast tool with larger limits, or split the motion "
         "by a base"
     )

@@ -128,8 +128,8 @@ class Spread:
         if not isinstance(self.kind, str) or self.kind not in KINDS:
             raise InputError(f"the distribution {self.kind!r} is not one of {', '.join(KINDS)}: choose one of them")
         family = KINDS[self.kind]
-        validate.thing(self.numbers, Sequence, f"what states the {self.kind}")
-        numbers = tuple(validate.number(one, f"a number of the {self.kind}") for one in self.numbers)
+        validate.thing(self.numbers, Sequence, f"the numbers of the {self.kind} distribution")
+        numbers = tuple(validate.number(one, f"a number of the {self.kind} distribution") for one in self.numbers)
         if len(numbers) != len(family.numbers):
             raise InputError(
                 f"{self.kind} has {len(numbers)} numbers, it needs {len(family.numbers)} "
@@ -139,7 +139,7 @@ class Spread:
         n = self.numbers
         right = n[1] > 0 if "normal" in self.kind else n[0] < n[-1] and list(n) == sorted(n)
         if not right or (self.kind == "truncated normal" and not n[2] < n[3]):
-            raise InputError(f"{self.kind}({', '.join(f'{one:g}' for one in n)}) cannot be, it needs {family.rule}")
+            raise InputError(f"{self.kind}({', '.join(f'{one:g}' for one in n)}) is invalid, it needs {family.rule}")
         if not self.source.strip():
             raise InputError(f"{self.kind} has no source: state it, or 'assumed: ...' with the reason")
 
@@ -149,7 +149,7 @@ class Spread:
         match = _TEXT.fullmatch(text) if isinstance(text, str) else None
         if match is None:
             example = "" if unit == "1" else " um" if unit == "mm" else f" {unit}"
-            raise InputError(f"{text!r} is no distribution: write it such as 'normal(0, 0.5){example}'")
+            raise InputError(f"{text!r} is not a distribution: write it such as 'normal(0, 0.5){example}'")
         kind, inside, written = match.groups()
         numbers = tuple(parse(f"{one.strip()} {written}".strip(), unit) for one in inside.split(","))
         return cls(kind=kind, numbers=numbers, source=source)
@@ -220,7 +220,7 @@ def unit_of(name: str) -> str:
     examples = [*NAMED_ERRORS, "waviness P3", "waviness c4", "servo Z", "mounting Z5", "instrument Z5"]
     near = difflib.get_close_matches(name, examples, n=1)
     remedy = f"did you mean {near[0]!r}?" if near else f"the known ones are {', '.join(examples)} and so on, name one"
-    raise InputError(f"a budget knows no error {name!r}: {remedy}")
+    raise InputError(f"a budget cannot have the error {name!r}: {remedy}")
 
 
 def group_of(name: str) -> str:
@@ -307,7 +307,7 @@ class ErrorBudget(Stated):
         check_numbers(self)
         validate.thing(self.errors, Mapping, "the errors of a budget")
         if not self.errors:
-            raise InputError("a budget has 0 errors, it needs at least 1: say what cannot be set exactly")
+            raise InputError("a budget has 0 errors, it needs at least 1: state the spread of a set-up error")
         for name in self.errors:
             _ = unit_of(name)
             if name.startswith(("mounting", "instrument")):
@@ -319,7 +319,7 @@ class ErrorBudget(Stated):
                 zernike_order(term, "fringe")
         kinds = {name[9] for name in self.errors if name.startswith("waviness")}
         if len(kinds) > 1:
-            raise InputError("the waviness is stated by P and by c, one of both can be right: leave the other out")
+            raise InputError("waviness has terms P and terms c, only one kind is allowed: leave the other out")
         if self.noise < 0:
             raise InputError(f"the noise is {self.noise:g} mm, it must be at least 0 mm: give its standard deviation")
         if self.settling is not None:
@@ -376,7 +376,8 @@ class ErrorBudget(Stated):
         if not selected:
             every = ", ".join(dict.fromkeys(map(group_of, self.errors)))
             raise InputError(
-                f"no error of the budget is of {', '.join(map(str, groups))}, its groups are {every}: name some"
+                f"no error of the budget is in the groups {', '.join(map(str, groups))}, its groups are {every}: name "
+                "some"
             )
         return replace(self, errors=selected)
 

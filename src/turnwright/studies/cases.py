@@ -166,10 +166,10 @@ def run_cases(
             progress(len(rows), total)
 
     def lost(error: BaseException) -> StudyError:
-        state = "kept" if store is not None else "lost, for want of a store"
+        state = "kept" if store is not None else "lost, as no store was given"
         return StudyError(
-            f"the executor carries out no more cases ({type(error).__name__}: {join_lines(error)}), the "
-            f"{len(rows)} that are finished are {state}: start again with another"
+            f"the executor runs no more cases ({type(error).__name__}: {join_lines(error)}), the "
+            f"{len(rows)} finished cases are {state}: start again with another executor"
         )
 
     def send(case: Case) -> Future[tuple[Row, bool]]:
@@ -259,7 +259,7 @@ class _Waiting(Generic[_Task]):
 
 def _count_deaths(future: Future[Any], lost: Callable[[BaseException], StudyError]) -> int:
     if future.cancelled():
-        raise lost(ConnectionError("its cases were cancelled, as when a scheduler is gone"))
+        raise lost(ConnectionError("its cases were cancelled, perhaps as the scheduler stopped"))
     error = future.exception()
     if isinstance(error, BrokenExecutor):
         raise lost(error) from error
@@ -275,13 +275,13 @@ def _read_row(future: Future[tuple[Row, bool]], deaths: int) -> tuple[Row, bool]
         raise
     except Exception as error:
         if deaths:
-            how = str(error) if isinstance(error, WorkerDied) else "as when the memory runs out"
+            how = str(error) if isinstance(error, WorkerDied) else "perhaps out of memory"
             return {
                 "reason": f"its worker died {deaths} times, the last time with no other case running ({how})"
             }, False
         raise StudyError(
-            f"a case cannot be sent to a worker ({type(error).__name__}: {join_lines(error)}): the work must be "
-            "a function of a module that the workers can import, its data plain"
+            f"a case cannot be sent to a worker ({type(error).__name__}: {join_lines(error)}): its function must be "
+            "in a module that the workers can import, its data numbers, texts, lists and mappings"
         ) from error
 
 
@@ -296,7 +296,7 @@ def _carry_out(
 ) -> tuple[Row, bool]:
     if version is not None and version != program_version():
         raise StudyError(
-            f"a worker runs turnwright {program_version()}, this is {version}: install the same on all machines"
+            f"a worker runs turnwright {program_version()}, this is {version}: install the same version on all machines"
         )
     _keep_freed_memory()
     row = None if store is None else store.row(key)  # another driver process may have computed it
@@ -330,10 +330,10 @@ def _compute(work: Work, data: dict[str, Any], shared: Mapping[str, Any], store:
     except TurnwrightError as error:
         return {"reason": str(error)}, True
     except MemoryError as error:
-        return {"reason": f"the memory is not enough ({error}): use fewer workers or a coarser map"}, False
+        return {"reason": f"out of memory ({error}): use fewer workers or a coarser map"}, False
     except OSError as error:
         reason = error.strerror or str(error)
-        what = "the disk is full" if error.errno in DISK_FULL else "the system refuses"
+        what = "the disk is full" if error.errno in DISK_FULL else "operating system error"
         where = f" at {error.filename}" if error.filename else ""
         return {"reason": f"{what} ({reason}){where}"}, False
     except ImportError as error:
@@ -345,7 +345,7 @@ def _compute(work: Work, data: dict[str, Any], shared: Mapping[str, Any], store:
 
 def join_lines(error: BaseException) -> str:
     """Return the message of an error in one line."""
-    return " ".join(str(error).split()) or "it gives no reason"
+    return " ".join(str(error).split()) or "no reason given"
 
 
 def _plain(value: Any) -> Any:

@@ -86,9 +86,9 @@ def read_varied(job: Job, name: str, given: Vary) -> Varied:
     for token in (*varied.values, *(tokens if not varied.values and field.kind != "whole" else ())):
         field.check(token, varied.unit)
     if field.kind == "whole" and math.floor(varied.high or 0.0) < math.ceil(varied.low or 0.0):
-        raise InputError(f"{name} takes whole numbers, {varied.low:g} to {varied.high:g} holds none: widen the range")
+        raise InputError(f"{name} takes whole numbers, {varied.low:g} to {varied.high:g} has none: widen the range")
     if varied.log and not (varied.low or 0.0) > 0:
-        raise InputError(f"{name}: a range that is even in the logarithm begins at {varied.low:g}: begin above 0")
+        raise InputError(f"{name}: a logarithmic range begins at {varied.low:g}, it must begin above 0: change it")
     return varied
 
 
@@ -97,7 +97,7 @@ def _read(field: Field, given: Vary) -> Varied:
         return _read_text(field, given)
     if hasattr(given, "ppf"):
         if field.kind not in ("quantity", "number", "whole"):
-            raise InputError(f"{field.name} is no number, so it has no distribution: give a list of its values")
+            raise InputError(f"{field.name} is not a number, so it has no distribution: give a list of its values")
         return Varied(field=field, unit=_base_unit(field), drawn=given)
     if isinstance(given, Sequence | np.ndarray):
         return _read_list(field, list(given))
@@ -147,13 +147,13 @@ def _read_text(field: Field, text: str) -> Varied:
         if between is None:
             raise InputError(
                 f"{field.name}: {text!r} is not a range: write it such as '0.1..1 mm:10', with the number of values "
-                "behind the colon, or '0.1..1 mm:10 log'"
+                "after the colon, or '0.1..1 mm:10 log'"
             )
         return _read_range(field, text, *between.groups())
     if re.search(r"\d,\d", text):
         raise InputError(
-            f"{field.name}: {text!r} has a comma between digits, which may part values or be a decimal comma: write a "
-            "decimal point, and a space behind each comma that parts values"
+            f"{field.name}: {text!r} has a comma between digits, which may separate values or be a decimal comma: "
+            "write a decimal point, and a space after each comma that separates values"
         )
     return _in_one_unit(field, text.split(","))
 
@@ -219,7 +219,7 @@ def _read_drawn(field: Field, kind: str, first: str, second: str, units: str) ->
     if kind == "uniform":
         if not -math.inf < one < two < math.inf:
             raise InputError(
-                f"{field.name}: uniform({first}, {second}) does not ascend between two numbers: give the lower "
+                f"{field.name}: uniform({first}, {second}) does not ascend between two finite numbers: give the lower "
                 "end first"
             )
         return Varied(field=field, unit=unit, low=one, high=two)
@@ -248,7 +248,7 @@ def _read_range(
     if log:
         if not min(low, high) > 0:
             raise InputError(
-                f"{field.name}: {text!r} is even in the logarithm and reaches {min(low, high):g}: stay above 0"
+                f"{field.name}: {text!r} is logarithmic and reaches {min(low, high):g}, it must be above 0: change it"
             )
         values = [float(value) for value in np.geomspace(low, high, number)]
         values[0], values[-1] = low, high
@@ -303,17 +303,19 @@ def design_cases(
 
 def _make_grid(fields: tuple[Varied, ...], count: int | None) -> list[tuple[Token, ...]]:
     if count is not None:
-        raise InputError(f"a grid has as many cases as its values make, {count} are asked for: choose design = sobol")
+        raise InputError(
+            f"the values of a grid set the number of its cases, {count} are requested: choose design = sobol"
+        )
     for one in fields:
         if not one.values:
             raise InputError(
-                f"{one.name} has no single values for a grid: write the number of them behind a colon, such as "
+                f"{one.name} has no single values for a grid: write their number after a colon, such as "
                 "'0.1..1 mm:10', or choose another design, such as sobol"
             )
     cases = math.prod(len(one.values) for one in fields)
     if cases > MAX_CASES:
         raise InputError(
-            f"the grid has {cases:_} cases, the limit is {MAX_CASES:_}: take fewer values, or draw a design"
+            f"the grid has {cases:_} cases, the limit is {MAX_CASES:_}: use fewer values, or a random design"
         )
     return list(product(*(one.values for one in fields)))
 
@@ -324,9 +326,7 @@ def _draw_cases(
     if design not in DESIGNS:
         raise InputError(f"design is {design!r}, it must be {', '.join(DESIGNS)}: choose one of them")
     if count is None:
-        raise InputError(
-            f"the design {design!r} has no number of cases, it needs from 1 to {MAX_CASES:_}: state how many cases"
-        )
+        raise InputError(f"the design {design!r} needs a number of cases, 1 to {MAX_CASES:_}: state it")
     count = validate.whole(count, f"the number of cases of the design {design!r}", 1, MAX_CASES)
     shares = _draw_unit_points(
         design, len(fields), count, None if seed is None else validate.whole(seed, "the seed", 0)

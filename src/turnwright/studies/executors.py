@@ -68,7 +68,7 @@ class WorkerDied(Exception):  # noqa: N818 - the case is not necessarily at faul
         if code is None or code >= 0:
             return f"exit code {code}"
         name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-        return f"{name}, as when the memory runs out" if name == "SIGKILL" else name
+        return f"{name}, perhaps out of memory" if name == "SIGKILL" else name
 
 
 class LocalPool(Executor):
@@ -234,7 +234,7 @@ def local(
     if workers is not None:
         workers = validate.whole(workers, "the number of workers", 1, MAX_WORKERS)
     if memory_gb is not None and not validate.number(memory_gb, "the memory of a worker") > 0:
-        raise InputError(f"a worker cannot do with {memory_gb} GB of memory: use more than 0")
+        raise InputError(f"the memory of a worker is {memory_gb} GB, it must be above 0 GB: increase it")
     if threads is not None:
         threads = validate.whole(threads, "the number of threads", 1, MAX_WORKERS)
     if workers is None:
@@ -259,7 +259,7 @@ def require_reach(place: str, executor: Executor, *, arrays: bool = False) -> No
     apart = not isinstance(executor, ThreadPoolExecutor) if arrays else processes
     if apart and place.rpartition("::")[2].startswith("memory:"):
         raise InputError(
-            f"the store {place!r} lies in the memory of this process, its workers are others and keep nothing there: "
+            f"the store {place!r} is in the memory of this process, where its worker processes cannot write: "
             "name a folder, or use threads"
         )
 
@@ -319,7 +319,9 @@ def _require_scheduler(address: str) -> None:
     except ValueError as error:
         raise _no_scheduler(address, error) from None
     if parts.scheme not in {"tcp", "tls"} or not host or not port:
-        raise InputError(f"{address!r} is no address of a Dask scheduler: write tcp://host:port, or tls://host:port")
+        raise InputError(
+            f"{address!r} is not the address of a Dask scheduler: write tcp://host:port, or tls://host:port"
+        )
     try:
         socket.create_connection((host, port), timeout=_CONNECT_TIMEOUT_S).close()  # Dask retries a closed port
         with ThreadPoolExecutor(1) as thread:  # this thread may have an event loop, as in a notebook
@@ -327,7 +329,7 @@ def _require_scheduler(address: str) -> None:
     except Exception as error:  # noqa: BLE001 - another server may answer anything
         raise _no_scheduler(address, error) from None
     if kind != "Scheduler":
-        raise InputError(f"at {address!r} is a {kind} of Dask: give the address of its scheduler")
+        raise InputError(f"{address!r} is the address of a Dask {kind}, a scheduler is needed: give its address")
 
 
 async def _kind_of(address: str) -> str:

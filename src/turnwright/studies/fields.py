@@ -147,7 +147,7 @@ def find_field(job: Job, name: str) -> Field:
             place.append(index)
     if _table(value, annotation) is not None or _is_mapping(annotation) or _element(annotation, 0) is not None:
         raise InputError(
-            f"{name} is {_inside(value, annotation)}: name one value in it, such as "
+            f"{name} is {_inside(value, annotation)}: vary one of its values, such as "
             f"{_joined([name, _some(value, annotation)])}"
         )
     return replace(_leaf(name, tuple(place), annotation, units), among=among if isinstance(place[-1], int) else 0)
@@ -240,7 +240,7 @@ def _entry(value: Any, step: str) -> Any:
 def _index(name: str, before: str, step: str, value: Any, annotation: Any) -> int:
     """Return the index of a list entry that is identified by name or index."""
     if _element(annotation, 0) is None:
-        raise InputError(f"{name} is not a field of this job, {before} holds nothing further: vary {before} itself")
+        raise InputError(f"{name} is not a field of this job, {before} has no fields: vary {before} itself")
     names = [str(getattr(one, "name", "")) for one in value or ()]
     if step in names:
         return names.index(step)

@@ -76,8 +76,7 @@ def fetch_array(store: Store, name: str) -> np.ndarray:
         return store.array(name)
     except InputError:
         raise StudyError(
-            f"a worker finds no array {name!r} in the store {store.place!r}: give the study a store that all machines "
-            "reach"
+            f"a worker finds no array {name!r} in the store {store.place!r}: use a store that all machines can access"
         ) from None
 
 
@@ -95,7 +94,7 @@ def provide_files(files: Mapping[str, str], kept: Mapping[str, str], store: Stor
     if store is None or any(path not in kept for path in missing):
         raise StudyError(
             f"a worker does not have {len(missing)} of the files that the job names, such as {missing[0]!r}: "
-            "give the study a store that all machines reach"
+            "use a store that all machines can access"
         )
     with tempfile.TemporaryDirectory(prefix="turnwright-") as folder:
         places = {path: str(Path(folder) / path.replace(":", "").lstrip("/\\")) for path in files}

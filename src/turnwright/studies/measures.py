@@ -137,16 +137,14 @@ def measure_of(job: Job, asked: str | MeasureFunction) -> Measure:
                 f"{name} needs a patch, and the job has none: add one to [simulation], or use {name}@{WHOLE_PART}"
             )
         if at and where not in (WHOLE_PART, *patches):
-            raise InputError(
-                f"{asked}: the job has no patch {where!r}, it predicts {', '.join((WHOLE_PART, *patches))}"
-            )
+            raise InputError(f"{asked}: the job has no patch {where!r}, it has {', '.join((WHOLE_PART, *patches))}")
         return Measure(name=asked.strip(), unit=PATCH_MEASURES[name], stage="place")
     if name in AXIS_MEASURES:
         axes = job.machine.axes
         if where not in axes:
-            what = f"has no axis {where!r}" if at else "has several"
+            what = f"has no axis {where!r}" if at else "has several axes"
             raise InputError(
-                f"{asked}: {name} is that of an axis, {job.machine.name} {what}: ask for "
+                f"{asked}: {name} is a measure of an axis, {job.machine.name} {what}: use "
                 f"{' or '.join(f'{name}@{letter}' for letter in sorted(axes))}"
             )
         return Measure(name=asked.strip(), unit=AXIS_MEASURES[name][where in ROTARY], stage="drive")
@@ -156,7 +154,7 @@ def measure_of(job: Job, asked: str | MeasureFunction) -> Measure:
     names = [*JOB_MEASURES, *PATCH_MEASURES, *AXIS_MEASURES]
     close = [one for one in names if name and one.startswith(name)] or difflib.get_close_matches(name, names, 1, 0.5)
     if name in JOB_MEASURES:
-        raise InputError(f"{asked}: {name} is that of the whole job: leave out what stands behind the @")
+        raise InputError(f"{asked}: {name} is a measure of the whole job: leave out the part after @")
     remedy = f"did you mean {close[0]}?" if close else f"the known ones are {_known()}, use one of them"
     raise InputError(f"{asked!r} is not a measure: {remedy}")
 
@@ -180,7 +178,7 @@ def _evaluate_one(pipeline: Pipeline, one: Measure) -> Value:
         except (TurnwrightError, MemoryError, OSError, ImportError):  # of a stage, or of the machine
             raise
         except Exception as error:
-            reason = " ".join(str(error).split()) or "it gives no reason"
+            reason = " ".join(str(error).split()) or "no reason given"
             raise InputError(f"the measure {one.name} fails ({type(error).__name__}: {reason}): correct it") from error
     name, _, where = one.name.partition("@")
     if name in PATCH_MEASURES:

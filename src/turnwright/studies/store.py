@@ -140,7 +140,7 @@ class Store:
         """
         array = np.ascontiguousarray(array)
         if array.dtype.hasobject:
-            raise InputError(f"the array {name!r} holds objects, which no file takes: give plain numbers")
+            raise InputError(f"the array {name!r} holds objects, which cannot be stored: give plain numbers")
         digest = hashlib.sha256(f"{array.dtype.str} {array.shape}".encode())
         digest.update(array.view(np.uint8).data if array.size else b"")
         full = f"{_check_name(name)}-{digest.hexdigest()[:24]}"
@@ -168,7 +168,7 @@ class Store:
                 return mapped
             array: np.ndarray = np.load(io.BytesIO(self._read("arrays", file)), allow_pickle=False)
         except FileNotFoundError:
-            raise InputError(f"the store {self.place!r} has no array {name!r}: put it first") from None
+            raise InputError(f"the store {self.place!r} has no array {name!r}: store it first") from None
         except OSError as error:
             raise self._storage_error(error, "read") from error
         array.flags.writeable = False
@@ -247,16 +247,17 @@ class Store:
     def _storage_error(self, error: OSError, what: str = "written") -> StudyError:
         if error.errno in DISK_FULL:
             return StudyError(
-                f"the store {self.place!r} is full ({error.strerror}), what is finished stays: free some space there "
+                f"the store {self.place!r} is full ({error.strerror}), finished cases are kept: free some space there "
                 "and start again"
             )
         reason = error.strerror or str(error).splitlines()[0]
         return StudyError(
-            f"the store {self.place!r} cannot be {what} ({reason}), what is finished stays: check its name and rights"
+            f"the store {self.place!r} cannot be {what} ({reason}), finished cases are kept: check its name and "
+            "permissions"
         )
 
 
 def _check_name(name: str) -> str:
     if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise InputError(f"{name!r} is no name in a store: use letters, digits, dots, dashes and underscores")
+        raise InputError(f"{name!r} cannot be a name in a store: use letters, digits, dots, dashes and underscores")
     return name

@@ -241,10 +241,10 @@ def translate_disk_errors(place: str, done: int, total: int) -> Iterator[None]:
     except OSError as error:
         if error.errno not in DISK_FULL:
             raise StudyError(
-                f"{place!r} cannot be used ({error.strerror or error}), {done} of {total} tiles are finished, which "
-                "stay: check name and rights"
+                f"{place!r} cannot be used ({error.strerror or error}), {done} of {total} tiles are finished and "
+                "kept: check its name and permissions"
             ) from error
         raise StudyError(
-            f"the disk of {place!r} is full with {done} of {total} tiles finished, which stay: free some space and "
+            f"the disk of {place!r} is full with {done} of {total} tiles finished and kept: free some space and "
             "start again"
         ) from error

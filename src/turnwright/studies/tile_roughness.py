@@ -37,7 +37,7 @@ def tiled_roughness(files: Files, form: str, progress: Progress | None) -> Rough
     if not isinstance(form, str) or form not in ("none", "mean", "plane"):
         raise InputError(
             f'the form is {form!r}, a map in tiles takes "none", "mean" or "plane": choose one of them, or subtract a '
-            "surface when it is made"
+            "surface when the map is generated"
         )
     layout, records = files.layout, files.read_records()
     tiles = [tile for tile in layout.tiles() if records[tile.j, tile.i, 0] > 0]
@@ -63,7 +63,7 @@ def tiled_roughness(files: Files, form: str, progress: Progress | None) -> Rough
         math.fsum(every[:, k]) for k in range(kernel.SUMS)
     )
     low, high = float(every[:, kernel.SUMS].min()), float(every[:, kernel.SUMS + 1].max())
-    notes = ["Sal and Str cannot be stated: they need the map in one piece, take them from a window"]
+    notes = ["Sal and Str cannot be stated: they need the map in one piece, evaluate a window"]
     sq = math.sqrt(square / count)
     ssk = sku = sdq = sdr = math.nan
     if sq > 0:

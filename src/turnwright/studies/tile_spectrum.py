@@ -66,7 +66,7 @@ def mean_spectrum(
         if progress is not None:
             progress(done, len(pieces))
     if merged is None or like is None:
-        raise InputError(f"no segment of {segment} x {segment} pixels is whole: take a smaller one")
+        raise InputError(f"no segment of {segment} x {segment} pixels is free of gaps: use a smaller one")
     note = (
         f"the mean of {number} segments of {segment} x {segment} pixels side by side, {rows * columns - number} with "
     )

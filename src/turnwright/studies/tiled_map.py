@@ -53,11 +53,11 @@ class TiledMap:
             files = Files.open(place)
         except OSError as error:
             raise InputError(
-                f"the map {place!r} cannot be read ({error.strerror or error}): check its name and rights"
+                f"the map {place!r} cannot be read ({error.strerror or error}): check its name and permissions"
             ) from None
         if not files.about["complete"]:
             there, total = int(files.finished().sum()), sum(1 for _ in files.layout.tiles())
-            raise InputError(f"the map {files.place!r} has {there} of {total} tiles: finish it with what began it")
+            raise InputError(f"the map {files.place!r} has {there} of {total} tiles: repeat the call that began it")
         return cls(files)
 
     @property

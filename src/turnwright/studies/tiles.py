@@ -201,7 +201,7 @@ def generate_tiled(
         validate.thing(executor, Executor, "the executor")
     validate.listener(progress)
     if minus is not None and not callable(getattr(minus, "sag", None)):
-        raise InputError(f"what is subtracted is a {type(minus).__name__}, it must be a surface: give one")
+        raise InputError(f"the argument minus is a {type(minus).__name__}, it must be a surface: give one")
     place = resolve_place(store)
     layout = plan_tiles(place, pixel, radius=radius, x=x, y=y, tile=tile)
     if executor is not None:
@@ -267,7 +267,7 @@ def _run_tiles(
 
     def lost(error: BaseException) -> StudyError:
         return StudyError(
-            f"the executor broke with {done} of {total} tiles finished ({join_lines(error)}), which are kept: start "
+            f"the executor failed with {done} of {total} tiles finished ({join_lines(error)}), which are kept: start "
             "again with a new one"
         )
 
@@ -277,7 +277,7 @@ def _run_tiles(
             if deaths:
                 raise StudyError(
                     f"the tile in row {tile.j + 1}, column {tile.i + 1} ended its worker {deaths} times "
-                    f"({future.exception()}), the finished tiles stay: use fewer workers or smaller tiles, and start "
+                    f"({future.exception()}), finished tiles are kept: use fewer workers or smaller tiles, and start "
                     "again"
                 )
             with translate_disk_errors(place, done, total):

@@ -290,9 +290,7 @@ def tolerance(
         good = [k for k, row in enumerate(rows) if "reason" not in row]
         reasons = tuple(str(row["reason"]) for row in rows if "reason" in row)
         if len(good) < MIN_CASES:
-            raise StudyError(
-                f"{len(good)} of {count} cases could be carried out, the limit is {MIN_CASES}: {reasons[0]}"
-            )
+            raise StudyError(f"{len(good)} of {count} cases succeeded, at least {MIN_CASES} are needed: {reasons[0]}")
         used = {name: values[good] for name, values in draws.items()}
         columns = {
             name: np.array([rows[k][name] for k in good], dtype=np.float64)
@@ -339,7 +337,7 @@ def _limits(job: Job) -> dict[str, float]:
         limits |= {f"sq_nm@{patch.name}": job.tolerances.sq * NM for patch in job.simulation.patches}
     if not limits:
         raise JobError(
-            "the job states 0 tolerances that can be judged, it needs at least 1: add form_pv, or sq and a patch, "
+            "the job states 0 tolerances that can be evaluated, it needs at least 1: add form_pv, or sq and a patch, "
             "under [tolerances]"
         )
     return limits
@@ -467,8 +465,8 @@ def _write_advice(
         return f"{pv.size} cases are too few to determine what to tighten first: draw at least {fewest}"
     best = _select_group(sensitivities, before)
     advice = (
-        f"tighten {best.group} first: with half its spread the probability goes from {before:.1%} to about "
-        f"{best.probability:.1%}, and 95 of 100 parts keep {best.percentile_nm:.3g} nm PV in place of "
+        f"tighten {best.group} first: with half its spread the yield changes from {before:.1%} to about "
+        f"{best.probability:.1%}, and 95 of 100 parts are within {best.percentile_nm:.3g} nm PV instead of "
         f"{np.quantile(pv, 0.95):.3g} nm"
     )
     if (share := model.explained_variance()[0]) >= POOR_VARIANCE:

@@ -197,7 +197,7 @@ class Study:
         count = validate.whole(count, "the number of cases", 0)
         values = self.column(measure).values
         if values.dtype.kind not in "fi":
-            raise InputError(f"{measure} is no number, so no case is best: name another measure")
+            raise InputError(f"{measure} is not a number, so no case is best: name another measure")
         order = np.argsort(-values if largest else values, kind="stable")
         return [int(one) for one in order if self.ok[one] and np.isfinite(values[one])][:count]
 
@@ -234,11 +234,11 @@ class Study:
         rows, row = np.unique(self.column(over[0]).values[selected], return_inverse=True)
         columns, place = np.unique(self.column(over[1]).values[selected], return_inverse=True)
         if rows.size * columns.size == 0:
-            raise InputError(f"no case stands at {dict(at or {})}: name values that the study has")
+            raise InputError(f"no case has the values {dict(at or {})}: choose values of the study")
         if np.unique(row * columns.size + place).size < row.size:
             others = [one.name for one in self.fields if one.name not in over and one.name not in (at or {})]
             raise InputError(
-                f"several cases stand at the same {over[0]} and {over[1]}: fix {', '.join(others) or 'the cases'} by at"
+                f"several cases have the same {over[0]} and {over[1]}: fix {', '.join(others) or 'the cases'} by at"
             )
         values, ok = np.full((rows.size, columns.size), np.nan), np.zeros((rows.size, columns.size), dtype=np.bool_)
         values[row, place] = self.column(measure).values[selected]
@@ -342,7 +342,7 @@ class Study:
                 raise
             what = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
             raise StudyError(
-                f"the folder {str(folder)!r} holds no whole study ({what}): name one that turnwright study wrote"
+                f"the folder {str(folder)!r} holds no complete study ({what}): name one that turnwright study wrote"
             ) from error
 
 
@@ -458,7 +458,7 @@ def study(
     """
     validate.thing(job, Job, "the job")
     if vary is not None:
-        validate.thing(vary, Mapping, "what is varied")
+        validate.thing(vary, Mapping, "the fields to vary")
     if executor is not None:
         validate.thing(executor, Executor, "the executor")
     if workers is not None:
@@ -522,4 +522,4 @@ def _check_measures(measures: Sequence[Measure]) -> None:
         if names.count(name) > 1:
             raise InputError(f"{name} is measured {names.count(name)} times, the limit is 1: keep one of them")
         if name in (REASON, REFUSED, SECONDS):
-            raise InputError(f"a measure is called {name}, which the table has already: rename the function")
+            raise InputError(f"a measure has the name {name}, which the table has already: rename the function")

@@ -138,9 +138,8 @@ class Expression(Surface):
     constants
         Values of further names in the formula, for instance ``{"R": 61.5}``.
     feature_size
-        Length over which the curvature changes noticeably. By default an eighth of the shortest period of the formula's
-        functions and divisions along rays out to 25 mm from the axis, or of the equivalent period at the highest crest
-        of each exp; give it where a formula has finer structure elsewhere. [mm]
+        Length over which the curvature changes noticeably; state it if the formula has structure finer than the
+        default, an eighth of the shortest period of its functions and divisions within 25 mm of the axis. [mm]
 
     Raises
     ------
@@ -569,7 +568,7 @@ def _refuse(node: ast.expr, text: str) -> NoReturn:
             what = f"the name {name!r}, which is unknown"
             remedy = f"use {', '.join((*VARIABLES, *NUMBERS))}, or give it in constants"
         case ast.Call(func=ast.Name(id=name)) if name in ROUGH:
-            what, remedy = f"{name}(), which is not smooth", "write a smooth function, for instance sqrt(u**2 + w**2)"
+            what, remedy = f"{name}(), which is not smooth", "use a smooth function, for instance sqrt(u**2 + w**2)"
         case ast.Call(func=ast.Name(id=name)) if name in (*CALLS, *PAIRS):
             what, remedy = f"{shown(part)}", f"give {name} {2 if name in PAIRS else 1} plain argument(s)"
         case ast.BinOp(op=ast.BitXor()):

@@ -88,7 +88,7 @@ class _Surround:
 class LensArray(Surface):
     """An array of equal lenslets, one at each centre.
 
-    Every point of the plane belongs to the nearest centre, on a tie to the first, so the outermost cells are
+    Every point of the plane belongs to the nearest centre, or the first of several, so the outermost cells are
     unbounded; between neighbours there is a sharp valley or ridge. With an ``aperture`` the lenslets are round instead,
     and the ``surround`` is the surface outside all of them.
 
@@ -111,7 +111,7 @@ class LensArray(Surface):
         Number n of rings around the lenslet at ``offset`` of a hexagonal array: 3 n (n + 1) + 1 lenslets.
     within
         Radius of a circle about the axis: a lenslet is included if its circle of radius ``aperture``, by default half
-        the pitch, lies inside. One is at ``offset``; half a pitch each way puts a corner on the axis. [mm]
+        the pitch, lies inside. One lenslet is at ``offset``; half a pitch along x and y puts a corner on the axis. [mm]
     offset
         Position of the array; on the axis by default. [mm]
     aperture
@@ -265,7 +265,7 @@ class LensArray(Surface):
         for name in ("pitch", "rows", "columns", "rings", "within", "offset"):
             if getattr(self, name) is not None and name not in allowed:
                 raise InputError(
-                    f"{name} is not allowed in the layout {self.layout!r}, which takes {', '.join(allowed)}: remove it"
+                    f"{name} is not allowed in the layout {self.layout!r}, which allows {', '.join(allowed)}: remove it"
                 )
         if getattr(self, allowed[0]) is None:
             raise InputError(f"the layout {self.layout!r} needs {allowed[0]}, which is missing: add it")
@@ -388,7 +388,7 @@ def _square(array: LensArray, pitch: float, at: tuple[float, ...]) -> Floats:
         return _inside_circle((pitch, 0), (0, pitch), at, within, array.aperture)
     if within is not None or rows is None or columns is None:
         raise InputError(
-            f"a square array has rows {rows}, columns {columns} and within {within}, it takes rows and columns, or "
+            f"a square array has rows {rows}, columns {columns} and within {within}, it needs rows and columns, or "
             "within alone: remove the others"
         )
     rows, columns = whole(rows, "rows of a lens array", 1), whole(columns, "columns of a lens array", 1)
@@ -404,7 +404,7 @@ def _hexagonal(array: LensArray, pitch: float, at: tuple[float, ...]) -> Floats:
     rings, within = array.rings, array.within
     if (rings is None) == (within is None):
         raise InputError(
-            f"a hexagonal array has rings {rings} and within {within}, it takes one of them: remove the other"
+            f"a hexagonal array has rings {rings} and within {within}, only one of them is allowed: remove the other"
         )
     slanted = ((pitch, 0), (pitch / 2, pitch * np.sqrt(0.75)))
     if within is not None:

@@ -75,7 +75,8 @@ class OffAxis(Surface):
         azimuth = check_angle(self.azimuth, "the azimuth of an off-axis part")
         if distance < 0:
             raise InputError(
-                f"the distance of an off-axis part is {distance:g} mm, it must be 0 mm or more: change the azimuth"
+                f"the distance of an off-axis part is {distance:g} mm, it must be 0 mm or more: use the opposite "
+                "azimuth"
             )
         try:
             fx, fy = (float(part) for part in self.parent.gradient(*self._at))

@@ -69,14 +69,14 @@ class Model(BaseModel):
 class Problem(Model):
     """Why a request is refused."""
 
-    detail: str = Field(description="One sentence: field, limit, value, remedy.")
+    detail: str = Field(description="One sentence: field, value, limit, remedy.")
 
 
 class Fault(Model):
     """A fault of one field."""
 
     field: str = Field(description='Path such as "passes[1].feed", counted from 1; empty for the whole job.')
-    sentence: str = Field(description="Field, limit, value, remedy.")
+    sentence: str = Field(description="Field, value, limit, remedy.")
 
 
 class Limits(Model):

@@ -128,7 +128,10 @@ def _chips(job: Job, part: Part, x: Floats, y: Floats) -> _Quantity:
         )
     feed = _feed(job)
     bend = reach_at(part, job.tool, x=x, y=y, sense=job.strategy.sense).curvature
-    note = f"estimate at {feed * 1e3:.3g} um/rev and a depth of {depth * 1e3:.3g} um; a run computes it along the path"
+    note = (
+        f"estimate at {feed * 1e3:.3g} um/rev and a depth of {depth * 1e3:.3g} um; a run computes the chip along the "
+        "path"
+    )
     return _Quantity(expected_thickest(job.tool, feed=feed, depth=depth, bend=bend), "mm", "uncut chip thickness", note)
 
 

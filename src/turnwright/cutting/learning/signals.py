@@ -365,8 +365,8 @@ def engagements(record: ForceRecord, channel: str, *, shortest: float, drift: in
     if not runs.size or np.count_nonzero(~cut) < 8:
         state = "is always in air" if not runs.size else "is never in air"
         raise InputError(
-            f"by channel {channel} of the force record {record.name!r} the tool {state}: record air before and after "
-            "the cut, check the sign of the channel, or change shortest"
+            f"according to channel {channel} of the force record {record.name!r} the tool {state}: record air before "
+            "and after the cut, check the sign of the channel, or change shortest"
         )
     reach = 4 * block
     spans = [(_find_step(force, first * block, reach), _find_step(force, last * block, reach)) for first, last in runs]

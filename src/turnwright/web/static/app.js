@@ -176,7 +176,7 @@ function Top({ panes }) {
     : errors.length ? { ok: false, text: errors.length === 1 ? "1 field to correct" : `${errors.length} fields to correct` }
     : !check ? { ok: null, text: checking ? "checking …" : "not checked" }
     : check.access.ok && !refused ? { ok: true, text: "access to the part" }
-    : { ok: false, text: check.access.ok ? "would be refused" : "no access to the part" };
+    : { ok: false, text: check.access.ok ? "a run would stop" : "no access to the part" };
   return html`<${Fragment}>
     <span class="brand"><svg viewBox="0 0 24 24" aria-hidden="true"><path d="M2 15q5 6 10 0t10 0" /><path d="m8.5 2.500h7l-2.300 9a1.2 1.250 0 0 1-2.400 0z" /></svg>Turnwright</span>
     <${Tool} icon="left" name="Job pane" keys="[" aria-controls="left" onClick=${() => panes.flip("left")} />

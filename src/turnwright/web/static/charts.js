@@ -143,7 +143,7 @@ function drawLimits(plot, limits, colours, log) {
     if (log && outside) continue;
     const below = y - plot.bbox.top < 16 * ratio;
     ctx.textBaseline = below ? "top" : "bottom";
-    if (text) ctx.fillText(outside ? `${text}, far above` : text, plot.bbox.left + plot.bbox.width - 4 * ratio, y + (below ? 3 : -3) * ratio);
+    if (text) ctx.fillText(outside ? `${text}, above the range` : text, plot.bbox.left + plot.bbox.width - 4 * ratio, y + (below ? 3 : -3) * ratio);
   }
   ctx.restore();
 }
@@ -219,7 +219,7 @@ const PER = { position: "", speed: "/s", acceleration: "/s²", jerk: "/s³" };
 
 /** Axis motion and limits, the spectrum of an axis, and time over radius. */
 export function mountMotion(panel) {
-  const nothing = teach("Axis motion", "When a run is done: position, speed, acceleration and jerk of every axis against the limits of the machine, what each axis moves at every frequency, and where on the part the time goes.");
+  const nothing = teach("Axis motion", "When a run is done: position, speed, acceleration and jerk of every axis against the limits of the machine, the spectrum of each axis, and the elapsed time over the radius.");
   const kinds = element("div", { class: "segments", role: "radiogroup", "aria-label": "Quantity" });
   const about = element("span", { class: "quiet" });
   const head = element("div", { class: "bar" }, [kinds, about]);
@@ -278,7 +278,7 @@ export function mountMotion(panel) {
     const long = header.duration_s > 600;
     const times = [...arrays.time.data].map((one) => (long ? one / 60 : one));
     const time = { label: "time", unit: long ? "min" : "s", values: times };
-    about.textContent = `${header.pass}: ${count(header.points)} points in ${duration(header.duration_s)} on ${header.machine}; peaks as planned; the curves are of the program as written, whose decimals add steps of their own`;
+    about.textContent = `${header.pass}: ${count(header.points)} points in ${duration(header.duration_s)} on ${header.machine}; peaks are those of the planned motion; the curves show the written program, whose rounding adds steps`;
     for (const [letter, one] of Object.entries(header.axes)) {
       const turns = letter === "C" && kind === "position";
       const angular = one.unit === "rad";
@@ -305,8 +305,8 @@ export function mountMotion(panel) {
     const pairs = radii.map((radius, at) => [radius, times[at]]);
     if (backwards) pairs.reverse();
     charts.push(chart(box, {
-      title: `Time passed, ${backwards ? "from the edge inward" : "from the axis outward"}`, x: { label: "X, radius of the tip", unit: "mm", values: pairs.map(([radius]) => radius) },
-      series: [{ label: "time passed", unit: time.unit, values: pairs.map(([, passed]) => passed), colour: 3 }],
+      title: `Elapsed time, ${backwards ? "from the edge inward" : "from the axis outward"}`, x: { label: "X, radius of the tip", unit: "mm", values: pairs.map(([radius]) => radius) },
+      series: [{ label: "elapsed time", unit: time.unit, values: pairs.map(([, passed]) => passed), colour: 3 }],
     }));
     spectrumBox = element("div", { class: "spectrum" });
     grid.append(spectrumBox);

@@ -122,7 +122,7 @@ function Panel() {
       ${refused.length > 0 && html`<${Fragment}><h4>Not possible</h4><ul class="sentences">${refused.map((one) => html`<li><strong>${one.name}</strong> ${one.refused}</li>`)}</ul></${Fragment}>`}
       <${Downloads} path=${`/runs/${comparison.run}`} files=${comparison.files} />
     </div>
-    <figure><figcaption>Time against <select aria-label="Error to judge by" onChange=${(event) => judge(event.target.value)}>${Object.entries(ERRORS).map(([key, title]) => html`<option value=${key} selected=${key === error}>${title}</option>`)}</select> <span class="quiet">Lower left is better; the line is the Pareto front.</span></figcaption>
+    <figure><figcaption>Time against <select aria-label="Error to compare" onChange=${(event) => judge(event.target.value)}>${Object.entries(ERRORS).map(([key, title]) => html`<option value=${key} selected=${key === error}>${title}</option>`)}</select> <span class="quiet">Lower left is better; the line is the Pareto front.</span></figcaption>
       <${Pareto} candidates=${planned} error=${error} chosen=${chosen} choose=${choose} best=${best} /></figure>
   </div>`;
 }

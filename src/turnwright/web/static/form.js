@@ -10,7 +10,7 @@ const REST = 300; // ms after which a change stands alone, and is checked at onc
 const PAUSE_TOML = 400; // ms without a key before text is read
 const STEPS_BACK = 200;
 const CLIENT = crypto.getRandomValues(new Uint32Array(2)).join("-");
-const NONE_YET = { passes: "One finishing pass, as the strategy says." };
+const NONE_YET = { passes: "One finishing pass, as the strategy states." };
 /** Initial values of a new list entry. */
 const FIRST = {
   passes: { name: "finish" },
@@ -330,14 +330,14 @@ function Wrong({ id, sentences }) {
 /** Drawings of the documentation, by the fields that they explain; the first match is shown. */
 const DRAWINGS = [
   [/^(actual\.)?tool\.(nose_radius|included|rake|clearance|radius_error)/, "nose", "The nose: radius, included angle, rake and clearance"],
-  [/^(actual\.)?tool\.offset/, "ogive", "What a tool off centre leaves: ogive and core"],
+  [/^(actual\.)?tool\.offset/, "ogive", "Signature of an off-centre tool: ogive and core"],
   [/^(actual\.)?tool\.waviness/, "waviness", "Waviness of the edge"],
   [/^(strategy|passes\.\d+)\.(plan\.)?(feed|scallop)$/, "cusp", "Cusp and feed"],
   [/^(strategy\.(plan\.)?along|strategy\.(off_path|x_motion))$/, "placing", "Placing the edge along z and along the normal"],
   [/^part\.material/, "ductile", "Where the chip exceeds the critical thickness"],
   [/^passes\.\d+\.(depth|allowance)$/, "chip", "Uncut chip thickness of a round nose"],
   [/^(actual\.)?machine|^strategy\.(plan\.)?(sense|inside_out)$|^program\b/, "machine_frame", "Axes and signs of lathe and part"],
-  [/^measurement\b/, "loop", "From the measured part to a better job"],
+  [/^measurement\b/, "loop", "From the measured part to the corrected job"],
 ];
 
 function Drawing({ path }) {

@@ -200,7 +200,7 @@ function Lone({ packed }) {
     };
   }, [packed]);
   return html`<div class="measure" id="lone"><div><div class="panehead"><strong>${header.name}</strong><span class="gap"></span><${Tool} icon="close" name="Show another map" onClick=${() => showing(null)} /></div>
-    <div class="scroll" role="region" tabindex="0" aria-label="Facts of the file"><div class="cards"><${Numbers} title="The map" rows=${header.rows} /></div></div></div>
+    <div class="scroll" role="region" tabindex="0" aria-label="Properties of the file"><div class="cards"><${Numbers} title="The map" rows=${header.rows} /></div></div></div>
     <div><div class="panehead"><strong>Plane removed</strong></div><div class="map" ref=${box}></div></div>
   </div>`;
 }
@@ -244,8 +244,8 @@ function Findings({ measurement }) {
   return html`<div>
     <div class="panehead"><strong>Error sources</strong><span class="gap"></span>${findings.length > called.length && html`<label class="flag"><input type="checkbox" checked=${all} onChange=${(event) => showAll(event.target.checked)} />all sources</label>`}</div>
     <div class="scroll pad">
-      ${!called.length && html`<p class="quiet">No error source is significant; the significant residual is compensated as form.</p>`}
-      ${called.length > 0 && html`<p class="quiet" id="doubts">±: 95 % interval, for any values of the other sources, spindle error motion, drift and form.</p>`}
+      ${!called.length && html`<p class="quiet">No error source is significant; the residual that is significant is compensated as form.</p>`}
+      ${called.length > 0 && html`<p class="quiet" id="doubts">±: 95 % interval, whatever the other sources, spindle error motion, drift and form.</p>`}
       ${(all ? findings : called).map((one) => html`<div class="error-source" key=${one.name}>
         <input type="checkbox" id=${`source-${one.name}`} checked=${chosen.has(one.error_source)} disabled=${!one.correctable} onChange=${() => flip(one.error_source)} aria-describedby=${`why-${one.name}`} title="Correct this" />
         <label for=${`source-${one.name}`}>${one.name}</label>

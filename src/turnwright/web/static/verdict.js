@@ -36,7 +36,7 @@ function Finding({ finding }) {
 function Plan() {
   const { job, check, errors, checking } = useStore(["job", "check", "errors", "checking"]);
   if (!job) return html`<p class="quiet pad">The check of the job is shown here: tool access, length of the program, and limits.</p>`;
-  if (!check) return html`<p class="quiet pad">${errors.length ? "Correct the marked fields first." : checking ? "Checking the job …" : "The job could not be checked; see the message at the foot of the page."}</p>`;
+  if (!check) return html`<p class="quiet pad">${errors.length ? "Correct the marked fields first." : checking ? "Checking the job …" : "The job could not be checked; see the message at the bottom of the page."}</p>`;
   const { access, preview, chips = {}, warnings = [] } = check;
   // Tool access is checked even if the path cannot be planned.
   const stale = errors.length > 0 && check.errors !== errors;
@@ -46,7 +46,7 @@ function Plan() {
       <ul class="sentences">${errors.slice(0, 4).map((error) => html`<li>${error.sentence}</li>`)}</ul>${stale && html`<p class="quiet">Below: the last valid job.</p>`}</section>`}
     <div class=${stale ? "cards stale" : "cards"} aria-busy=${checking ? "true" : "false"}>
     <section class=${ok ? "card verdict good" : "card verdict bad"} id="verdict" aria-live="polite">
-      <${Mark} ok=${ok} /><div><h3>${ok ? "The tool has access to the part" : access.ok ? "A run would refuse the job" : "The tool has no access to the part"}</h3>
+      <${Mark} ok=${ok} /><div><h3>${ok ? "The tool has access to the part" : access.ok ? "A run would stop with an error" : "The tool has no access to the part"}</h3>
       ${refused.map((sentence) => html`<p>${sentence}</p>`)}</div>
     </section>
     <${Card} title="Access"><ul class="findings">${access.findings.map((finding) => html`<${Finding} key=${finding.name} finding=${finding} />`)}</ul></${Card}>
@@ -73,7 +73,7 @@ function Length({ preview }) {
     ${names.length > 1 && html`<table class="small"><thead><tr><th>pass</th><th class="number">points</th><th class="number">at least</th><th></th></tr></thead>
       <tbody>${names.map((name) => html`<tr><th scope="row">${name}</th><td class="number">${count(preview.points[name])}</td><td class="number">${duration(preview.shortest_s[name])}</td>
         <td class="meter"><${Bar} share=${(preview.shortest_s[name] ?? 0) / longest} /></td></tr>`)}</tbody></table>`}
-    <p class="quiet">By block rate and spindle speed only; a run includes the axis limits.</p>
+    <p class="quiet">From block rate and spindle speed only; a run includes the axis limits.</p>
   </${Card}>`;
 }
 
@@ -122,12 +122,12 @@ function Tolerances({ result }) {
   const missed = verdicts.filter(({ kept }) => kept === false);
   const open = verdicts.filter(({ kept }) => kept === null);
   const head = missed.length ? `Misses ${missed.length === 1 ? "a tolerance" : `${missed.length} tolerances`}`
-    : !ok ? "Not within all limits"
+    : !ok ? "Exceeds a limit"
     : open.length ? "Within all limits, some tolerances not evaluated"
     : verdicts.length ? "Meets all tolerances, within all limits" : "Within all limits; no tolerance is stated";
   const good = ok && !missed.length && !open.length;
   return html`<section class=${good ? "card verdict good" : missed.length || !ok ? "card verdict bad" : "card verdict"}><${Mark} ok=${good} warn=${!missed.length && ok} />
-    <div><h3>${head}</h3>${missed.length > 0 && !ok && html`<p>Not within all limits either.</p>`}
+    <div><h3>${head}</h3>${missed.length > 0 && !ok && html`<p>Exceeds a limit as well.</p>`}
       ${[...missed, ...open, ...verdicts.filter(({ kept }) => kept)].map(({ sentence }) => html`<p>${sentence}</p>`)}
       <p class="quiet">${result.part}, on ${result.machine}</p></div></section>`;
 }
