@@ -330,9 +330,7 @@ def test_a_file_that_a_job_names_travels_through_the_store(threads, tmp_path, mo
     monkeypatch.setattr(_files, "_is_there", lambda _path, _digest: False)
     apart = study(job, vary={"strategy.feed": "9, 10 um/rev"}, measure=deepest, executor=threads, store=tmp_path / "s")
     np.testing.assert_array_equal(apart["deepest"], right["deepest"])
-    with pytest.raises(
-        StudyError, match=r"does not have 1 of the files that the job names, such as .*: use a store"
-    ):
+    with pytest.raises(StudyError, match=r"does not have 1 of the files that the job names, such as .*: use a store"):
         study(job, vary={"strategy.feed": "9, 10 um/rev"}, measure=deepest, executor=threads)
 
 
