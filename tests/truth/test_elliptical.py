@@ -176,8 +176,8 @@ def test_policies_differ_at_short_intervals_only(found):
     ("change", "words"),
     [
         ({"short": "hop"}, 'must be "merge", "skip" or "slow"'),
-        ({"shortest": None}, "takes shortest"),
-        ({"y_acceleration": 10.0}, "not y_acceleration"),
+        ({"shortest": None}, "needs shortest"),
+        ({"y_acceleration": 10.0}, "must not have y_acceleration"),
         ({"short": "slow", "shortest": None, "y_acceleration": 10.0, "spindle_rpm": None}, "needs spindle_rpm"),
         ({"shortest": -1.0}, "shortest is -1 mm"),
     ],
