@@ -16,7 +16,7 @@ GIVEN = {"scallop": 50e-6, "chord": 10e-6, "interpolation": "linear"}
         ({"chord": 1e-18}, "chord is 1e-18 mm, the limit is 1e-10 mm"),
         ({"spindle_rpm": 0.0}, "spindle_rpm is 0 rev/min"),
         ({"interpolation": "spline"}, 'interpolation is \'spline\', it must be "linear" or "hermite"'),
-        ({"x_motion": "none"}, 'x_motion is \'none\', it must be "servo" or "split" or "steady"'),
+        ({"x_motion": "none"}, 'x_motion is \'none\', it must be "servo", "split" or "steady"'),
         ({"sense": 0}, "sense is 0, it must be 1 or -1"),
     ],
 )
