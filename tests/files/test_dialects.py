@@ -79,7 +79,7 @@ def test_a_machine_file_names_a_dialect_file_beside_it(tmp_path, workshop):
         ('feed = "seconds"', 'feed = "hours"', "feed is 'hours', it must be 'seconds'"),
         ("C = 4", "C = 14", "decimals.C is 14, the limits are 0 and 9"),
         ("C = 4", "U = 4", "decimals has 'U, X, Z', it needs C, X and Z"),
-        ("({file})", "({folder})", "call has 'folder' in braces, file can be"),
+        ("({file})", "({folder})", "call has 'folder' in braces, the names allowed are file"),
         ("({file})", "({file", "braces do not match"),
         ("({file})", "({file:>999999999})", "call has 'file' in braces"),
         ("({file})", "({file.__class__})", "call has 'file.__class__' in braces"),

@@ -229,8 +229,8 @@ def _check_line(place: str, line: str) -> None:
     for name, form, kind in parts:
         if name not in allowed or kind or not (FEED_FORM.fullmatch(form or "") if name == "feed" else not form):
             raise InputError(
-                f"{place} has {shown(name)} in braces, {', '.join(sorted(allowed))} are allowed, the feed with a "
-                "form such as {feed:.4f}: correct it"
+                f"{place} has {shown(name)} in braces, the names allowed are {', '.join(sorted(allowed))}: correct it, "
+                "the feed with a form such as {feed:.4f}"
             )
 
 
