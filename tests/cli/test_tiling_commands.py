@@ -292,7 +292,7 @@ def test_what_a_map_refuses(tmp_path):
         (lambda: found.window(x=(5, 6), y=(0, 1)), "holds no pixel of the map"),
         (lambda: found.roughness(form="sphere"), "a map in tiles takes"),
         (lambda: found.area_psd(segment=2), "the width of a segment in pixels is 2, it must be"),
-        (lambda: found.area_psd(segment=700), "no segment of 700 x 700 pixels is whole"),
+        (lambda: found.area_psd(segment=700), "no segment of 700 x 700 pixels is free of gaps"),
         (lambda: found.line_psd(along="radius", segment=64), "along is 'radius'"),
         (lambda: tw.studies.TiledMap.open(tmp_path), "holds no tiled map"),
     ):
