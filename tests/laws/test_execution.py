@@ -451,7 +451,7 @@ def test_a_store_that_cannot_be_read_is_one_sentence(store):
 
 @pytest.mark.parametrize("wrong", [{"workers": 0}, {"memory_gb": 0.0}, {"memory_gb": math.nan}, {"threads": 0}])
 def test_a_pool_of_nothing_is_refused(wrong):
-    with pytest.raises(InputError, match=r"(use|give) "), local(**wrong):
+    with pytest.raises(InputError, match=r"(use|give|increase) "), local(**wrong):
         pass
 
 

@@ -95,7 +95,7 @@ def test_profiles_without_cusps_are_refused():
         find_cusps(as_profile(np.cumsum(1 + np.arange(100.0)), np.zeros(100)))
     with pytest.raises(InputError, match="valid heights"):
         find_cusps(as_profile(at, np.full(400, np.nan)))
-    with pytest.raises(InputError, match="neighbours"):
+    with pytest.raises(InputError, match="no 3 consecutive"):
         find_cusps(flat(0.010 * np.arange(1, 30))).between(0.05, 0.06)
 
 

@@ -211,7 +211,7 @@ def test_a_wrong_tool_cannot_exist(wrong, words):
     ("sweep", "deviation", "words"),
     [
         ([0, 1, 2], [0, 0, 0], "at least 4"),
-        ([0, 1, 2, 3], [0, 0, 0], "as many"),
+        ([0, 1, 2, 3], [0, 0, 0], "equal numbers of both"),
         ([0, 2, 1, 3], [0, 0, 0, 0], "do not ascend"),
         ([0, 1, 2, 3], [0, 0, 0, np.nan], "deviation holds nan, it must be finite"),
         ([0, 1e-4, 2e-4, 3e-4], [0, 0, 0, 0], "covers 0.0003 rad, the limit is 0.001 rad"),
