@@ -13,6 +13,7 @@ import time
 import tomllib
 import zipfile
 from functools import partial
+from importlib import resources
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -142,6 +143,9 @@ def test_no_path_leads_out(client, cut, folder, path):
 
 # --- jobs that name files, or hold what is none
 
+DIALECT = resources.files("turnwright") / "dialects" / "generic.toml"
+"""A file that could be read: it is the path that is refused."""
+
 FILES = {
     "a file of the system": job(("part.surface", {"family": "gridded", "file": "/etc/passwd", "units": "mm",
                                                   "sag_units": "mm"})),
@@ -152,6 +156,7 @@ FILES = {
     "a straightness file": job(("actual.machine", {"straightness_file": "/dev/zero"})),
     "a machine by its file": job(("machine", {"file": "/dev/stdin"})),
     "a machine by a path as name": job(("machine.name", "../machines/generic.toml")),
+    "a dialect by its file": job(("machine.dialect", str(DIALECT))),
     "a material by its file": job(("part.material", "/etc/x.toml")),
     "a run that is not there": job(("part.correction", "runs/0123456789abcdee/correction.npz")),
     "a reference with a climb": job(("part.correction", f"runs/{RUN}/../../x.npz")),
@@ -310,6 +315,14 @@ BAD_FILES = {
         b'base="generic"\n[axes.X]\nresponse = { file = "/etc/passwd" }',
         422,
     ),
+    "a machine with a dialect file": ("machine", "a.toml", b'base="generic"\ndialect="/etc/x.toml"', 422),
+    "a machine with a dialect file for cubics": (
+        "machine",
+        "a.toml",
+        b'base="generic"\n[controller]\nother_interpolations = { hermite = "/etc/x.toml" }',
+        422,
+    ),
+    "a dialect that is cut short": ("dialect", "a.toml", b'name = "mine"', 422),
     "a machine of lists within lists": ("machine", "a.toml", b"a = " + b"[" * 50_000, 422),
     "a material of endless digits": ("material", "a.toml", b"name = " + b"1" * 50_000, 422),
     "a correction that is cut short": ("correction", "a.npz", b"PK\x03\x04", 422),

@@ -159,7 +159,7 @@ class Dialect(Stated):
         return tuple(_supplied())
 
     @classmethod
-    def load(cls, name: str) -> Dialect:
+    def load(cls, name: str | Path) -> Dialect:
         """Return a dialect that comes with Turnwright, or one described in a file.
 
         Parameters
@@ -175,7 +175,7 @@ class Dialect(Stated):
         >>> Dialect.load("nanotech").decimals["C"]
         5
         """
-        supplied = _supplied()
+        name, supplied = str(name), _supplied()
         if name in supplied:
             return supplied[name]
         if not name.endswith(".toml"):

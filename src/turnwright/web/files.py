@@ -42,7 +42,7 @@ RAW_BODY = {
     }
 }
 
-Kind = Literal["heights", "waviness", "straightness", "correction", "machine", "material", "instrument"]
+Kind = Literal["heights", "waviness", "straightness", "correction", "machine", "material", "instrument", "dialect"]
 
 
 @router.post("", status_code=201, openapi_extra=RAW_BODY)

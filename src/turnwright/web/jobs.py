@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from importlib import resources
 from pathlib import Path
@@ -27,6 +27,7 @@ from turnwright.job import (
 from turnwright.machine import Machine
 from turnwright.material import Material
 from turnwright.part import Part
+from turnwright.post import Dialect
 from turnwright.tool import Tool
 from turnwright.web.limits import MAX_POINTS
 from turnwright.web.references import located, require_flat
@@ -110,7 +111,7 @@ def look_into(file: str, kind: str) -> None:
         except ValidationError as error:
             reasons.append("; ".join(sentences(error, READERS[kind], {})))
         except TurnwrightError as error:
-            reasons.append(str(error))
+            reasons.append("; ".join(str(error).splitlines()))
         else:
             return
     # Missing units are reported when a job names the file.
@@ -123,10 +124,8 @@ def _read_as(path: Path, kind: str, units: Mapping[str, str]) -> None:
     if kind == "machine":
         _require_whole(read_toml(path.read_bytes(), "the machine file"))
         Machine.load(path)
-    elif kind == "material":
-        Material.load(path)
-    elif kind == "instrument":
-        Instrument.load(path)
+    elif kind in LOADERS:
+        LOADERS[kind](path)
     else:
         stated = {
             "correction": str(path),
@@ -144,6 +143,11 @@ UNITS: tuple[dict[str, str], ...] = (
 )  # fmt: skip
 """Units that a job may have to state for a table of heights; it must not repeat those of the file."""
 
+LOADERS: dict[str, Callable[[Path], Any]] = {
+    "dialect": Dialect.load, "instrument": Instrument.load, "material": Material.load,
+}  # fmt: skip
+"""Loader of each kind of file that a class of its own describes."""
+
 READERS: dict[str, Any] = {
     "correction": types_of(Part)["correction"],
     "heights": HeightFile,
@@ -155,7 +159,7 @@ READERS: dict[str, Any] = {
 
 def _require_whole(machine: dict[str, Any]) -> None:
     """Raise if a machine refers to other files: they would be read from this computer."""
-    base, axes = machine.get("base"), machine.get("axes")
+    base, axes, controller = (machine.get(key) for key in ("base", "axes", "controller"))
     responses = (
         [one.get("response") for one in axes.values() if isinstance(one, dict)] if isinstance(axes, dict) else []
     )
@@ -163,6 +167,13 @@ def _require_whole(machine: dict[str, Any]) -> None:
         raise InputError(
             "a machine file on the page must not name a response file: state frequency and damping, or use the command "
             "line"
+        )
+    others = controller.get("other_interpolations") if isinstance(controller, dict) else None
+    dialects = [machine.get("dialect"), *(others.values() if isinstance(others, dict) else ())]
+    if any(isinstance(one, str) and one not in Dialect.known() for one in dialects):
+        raise InputError(
+            f"a machine file on the page must name a supplied dialect, {', '.join(Dialect.known())}: state a dialect "
+            "file in the job, or use the command line"
         )
     if base is not None and base not in machines():
         raise InputError(f"the base of the machine must be one of {', '.join(machines())}, got {str(base)[:60]!r}")

@@ -43,6 +43,7 @@ FILE_ENDINGS = {
     "machine": (".toml",),
     "material": (".toml",),
     "instrument": (".toml",),
+    "dialect": (".toml",),
 }
 """Kinds of files that a job may name, with their extensions."""
 

@@ -43,7 +43,7 @@ __all__ = [
 FILE_KEYS = frozenset({"file", "correction", "waviness_file", "straightness_file", "mask"})
 """Keys of a job that name a file."""
 
-FILE_OR_NAME = frozenset({"material", "instrument"})
+FILE_OR_NAME = frozenset({"dialect", "instrument", "material"})
 """Keys of a job that name a file if the value ends in ``.toml``."""
 
 MAX_DEPTH = 40
