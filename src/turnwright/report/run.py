@@ -167,7 +167,7 @@ def write_backplot(
     if not limits.ok:
         failed.append("a machine limit is exceeded")
     turns, feed = _single_turns(motion), motion.feed
-    shown = _sliced(motion, slice(None, None, max(1, math.ceil(motion.time.size / MAX_PICTURE_POINTS))))
+    shown = motion.select(slice(None, None, max(1, math.ceil(motion.time.size / MAX_PICTURE_POINTS))))
     facts = f"{limits.spindle_rpm:.4g} rev/min · {limits.points:,} points · {_duration(limits.cycle_time_s)}"
     page = Page(
         title=job.part.name or program.name,
@@ -606,14 +606,9 @@ def _head(file: File) -> str:
         return "".join(line[:200] for line, _ in zip(lines, range(LISTED_LINES), strict=False))
 
 
-def _sliced(motion: Motion, part: slice) -> Motion:
-    axes = {letter: values[part] for letter, values in motion.axes.items()}
-    return Motion(time=motion.time[part], axes=axes, machine=motion.machine)
-
-
 def _single_turns(motion: Motion) -> tuple[Motion, ...]:
     """Return the first revolution, one halfway and the last."""
     angle = np.abs(motion.axes["C"] - motion.axes["C"][0])
     last = max(float(angle[-1]) - TURN, 0.0)
     ends = [np.searchsorted(angle, (start, start + TURN * (1 + 1e-9))) for start in (0.0, last / 2, last)]
-    return tuple(_sliced(motion, slice(max(int(first) - 1, 0), int(stop) + 1)) for first, stop in ends)
+    return tuple(motion.select(slice(max(int(first) - 1, 0), int(stop) + 1)) for first, stop in ends)

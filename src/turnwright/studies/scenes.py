@@ -185,9 +185,7 @@ class Scene(NamedTuple):
     @staticmethod
     def _inner(motion: Motion, near: float) -> Motion:
         at = np.flatnonzero(np.abs(motion.axes["X"]) <= 3 * near)
-        near_axis = slice(max(int(at[0]) - 1, 0), int(at[-1]) + 2)
-        axes = {letter: values[near_axis] for letter, values in motion.axes.items()}
-        return Motion(time=motion.time[near_axis], axes=axes, machine=motion.machine)
+        return motion.select(slice(max(int(at[0]) - 1, 0), int(at[-1]) + 2))
 
     def points(self) -> tuple[Floats, Floats]:
         """Return x and y of every place. Each (rows, columns) [mm]."""
