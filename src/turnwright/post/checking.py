@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,9 @@ POINTS = 1500
 
 POINTS_PER_REV = 90
 """Points per revolution of a test pass."""
+
+HEIGHTS = {"rough": 0.01, "finish": 0.0}
+"""Height of each test pass. [mm]"""
 
 TIME_RATIO = 1e-3
 """Largest relative difference of the time of a pass that is read back."""
@@ -75,24 +79,27 @@ def check_dialect(name: str) -> DialectCheck:
         controller=Controller(interpolation=dialect.interpolation),
     )  # fmt: skip
     differences: dict[str, float] = {}
-    time_ratio, programs = 0.0, 0
+    cases = list(
+        product(
+            (1, -1),
+            ("CXZ", "CXYZ") if "Y" in dialect.decimals else ("CXZ",),
+            (None, 400) if dialect.call else (None,),
+        )
+    )
+    time_ratio = 0.0
     lines: tuple[str, ...] = ()
     with tempfile.TemporaryDirectory() as folder:
-        for sense in (1, -1):
-            for axes in ("CXZ", "CXYZ") if "Y" in dialect.decimals else ("CXZ",):
-                for max_lines in (None, 400) if dialect.call else (None,):
-                    passes = {
-                        "rough": _motion(machine, sense, axes, 0.01),
-                        "finish": _motion(machine, sense, axes, 0.0),
-                    }
-                    path = Path(folder) / f"test{programs}.nc"
-                    done = write_nc(passes, machine, path, max_lines=max_lines, depth={"rough": 0.02, "finish": None})
-                    programs += 1
-                    for one, motion in passes.items():
-                        again = read_nc(path, machine, name=one)
-                        time_ratio = max(time_ratio, _compare(dialect, one, again, motion, differences))
-                    lines = lines or _first_lines(done.files[-1], dialect)
-    return DialectCheck(dialect=dialect, differences=differences, time_ratio=time_ratio, programs=programs, lines=lines)
+        path = Path(folder) / "test.nc"
+        for sense, axes, max_lines in cases:
+            passes = {name: _motion(machine, sense, axes, height) for name, height in HEIGHTS.items()}
+            done = write_nc(passes, machine, path, max_lines=max_lines, depth={"rough": 0.02, "finish": None})
+            for one, motion in passes.items():
+                again = read_nc(path, machine, name=one)
+                time_ratio = max(time_ratio, _compare(dialect, one, again, motion, differences))
+            lines = lines or _first_lines(done.files[-1], dialect)
+    return DialectCheck(
+        dialect=dialect, differences=differences, time_ratio=time_ratio, programs=len(cases), lines=lines
+    )
 
 
 def _motion(machine: Machine, sense: int, axes: str, height: float) -> Motion:

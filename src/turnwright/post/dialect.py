@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from turnwright.machine import Machine
 
-__all__ = ["Dialect", "dialect_of"]
+__all__ = ["MIN_LINES", "Dialect", "dialect_of"]
 
 AXES = frozenset("CXYZ")
 """Axes that a lathe program can have."""

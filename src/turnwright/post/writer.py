@@ -35,7 +35,7 @@ from turnwright.post.approach import (
     link_seconds,
 )
 from turnwright.post.convention import axis_signs
-from turnwright.post.dialect import Dialect, dialect_of
+from turnwright.post.dialect import MIN_LINES, Dialect, dialect_of
 from turnwright.post.header import (
     ENTRY,
     NO_HASH,
@@ -188,7 +188,7 @@ def write_nc(
 
     Sources
     -------
-    The sources of the dialects are in `DIALECTS`. Oracle of the formatting: Python's decimal module.
+    The files of the dialects state their sources. Oracle of the formatting: Python's decimal module.
 
     Examples
     --------
@@ -223,8 +223,8 @@ def write_nc(
     approaches = _approaches(motions, clearance, depth, plunge_feed, entry_heights)
     passes = _passes(motions, machine, dialect, approaches)
     limit = dialect.max_lines if max_lines is None else max_lines
-    if limit < 100:
-        raise ProgramError(f"max_lines is {limit}, it must be at least 100: increase it")
+    if limit < MIN_LINES:
+        raise ProgramError(f"max_lines is {limit}, it must be at least {MIN_LINES}: increase it")
     try:
         folder = Path(tempfile.mkdtemp(prefix=f".{path.stem}-", dir=path.parent))
     except OSError as error:
