@@ -7,7 +7,7 @@ Rules:
 - `WORDS` occur nowhere in the text of `src`, `docs`, `examples` and the README: code, comments, docstrings, messages,
   the page.
 - `TARGETS` are no targets of an assignment: a variable is named after what it holds. Fields of classes are names of
-  their own.
+  their own. Functions have other names too, but for the class method `known`.
 - The subject of a commit has at most 72 characters; longer ones of the last `COMMITS` are listed.
 """
 
@@ -73,6 +73,8 @@ def targets_in(file: Path) -> Iterator[str]:
             and node.id in TARGETS
         ):
             yield f"{file.relative_to(ROOT)}:{node.lineno}: {node.id!r} is assigned: name it after what it holds"
+        elif isinstance(node, ast.FunctionDef) and node.name in TARGETS - {"known"}:
+            yield f"{file.relative_to(ROOT)}:{node.lineno}: function {node.name!r}: name it after what it does"
 
 
 def subjects() -> Iterator[str]:

@@ -10,8 +10,8 @@ from itertools import islice
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, Union, get_args, get_origin
 
-from turnwright._tables import ByName, Keyed, Stated, adapter
-from turnwright.errors import InputError, shortened, shown
+from turnwright._tables import ByName, Keyed, TableModel, adapter
+from turnwright.errors import InputError, quote, shorten_message
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
@@ -44,7 +44,7 @@ def keys_of(annotation: Any) -> Mapping[str, Any] | None:
     for note in notes:
         if isinstance(note, Keyed | ByName):
             return note.keys
-    return bare.table_keys() if isinstance(bare, type) and issubclass(bare, Stated) and is_dataclass(bare) else None
+    return bare.table_keys() if isinstance(bare, type) and issubclass(bare, TableModel) and is_dataclass(bare) else None
 
 
 def _tables_in(annotation: Any) -> Iterator[Mapping[str, Any]]:
@@ -131,7 +131,7 @@ def faults(error: ValidationError, root: Any, tags: Mapping[str, Any], path: str
 
 _SENTENCES: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
     "missing": lambda _, __: "is missing and has no default: add it",
-    "literal_error": lambda value, context: f"is {shown(value)}, it must be {context['expected']}: choose one of them",
+    "literal_error": lambda value, context: f"is {quote(value)}, it must be {context['expected']}: choose one of them",
     "union_tag_invalid": lambda _, context: (
         f"has the {context['discriminator'].strip(chr(39))} {context['tag']!r}, which is not known: "
         f"{suggestion(context['tag'], re.findall(chr(39) + '(.*?)' + chr(39), context['expected_tags']))}"
@@ -139,8 +139,8 @@ _SENTENCES: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
     "union_tag_not_found": lambda _, context: (
         f"lacks the key {context['discriminator'].strip(chr(39))}, which names its kind: add it"
     ),
-    "greater_than_equal": lambda value, context: f"is {shown(value)}, it must be at least {context['ge']}: increase it",
-    "less_than_equal": lambda value, context: f"is {shown(value)}, it must be at most {context['le']}: reduce it",
+    "greater_than_equal": lambda value, context: f"is {quote(value)}, it must be at least {context['ge']}: increase it",
+    "less_than_equal": lambda value, context: f"is {quote(value)}, it must be at most {context['le']}: reduce it",
     "too_long": lambda _, context: (
         f"has {context['actual_length']} values, the limit is {context['max_length']}: remove some"
     ),
@@ -149,7 +149,7 @@ _SENTENCES: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
     ),
     "string_too_short": lambda _, __: "is empty, it must be text in quotes: state it",
     "string_pattern_mismatch": lambda value, _: (
-        f"is {shown(value)}, it may hold up to 30 letters, digits, - and _: rename it"
+        f"is {quote(value)}, it may hold up to 30 letters, digits, - and _: rename it"
     ),
 }
 
@@ -163,7 +163,7 @@ def _sentence(path: str, keys: Mapping[str, Any], problem: Mapping[str, Any]) ->
     if kind == "float_type" and isinstance(value, int) and not isinstance(value, bool):
         return f"{path} is beyond the range of numbers, about 1e308: give a smaller value"
     if kind in _KINDS:
-        return f"{path} is {shown(value)}, it must be {_KINDS[kind]}: correct it"
+        return f"{path} is {quote(value)}, it must be {_KINDS[kind]}: correct it"
     text = str(context.get("error") or context.get("text") or problem["msg"])
     return f"{path}: {text}" if path else text
 
@@ -176,7 +176,7 @@ class _Fault(NamedTuple):
     def report(self) -> tuple[str, str]:
         """Place and sentence."""
         path, keys, *_ = self.place
-        return shortened(path), shortened(_sentence(path, keys, self.problem))
+        return shorten_message(path), shorten_message(_sentence(path, keys, self.problem))
 
     @property
     def distance(self) -> int:
@@ -200,8 +200,8 @@ def _nearest(path: str, kinds: Mapping[str, Sequence[_Fault]]) -> Iterator[tuple
         for faults in kinds.values()
         for fault in faults
     ]
-    value = shown(next(iter(kinds.values()))[0].problem["input"])
-    yield shortened(path), f"{path} is {value}, it must be {' or '.join(allowed)}: correct it"
+    value = quote(next(iter(kinds.values()))[0].problem["input"])
+    yield shorten_message(path), f"{path} is {value}, it must be {' or '.join(allowed)}: correct it"
 
 
 def suggestion(key: str, known: Iterable[str]) -> str:

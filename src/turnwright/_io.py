@@ -19,8 +19,15 @@ from typing import IO, Any
 from turnwright.errors import InputError
 
 __all__ = [
-    "answer_parent", "bytes_of", "json_data", "part_of", "read_isolated", "read_toml", "whole_file", "write_json",
-    "write_whole",
+    "answer_parent",
+    "atomic_file",
+    "bytes_of",
+    "json_data",
+    "part_of",
+    "read_isolated",
+    "read_toml",
+    "write_atomic",
+    "write_json",
 ]  # fmt: skip
 
 MAX_TOML_BYTES = 1 << 20
@@ -92,7 +99,7 @@ def part_of(path: Path) -> Path:
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[IO[bytes]]:
+def atomic_file(path: Path) -> Iterator[IO[bytes]]:
     """Yield a stream whose file replaces ``path`` only when the block ends without an exception."""
     if not path.name:
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
@@ -105,9 +112,9 @@ def whole_file(path: Path) -> Iterator[IO[bytes]]:
         part.unlink(missing_ok=True)
 
 
-def write_whole(path: Path, text: str | bytes | memoryview) -> None:
+def write_atomic(path: Path, text: str | bytes | memoryview) -> None:
     """Write a file that replaces ``path`` only when it is complete."""
-    with whole_file(path) as stream:
+    with atomic_file(path) as stream:
         stream.write(text.encode() if isinstance(text, str) else text)
 
 
@@ -136,7 +143,7 @@ def json_data(value: Any) -> Any:
 
 def write_json(path: Path, value: Any) -> None:
     """Write `json_data` of a value."""
-    write_whole(path, json.dumps(json_data(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    write_atomic(path, json.dumps(json_data(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def read_isolated(

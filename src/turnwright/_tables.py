@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from pydantic_core import CoreSchema, ValidationError
 
 __all__ = [
-    "ByName", "Columns", "Keyed", "Loaded", "Merged", "Numbers", "Plausible", "Sources", "Stated", "adapter", "flat",
-    "forget_adapters", "merged", "named", "read_by", "refuse", "types_of", "written", "written_by",
+    "ByName", "Columns", "Keyed", "Loaded", "Merged", "Numbers", "Plausible", "Sources", "TableModel", "adapter",
+    "flat", "forget_adapters", "merged_fields", "named", "read_by", "refuse", "types_of", "write_table", "written_by",
 ]  # fmt: skip
 
 
-class Stated:
+class TableModel:
     """A dataclass that a file can describe: its fields carry their units, and unknown keys are refused."""
 
     __slots__ = ()
@@ -45,8 +45,8 @@ class Stated:
         """Return the keys that a file may have, with their types."""
         keys: dict[str, Any] = {}
         for name, kind in types_of(cls).items():
-            if name in merged(cls):
-                keys |= merged(cls)[name].table_keys()
+            if name in merged_fields(cls):
+                keys |= merged_fields(cls)[name].table_keys()
             elif name not in cls.hidden:
                 keys[cls.key_names.get(name, name)] = kind
         return keys | dict.fromkeys(cls.file_keys.values(), str)
@@ -70,7 +70,7 @@ class Stated:
         """Return the instance that a table describes; ``build`` takes a table whose keys are named as the fields."""
         from pydantic_core import InitErrorDetails, ValidationError  # noqa: PLC0415 - only files need pydantic
 
-        if unknown := [key for key in table if key in {*cls.hidden, *cls.key_names, *merged(cls)}]:
+        if unknown := [key for key in table if key in {*cls.hidden, *cls.key_names, *merged_fields(cls)}]:
             wrong = [InitErrorDetails(type="extra_forbidden", loc=(key,), input=table) for key in unknown]
             raise ValidationError.from_exception_data(cls.__name__, wrong)
         table = cls.from_table(table)
@@ -82,17 +82,17 @@ class Stated:
                 table[key] = Path(table[key])
         named |= cls.key_names
         table |= {name: table.pop(key) for name, key in named.items() if key in table}
-        for name, inner in merged(cls).items():
+        for name, inner in merged_fields(cls).items():
             own_keys = types_of(cls)
             table[name] = {key: table.pop(key) for key in inner.table_keys() if key in table and key not in own_keys}
         try:
             return build(table)
         except ValidationError as error:
-            raise _at_keys(error, named, merged(cls)) from error
+            raise _name_keys(error, named, merged_fields(cls)) from error
 
     @classmethod
     def _written(cls, value: Any, *, whole: bool) -> dict[str, Any]:
-        return written(value, whole=whole)
+        return write_table(value, whole=whole)
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -116,7 +116,7 @@ class Stated:
         fields |= {key: {"type": "string", "reads": name} for name, key in cls.file_keys.items()}
         fields = {cls.key_names.get(name, name): kind for name, kind in fields.items() if name not in cls.hidden}
         definition["properties"] = fields
-        for name, merged_class in merged(cls).items():
+        for name, merged_class in merged_fields(cls).items():
             inner = handler.resolve_ref_schema(handler(adapter(merged_class).core_schema))
             definition["properties"] = inner["properties"] | {key: kind for key, kind in fields.items() if key != name}
             required = (key for key in definition.get("required", ()) if key != name)
@@ -129,7 +129,7 @@ class Merged:
 
     __slots__ = ("stated",)
 
-    def __init__(self, stated: type[Stated]) -> None:
+    def __init__(self, stated: type[TableModel]) -> None:
         self.stated = stated
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -141,7 +141,7 @@ class Merged:
         )
 
 
-def merged(cls: Any) -> Mapping[str, Any]:
+def merged_fields(cls: Any) -> Mapping[str, Any]:
     """Return the fields whose keys stand among those of the class, with the classes that the keys describe."""
     return _merged(cls)
 
@@ -204,7 +204,7 @@ def refuse(title: str, problems: Mapping[tuple[str | int, ...], Exception | str]
     )
 
 
-def _at_keys(error: ValidationError, named: Mapping[str, str], merged: Collection[str]) -> ValidationError:
+def _name_keys(error: ValidationError, named: Mapping[str, str], merged: Collection[str]) -> ValidationError:
     """Return an error whose places are the keys of a file instead of the names of fields."""
     from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError  # noqa: PLC0415 - only files need it
 
@@ -439,7 +439,7 @@ def _types(cls: Any) -> Mapping[str, Any]:
     return {name: types[name] for name in names}
 
 
-def written(value: Any, *, whole: bool = False, base: Any = None) -> dict[str, Any]:
+def write_table(value: Any, *, whole: bool = False, base: Any = None) -> dict[str, Any]:
     """Return a dataclass as a table, quantities as text: the fields that differ from their defaults, or all.
 
     With a ``base``, another instance of the class, the table has the fields that differ from it.
@@ -453,30 +453,30 @@ def written(value: Any, *, whole: bool = False, base: Any = None) -> dict[str, A
         if entry is not None and (whole or not same(entry, default)):
             key = value.file_keys.get(field.name, "") if getattr(entry, "file", "") else ""
             kind = types_of(type(value))[field.name]
-            if field.name in merged(type(value)):
+            if field.name in merged_fields(type(value)):
                 table |= _inner(value, field.name, whole=whole)
                 continue
             table[key or value.key_names.get(field.name, field.name)] = (
-                named(entry) if key else _dumped(kind, entry, whole=whole)
+                named(entry) if key else _dump(kind, entry, whole=whole)
             )
     return dict(value.to_table(table))
 
 
 def _inner(value: Any, name: str, *, whole: bool) -> dict[str, Any]:
-    entry, required = getattr(value, name), merged(type(value))[name]
+    entry, required = getattr(value, name), merged_fields(type(value))[name]
     if type(entry) is not required:
         raise InputError(
             f"{name} of a {type(value).__name__} is a {type(entry).__name__}, a job file allows a "
             f"{required.__name__} only"
         )
-    return written(entry, whole=whole)
+    return write_table(entry, whole=whole)
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:
     return field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
 
 
-def _dumped(kind: Any, value: Any, *, whole: bool) -> Any:
+def _dump(kind: Any, value: Any, *, whole: bool) -> Any:
     """Return a value as data; on failure raise the cause, not the error of pydantic."""
     from pydantic_core import PydanticSerializationError  # noqa: PLC0415 - only files need it
 

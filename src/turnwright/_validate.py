@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from turnwright.errors import InputError, shown
+from turnwright.errors import InputError, quote
 from turnwright.units import LEAST, MOST
 
 __all__ = [
@@ -30,6 +30,7 @@ __all__ = [
     "check_numbers",
     "finite",
     "finite_tuple",
+    "instance_of",
     "key_of",
     "listener",
     "number",
@@ -39,8 +40,7 @@ __all__ = [
     "positive",
     "require_finite",
     "span",
-    "thing",
-    "whole",
+    "whole_number",
 ]
 
 T = TypeVar("T")
@@ -114,7 +114,7 @@ class _Rule:
     def _check_number(self, value: numbers.Real, what: str) -> None:
         plain = number(value, what)
         if self.integer and not isinstance(value, numbers.Integral):
-            raise InputError(f"{what} {shown(value)}, it must be a whole number: give one")
+            raise InputError(f"{what} {quote(value)}, it must be a whole number: give one")
         if not math.isfinite(plain) and not (self.nan if math.isnan(plain) else self.inf):
             raise InputError(f"{what} {plain:g}, it must be finite{' or infinite' * self.inf}: correct it")
 
@@ -146,7 +146,7 @@ def finite(value: object, name: str) -> float:
 def finite_tuple(values: Sequence[float], name: str, size: int) -> tuple[float, ...]:
     """Return ``size`` finite numbers as a tuple."""
     if np.shape(values) != (size,):
-        raise InputError(f"{name} is {shown(values)}, it must be {size} finite numbers: complete it")
+        raise InputError(f"{name} is {quote(values)}, it must be {size} finite numbers: complete it")
     return tuple(finite(value, name) for value in values)
 
 
@@ -171,7 +171,7 @@ def plausible_sizes(sizes: Mapping[str, float], units: Mapping[str, str]) -> Map
     """Return sizes of error sources (standard deviations) if each is positive and of a known source."""
     for name, size in sizes.items():
         if name not in units:
-            raise InputError(f"plausible has {shown(str(name))}, it can have {', '.join(units)}: name one of them")
+            raise InputError(f"plausible has {quote(str(name))}, it can have {', '.join(units)}: name one of them")
         positive(size, f"plausible {name}", units[name])
     return MappingProxyType(dict(sizes))
 
@@ -188,7 +188,7 @@ def one_of(value: object, name: str, options: Collection[object]) -> None:
     if value not in options:
         *others, last = (f'"{option}"' if isinstance(option, str) else str(option) for option in options)
         listed = f"{', '.join(others)} or {last}" if others else last
-        raise InputError(f"{name} is {shown(value)}, it must be {listed}: choose one of them")
+        raise InputError(f"{name} is {quote(value)}, it must be {listed}: choose one of them")
 
 
 IN_RAD = "a plain number is in rad"
@@ -243,23 +243,23 @@ def number(value: object, name: str) -> float:
             return float(value)
         except OverflowError:
             raise InputError(f"{name} is beyond the range of numbers, about 1e308: give a smaller value") from None
-    raise InputError(f"{name} is {shown(value)}, it must be a number: give one")
+    raise InputError(f"{name} is {quote(value)}, it must be a number: give one")
 
 
-def whole(value: object, name: str, low: int, high: int | None = None) -> int:
+def whole_number(value: object, name: str, low: int, high: int | None = None) -> int:
     """Return an integer within its limits."""
     if isinstance(value, numbers.Integral) and not isinstance(value, bool):
         integer = int(value)
         if integer >= low and (high is None or integer <= high):
             return integer
     limit = f"at least {low}" if high is None else f"{low} to {high}"
-    raise InputError(f"{name} is {shown(value)}, it must be a whole number, {limit}: give one")
+    raise InputError(f"{name} is {quote(value)}, it must be a whole number, {limit}: give one")
 
 
 def span(value: object, name: str) -> tuple[float, float]:
     """Return two finite numbers in ascending order."""
     if not isinstance(value, Sequence) or isinstance(value, str | bytes) or len(value) != 2:
-        raise InputError(f"{name} is {shown(value)}, it must be first and last: give two numbers")
+        raise InputError(f"{name} is {quote(value)}, it must be first and last: give two numbers")
     low, high = (number(end, name) for end in value)
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise InputError(f"{name} is {low:g} to {high:g}, it must ascend: give finite values, the smaller first")
@@ -270,15 +270,15 @@ def path(value: object, name: str) -> str:
     """Return the text of a path or a URL."""
     text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
     if not isinstance(text, str) or not text or "\0" in text:
-        raise InputError(f"{name} is {shown(value)}, it must be a path: give one")
+        raise InputError(f"{name} is {quote(value)}, it must be a path: give one")
     return text
 
 
-def thing(value: T, kind: type[Any], name: str) -> T:
+def instance_of(value: T, kind: type[Any], name: str) -> T:
     """Return a value if it is an instance of a class."""
     if isinstance(value, kind):
         return value
-    raise InputError(f"{name} is {shown(value)}, it must be a {kind.__name__}: give one")
+    raise InputError(f"{name} is {quote(value)}, it must be a {kind.__name__}: give one")
 
 
 def listener(progress: object) -> None:

@@ -215,8 +215,8 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
     clearance = max(minus_fall, 0.0)
     rakes = (tool.rake - steep, tool.rake + minus_fall)
     rake_words = (
-        f"the rake relative to the surface ranges from {_deg(rakes[0])} {_at(climbing)} to {_deg(rakes[1])} "
-        f"{_at(falling)}"
+        f"the rake relative to the surface ranges from {_deg(rakes[0])} {_position(climbing)} to {_deg(rakes[1])} "
+        f"{_position(falling)}"
     )
     findings = [
         _nose(tool, limit, curved),
@@ -288,8 +288,8 @@ def check_depths(
         if not ok:
             words += (
                 f" (nose_radius {tool.actual_radius:.4g} mm, arc from {_deg(tool.arc[0])} to {_deg(tool.arc[1])}), "
-                f"tightest {_at(where)}: use a smaller depth, a tool with a larger nose_radius or included angle, or "
-                "give the edge_length of its flanks"
+                f"tightest {_position(where)}: use a smaller depth, a tool with a larger nose_radius or included "
+                "angle, or give the edge_length of its flanks"
             )
         findings.append(
             AccessFinding(
@@ -318,7 +318,7 @@ def largest_depth(
         nonlocal done
         before = done
         report = None if progress is None else (lambda count, _all: progress(before + count, total))
-        gap = _gap_beyond(part, tool, side, sense, radius, angle, report)
+        gap = _outer_gap(part, tool, side, sense, radius, angle, report)
         done += radius.size
         return gap
 
@@ -341,7 +341,7 @@ def largest_depth(
     )
 
 
-def _gap_beyond(
+def _outer_gap(
     part: Part, tool: Tool, side: int, sense: int, radius: Floats, angle: Floats, progress: Progress | None
 ) -> Floats:
     """Return the smallest gap between finished surface and edge beyond its cutting part. (n,) [mm]."""
@@ -355,7 +355,7 @@ def _gap_beyond(
     out = radius[:, None] + u[0] + along * (u[1] - u[0])
     lateral = v[0] + along * (v[1] - v[0])
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    finished = _continued(part, out * cosine - lateral * sine, out * sine + lateral * cosine)
+    finished = _extended_surface(part, out * cosine - lateral * sine, out * sine + lateral * cosine)
     gap = tip[:, None] + e[0] + along * (e[1] - e[0]) - finished
     # Half a revolution earlier, the edge has cut the other side of the axis as far as it reaches.
     gap[out < abs(u[0] + begin * (u[1] - u[0])) - radius[:, None]] = np.inf
@@ -363,7 +363,7 @@ def _gap_beyond(
     return np.asarray(gap.min(axis=1))
 
 
-def _continued(part: Part, x: Floats, y: Floats) -> Floats:
+def _extended_surface(part: Part, x: Floats, y: Floats) -> Floats:
     """Return the finished surface; beyond the clear aperture at the slope of the rim, level where it falls. [mm]."""
     distance = np.hypot(x, y)
     beyond = distance > part.radius
@@ -410,7 +410,7 @@ def _reach(part: Part, tool: Tool, sense: int, radius: Floats, angle: Floats) ->
     if bad.any():
         x, y = float((radius * c)[bad][0]), float((radius * s)[bad][0])
         raise DomainError(
-            f"the surface has no finite slope and curvature {_at((x, y))} ({np.count_nonzero(bad)} of {bad.size} "
+            f"the surface has no finite slope and curvature {_position((x, y))} ({np.count_nonzero(bad)} of {bad.size} "
             "points), they must exist everywhere but on the axis: keep the part clear of poles and of the limits of "
             "terms"
         )
@@ -419,8 +419,8 @@ def _reach(part: Part, tool: Tool, sense: int, radius: Floats, angle: Floats) ->
         worst = int(np.argmax(steepness))
         x, y = float((radius * c)[worst]), float((radius * s)[worst])
         raise DomainError(
-            f"the surface has a slope of {steepness[worst]:.3g} mm per mm {_at((x, y))}, the limit is {MAX_SLOPE:g}: "
-            "check the units and the exponents of its terms"
+            f"the surface has a slope of {steepness[worst]:.3g} mm per mm {_position((x, y))}, the limit is "
+            f"{MAX_SLOPE:g}: check the units and the exponents of its terms"
         )
     if (highest := float(np.max(np.abs(z), where=np.isfinite(z), initial=0.0))) > MAX_HEIGHT_MM:
         raise DomainError(
@@ -507,7 +507,7 @@ def _starts(values: Floats, places: _Places) -> tuple[Ints, Floats]:
     return best[starts], values[best[starts]]
 
 
-def _at(where: tuple[float, float]) -> str:
+def _position(where: tuple[float, float]) -> str:
     x, y = (round(value, 6) + 0.0 for value in where)  # + 0.0 turns -0 into 0
     return f"at x = {x:.4g} mm, y = {y:.4g} mm"
 
@@ -522,7 +522,7 @@ def _nose(tool: Tool, limit: float, where: tuple[float, float]) -> AccessFinding
         words = f"nose_radius is {radius:.4g} mm; the part is nowhere concave along the radius, so any nose_radius fits"
         return AccessFinding(name=name, value=radius, limit=limit, margin=limit, where=None, ok=True, sentence=words)
     ok = radius <= limit * (1 + 1e-9)
-    words = f"nose_radius is {radius:.4g} mm, the limit is {limit:.4g} mm {_at(where)}"
+    words = f"nose_radius is {radius:.4g} mm, the limit is {limit:.4g} mm {_position(where)}"
     words += "" if ok else f": use a nose_radius of at most {limit:.4g} mm"
     return AccessFinding(
         name=name, value=radius, limit=limit, margin=limit - radius, where=where, ok=ok, sentence=words
@@ -530,7 +530,7 @@ def _nose(tool: Tool, limit: float, where: tuple[float, float]) -> AccessFinding
 
 
 def _angle(name: str, field: str, needed: float, has: float | None, where: tuple[float, float]) -> AccessFinding:
-    words = f"{name} needs to be {_deg(needed)} {_at(where)}"
+    words = f"{name} needs to be {_deg(needed)} {_position(where)}"
     ok = needed <= DISCONTINUITY_TOL if has is None else needed <= has
     if has is None:
         words += f", it is not given: give {field}"
@@ -570,7 +570,7 @@ def _borders(part: Part, tool: Tool, places: _Places) -> list[AccessFinding]:
             return []
         at = int(np.argmax(sizes))
         size, where = float(sizes[at]), (float(low[at] * c[at]), float(low[at] * s[at]))
-        sentence = words(size, _at(where))
+        sentence = words(size, _position(where))
         return [AccessFinding(name=name, value=size, limit=0.0, margin=-size, where=where, ok=False, sentence=sentence)]
 
     def step(size: float, at: str) -> str:

@@ -160,11 +160,11 @@ def edge_of_arc(
         return edge
     jumps = edge.breaks[[0, -1]] if certified else np.empty(0)
     jumps = jumps[(jumps > low) & (jumps < high)]
-    edge = _in_pieces(edge, jumps, float(u[0] - base * sine[0]))
+    edge = _split_profile(edge, jumps, float(u[0] - base * sine[0]))
     return edge._replace(convex=_is_convex(edge, jumps))
 
 
-def _in_pieces(edge: Edge, jumps: Floats, centre: float) -> Edge:
+def _split_profile(edge: Edge, jumps: Floats, centre: float) -> Edge:
     """Return the edge with its profile in cubic pieces; ``jumps`` is where a certificate ends inside the arc."""
     base, arc = edge.base, (edge.low, edge.high)
     # Nodes at equal steps of x, two of them where a certificate ends inside the arc: there the slope jumps.

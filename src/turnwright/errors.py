@@ -34,8 +34,8 @@ __all__ = [
     "StudyError",
     "TurnwrightError",
     "UnitError",
-    "shortened",
-    "shown",
+    "quote",
+    "shorten_message",
 ]
 
 MAX_LINE_CHARACTERS = 400
@@ -46,10 +46,10 @@ HEAD_CHARACTERS = 130
 """Characters kept at the start of a shortened line; the rest of the limit goes to its end, where the remedy stands."""
 
 
-def shortened(message: str) -> str:
+def shorten_message(message: str) -> str:
     """Return a message with long lines cut in the middle and surplus lines dropped.
 
-    >>> shortened("name is '" + "x" * 5000 + "', the limit is 30 letters: rename it")[-60:]
+    >>> shorten_message("name is '" + "x" * 5000 + "', the limit is 30 letters: rename it")[-60:]
     "...xxxxxxxxxxxxxxxxxxx', the limit is 30 letters: rename it"
     """
     if len(message) <= MAX_LINE_CHARACTERS and message.count("\n") < MAX_LINES:
@@ -65,10 +65,10 @@ def shortened(message: str) -> str:
     )
 
 
-def shown(value: object) -> str:
+def quote(value: object) -> str:
     """Return the text of a value for a message, shortened to `MAX_VALUE_CHARACTERS`.
 
-    >>> shown("0,5 mm"), shown([1.5] * 100)
+    >>> quote("0,5 mm"), quote([1.5] * 100)
     ("'0,5 mm'", '[1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1...')
     """
     if isinstance(value, float) and math.isinf(value):
@@ -84,7 +84,7 @@ class TurnwrightError(Exception):
     """Base class of all exceptions that Turnwright raises on purpose."""
 
     def __init__(self, *message: object) -> None:
-        super().__init__(*(shortened(str(part)) for part in message))
+        super().__init__(*(shorten_message(str(part)) for part in message))
 
 
 class InputError(TurnwrightError, ValueError):

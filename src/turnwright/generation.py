@@ -81,11 +81,11 @@ def _cut(motion: Motion, tool: Tool, machine: Machine | None) -> _Cut:
     bounds = np.empty((7, turns))
     edge = tool.cutting_edge(motion.sense)
     kernel.turn_bounds(c, x, y, z, motion.sense, starts, edge.dx, bounds)
-    gap, bend = (0.0, 0.0) if edge.perfect else _falls(edge)
+    gap, bend = (0.0, 0.0) if edge.perfect else _measure_drops(edge)
     return _Cut(c, x, y, z, motion.sense, starts, bounds, edge, gap, bend)
 
 
-def _falls(edge: Edge) -> tuple[float, float]:
+def _measure_drops(edge: Edge) -> tuple[float, float]:
     """Return the most that a wavy edge sinks back on its way out, and that its slope falls back toward +X."""
     if edge.low_slope > 0 or edge.high_slope < 0:
         return kernel.FAR, kernel.FAR
@@ -100,7 +100,7 @@ def _falls(edge: Edge) -> tuple[float, float]:
     return gap, 0.0 if edge.convex else 2 * bend
 
 
-def _ascending(values: ArrayLike, name: str) -> Floats:
+def _check_ascending(values: ArrayLike, name: str) -> Floats:
     array = frozen(values, name)
     if array.size < 1 or not (np.diff(array) > 0).all():
         raise InputError(f"{name} must ascend strictly and hold at least 1 value, it has {array.size}: sort it")
@@ -138,7 +138,7 @@ def generate_points(
     """
     x, y = frozen(x, "x"), frozen(y, "y")
     same_length([("x", x), ("y", y)])
-    return _finish(_in_tiles(_cut(motion, tool, machine), x, y, Tiles.of_points(x.size), progress))
+    return _finish(_simulate_tiles(_cut(motion, tool, machine), x, y, Tiles.of_points(x.size), progress))
 
 
 class Tiles(NamedTuple):
@@ -187,11 +187,11 @@ class Prepared:
         cls, motion: Motion, tool: Tool, machine: Machine | None, *, distances: tuple[float, float], most_rings: int
     ) -> Prepared:
         """Prepare for the points between two ``distances`` from the axis [mm], with so many rings at most."""
-        return _prepared(_cut(motion, tool, machine), *distances, most_rings)
+        return _prepare(_cut(motion, tool, machine), *distances, most_rings)
 
     def narrowed(self, distances: tuple[float, float], most_rings: int) -> Prepared:
         """Prepare what is prepared already for a smaller range of distances [mm], at a small part of the cost."""
-        return _prepared(self.cut, *distances, most_rings)
+        return _prepare(self.cut, *distances, most_rings)
 
     def sides(self, steps: tuple[float, float]) -> tuple[int, int]:
         """Return how many points of a grid with such steps [mm] go in one tile, along rows and columns."""
@@ -207,7 +207,7 @@ class Prepared:
         )  # fmt: skip
 
 
-def _prepared(cut: _Cut, low: float, high: float, most_rings: int) -> Prepared:
+def _prepare(cut: _Cut, low: float, high: float, most_rings: int) -> Prepared:
     """Settle once for each of some hundred rings which turns can matter at all."""
     high = high * (1 + 1e-9) + 1e-9
     low = min(low, high) * (1 - 1e-9)
@@ -225,11 +225,11 @@ def _prepared(cut: _Cut, low: float, high: float, most_rings: int) -> Prepared:
     return Prepared(cut, blocks, rings, useful, core, most_y)
 
 
-def _in_tiles(cut: _Cut, x: Floats, y: Floats, tiles: Tiles, progress: Progress | None) -> Floats:
+def _simulate_tiles(cut: _Cut, x: Floats, y: Floats, tiles: Tiles, progress: Progress | None) -> Floats:
     out = np.empty(x.size)
     radius = np.hypot(x, y)
     high = radius.max(initial=0.0)
-    ready = _prepared(cut, radius.min(initial=high), high, x.size)
+    ready = _prepare(cut, radius.min(initial=high), high, x.size)
     groups = tiles.groups.size - 1
     chunk = max(1, min(256, groups // 16))
     run_chunks(lambda start, stop: ready.fill(x, y, tiles, (start, stop), out), groups, chunk, progress)
@@ -278,9 +278,9 @@ def generate(
     InputError
         If a grid axis does not ascend.
     """
-    x, y = _ascending(x, "x"), _ascending(y, "y")
+    x, y = _check_ascending(x, "x"), _check_ascending(y, "y")
     z = np.empty((y.size, x.size))
-    _over_grid(_cut(motion, tool, machine), x, y, (_mean_step(y), _mean_step(x)), lambda x, y: (x, y), z, progress)
+    _fill_grid(_cut(motion, tool, machine), x, y, (_mean_step(y), _mean_step(x)), lambda x, y: (x, y), z, progress)
     return HeightMap(z=z, x=x, y=y, name="generated")
 
 
@@ -288,14 +288,14 @@ def _mean_step(axis: Floats) -> float:
     return float(np.diff(axis).mean()) if axis.size > 1 else 0.0
 
 
-def _over_grid(
+def _fill_grid(
     cut: _Cut, columns: Floats, rows: Floats, steps: tuple[float, float], place: Callable[[Floats, Floats], Any],
     z: Floats, progress: Progress | None,
 ) -> None:  # fmt: skip
     """Fill a grid tile by tile; ``place`` returns x and y of a column and a row, ``steps`` are theirs. [mm]."""
     tiles = Tiles.of_grid(z.shape, (_tile_side(cut, steps[0]), _tile_side(cut, steps[1])))
     x, y = place(columns[tiles.order % columns.size], rows[tiles.order // columns.size])
-    z.ravel()[tiles.order] = _in_tiles(cut, x, y, tiles, progress)
+    z.ravel()[tiles.order] = _simulate_tiles(cut, x, y, tiles, progress)
     _finish(z)
 
 
@@ -336,7 +336,7 @@ def generate_polar(
     InputError
         If a grid axis does not ascend, a radius is negative, or ``out`` has another shape.
     """
-    radius, angle = _ascending(radius, "radius"), _ascending(angle, "angle")
+    radius, angle = _check_ascending(radius, "radius"), _check_ascending(angle, "angle")
     check_azimuths(angle, "angle")
     if radius[0] < 0:
         raise InputError(f"radius begins at {radius[0]:g} mm, the limit is 0 mm: use the azimuth for the other side")
@@ -349,7 +349,7 @@ def generate_polar(
         _envelopes(cut, radius, angle, z, progress)
     else:
         steps = (float(radius[-1]) * _mean_step(angle), _mean_step(radius))
-        _over_grid(
+        _fill_grid(
             cut, radius, angle, steps, lambda rho, phi: (rho * np.cos(phi), rho * np.sin(phi)), z, progress
         )  # fmt: skip
     return HeightMap(z=z, radius=radius, angle=angle, name="generated")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Compared, Floats, frozen
-from turnwright._validate import check_azimuths, check_numbers, positive, whole
+from turnwright._validate import check_azimuths, check_numbers, positive, whole_number
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ class HeightMap(Compared):
 
         A map with at most that many is returned unchanged.
         """
-        most = whole(most, "most", 1)
+        most = whole_number(most, "most", 1)
         valid = np.isfinite(self.z)
         count = int(np.count_nonzero(valid))
         if count <= most:

@@ -32,9 +32,9 @@ from numpy.typing import ArrayLike
 from turnwright._arrays import Bools, Floats, is_even
 from turnwright._faults import read_table
 from turnwright._io import bytes_of, read_toml
-from turnwright._tables import Loaded, Stated
-from turnwright._validate import between, check_numbers, positive, whole
-from turnwright.errors import InputError, shown
+from turnwright._tables import Loaded, TableModel
+from turnwright._validate import between, check_numbers, positive, whole_number
+from turnwright.errors import InputError, quote
 from turnwright.heightmap import HeightMap
 from turnwright.profile import Profile
 from turnwright.units import Length, Number, Text
@@ -52,7 +52,7 @@ MAX_BALL_POINTS = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Instrument(Stated):
+class Instrument(TableModel):
     """An instrument that measures surfaces: its resolution and noise.
 
     Fields that are not given have no effect: an instrument with only a pixel just averages over it.
@@ -143,7 +143,7 @@ class Instrument(Stated):
         path = Path(name)
         if path.suffix != ".toml":
             raise InputError(
-                f"there is no instrument {shown(str(name))}, the known ones are {', '.join(presets)}: choose one, or "
+                f"there is no instrument {quote(str(name))}, the known ones are {', '.join(presets)}: choose one, or "
                 "name a .toml file"
             )
         table = read_toml(bytes_of(path, "instrument file"), f"instrument file {str(path)!r}")
@@ -221,14 +221,14 @@ class Instrument(Stated):
         if missing.all():
             raise InputError("the surface has 0 valid heights, an instrument needs at least 1: measure more of it")
         if self.stylus_radius is not None:
-            z = _rolled(z, missing, steps, self.stylus_radius)
+            z = _roll_ball(z, missing, steps, self.stylus_radius)
         if self.pixel is not None or np.isfinite(self.cutoff):
             z = self._averaged(z, missing, steps)
         z = np.where(missing, np.nan, z)
         measured = replace(surface, z=z[0] if isinstance(surface, Profile) else z)
         measured = measured if like is None else _resample(measured, like)
         if seed is not None and self.noise > 0:
-            random = np.random.default_rng(whole(seed, "the seed", 0))
+            random = np.random.default_rng(whole_number(seed, "the seed", 0))
             measured = replace(measured, z=measured.z + self.noise * random.standard_normal(measured.z.shape))
         return measured
 
@@ -254,7 +254,7 @@ class Instrument(Stated):
         """Return heights filtered by optics and pixel, by the convolution theorem."""
         from scipy import fft  # noqa: PLC0415 - only this needs it
 
-        z = _filled(z, missing)
+        z = _fill_missing(z, missing)
         pads = [
             min(int(np.ceil(PADDING_LENGTHS * self.finest / step)), size - 1) if np.isfinite(step) else 0
             for size, step in zip(z.shape, steps, strict=True)
@@ -311,7 +311,7 @@ def _steps(heights: HeightMap) -> tuple[float, float]:
     return steps[0], steps[1]
 
 
-def _filled(z: Floats, missing: Bools) -> Floats:
+def _fill_missing(z: Floats, missing: Bools) -> Floats:
     """Return heights with missing ones replaced by the nearest valid height."""
     if not missing.any():
         return z
@@ -331,7 +331,7 @@ def _closing_line(z: Floats, axis: int) -> Floats:
     return np.broadcast_to(line[:, None] if axis == 0 else line[None], z.shape)
 
 
-def _rolled(z: Floats, missing: Bools, steps: tuple[float, float], radius: float) -> Floats:
+def _roll_ball(z: Floats, missing: Bools, steps: tuple[float, float], radius: float) -> Floats:
     """Return the trace of the lowest point of a ball rolled over heights. Missing heights do not touch the ball."""
     from scipy import ndimage  # noqa: PLC0415 - only this needs it
 
@@ -383,7 +383,7 @@ def _resample(seen: HeightMap | Profile, like: HeightMap | Profile) -> HeightMap
         places.append(place)
     missing = np.isnan(z)
     grid = np.meshgrid(*places, indexing="ij")
-    resampled = ndimage.map_coordinates(_filled(z, missing), grid, order=3, mode="mirror")
+    resampled = ndimage.map_coordinates(_fill_missing(z, missing), grid, order=3, mode="mirror")
     if missing.any():
         resampled[ndimage.map_coordinates(missing.astype(np.float64), grid, order=1, mode="nearest") > 1e-9] = np.nan
     return replace(like, z=resampled, name=f"{seen.name} as measured".strip())

@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 from turnwright._arrays import Floats, Value, frozen
 from turnwright._faults import read_table
 from turnwright._io import bytes_of, read_toml
-from turnwright._tables import Columns, Sources, Stated
-from turnwright._validate import between, check_angle, check_numbers, positive, whole as whole_number
+from turnwright._tables import Columns, Sources, TableModel
+from turnwright._validate import between, check_angle, check_numbers, positive, whole_number
 from turnwright.errors import InputError
 from turnwright.units import Angle, Flag, Length, Number, Text, plain, say_length
 
@@ -37,7 +37,7 @@ def _bare(name: str) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lobes(Stated):
+class Lobes(TableModel):
     """Variation of a crystal's property around the part: 1 + amplitude cos(count (angle - maximum)).
 
     Parameters
@@ -107,7 +107,7 @@ def _around(rake: Curve | None, lobes: Lobes | None, at_rake: ArrayLike, at_angl
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CuttingCoefficient(Stated, Value):
+class CuttingCoefficient(TableModel, Value):
     r"""Specific cutting force: force on the edge per cross-section of the uncut chip.
 
     .. math:: K(t, \gamma, \psi) = K_0 \, (t / t_0)^{-m} \, f_t(t) \, f_\gamma(\gamma) \, f_\psi(\psi)
@@ -202,7 +202,7 @@ class CuttingCoefficient(Stated, Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CriticalThickness(Stated, Value):
+class CriticalThickness(TableModel, Value):
     """Critical chip thickness: uncut chips thicker than this fracture (ductile-to-brittle transition).
 
     Parameters
@@ -251,7 +251,7 @@ class CriticalThickness(Stated, Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Material(Stated, Value):
+class Material(TableModel, Value):
     """A workpiece material: cutting forces and ductile regime.
 
     Parameters
@@ -366,7 +366,7 @@ class Material(Stated, Value):
         """
         named = cls.named(str(name))
         if named is not None:
-            data = _shipped(named)
+            data = _read_supplied(named)
         else:
             remedy = f"{cls.suggest(str(name))}; name one of them, or give the path of a .toml file"
             data = bytes_of(Path(name), "material file", remedy)
@@ -433,7 +433,7 @@ class Material(Stated, Value):
         return cutting, thrust
 
 
-def _shipped(name: str) -> bytes:
+def _read_supplied(name: str) -> bytes:
     return (resources.files("turnwright") / "materials" / f"{name}.toml").read_bytes()
 
 
@@ -441,7 +441,7 @@ def _shipped(name: str) -> bytes:
 def _spellings() -> dict[str, str]:
     spellings = {}
     for material in Material.known():
-        table = read_toml(_shipped(material), f"material file {material!r}")
+        table = read_toml(_read_supplied(material), f"material file {material!r}")
         spellings.update(dict.fromkeys([material, table["name"], *table.get("aliases", ())], material))
     return spellings
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from turnwright._arrays import Floats
-from turnwright._tables import Stated, read_by
+from turnwright._tables import TableModel, read_by
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.material import Material
@@ -19,7 +19,7 @@ __all__ = ["Blank", "Part", "evenly"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Blank(Stated):
+class Blank(TableModel):
     """The blank of a part: a disc on the spindle axis.
 
     Its top is the part's stock above the finished surface. Beyond the clear aperture it continues at
@@ -49,7 +49,7 @@ class Blank(Stated):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Part(Stated):
+class Part(TableModel):
     """A part to be cut.
 
     Parameters

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Floats
-from turnwright._tables import Stated
+from turnwright._tables import TableModel
 from turnwright._validate import check_angle, check_numbers, finite_tuple
 from turnwright.units import Angle, Length
 
@@ -18,7 +18,7 @@ __all__ = ["Pose", "rotation_matrix"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pose(Stated):
+class Pose(TableModel):
     r"""A rigid motion: a point p goes to ``shift + Rz(rotation) Rx(tilt[0]) Ry(tilt[1]) p``.
 
     The second tilt is about the y axis tilted by the first, the order of lens-design programs and of

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 
 from turnwright._arrays import Compared, Floats, frozen, is_even, same_length
-from turnwright._validate import check_numbers, whole
+from turnwright._validate import check_numbers, whole_number
 from turnwright.errors import InputError
 
 __all__ = ["Profile"]
@@ -93,7 +93,7 @@ class Profile(Compared):
         InputError
             If the degree is not from 0 to 10, or there are too few valid heights.
         """
-        degree = whole(degree, "degree", 0, MAX_DEGREE)
+        degree = whole_number(degree, "degree", 0, MAX_DEGREE)
         valid = ~np.isnan(self.z)
         if np.count_nonzero(valid) <= degree:
             raise InputError(

@@ -137,13 +137,13 @@ def cores() -> int:
     ...     cores()
     1
     """
-    available = _cores_there()
+    available = _count_cores()
     setting = os.environ.get(THREADS, "")
     limits = [int(setting) if setting.isdecimal() and int(setting) else available, _thread_limit.get() or available]
     return min(available, *limits)
 
 
-def _cores_there() -> int:
+def _count_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Value, frozen
-from turnwright._tables import Plausible, Stated, read_by, refuse
+from turnwright._tables import Plausible, TableModel, read_by, refuse
 from turnwright._validate import between, check_angle, check_numbers, finite_tuple, plausible_sizes, positive
 from turnwright.edge import Edge, edge_of_arc
 from turnwright.errors import InputError, UnitError
@@ -92,7 +92,7 @@ class WavinessTable(Value):
             )
 
 
-def _before(over: Bools) -> int:
+def _last_within(over: Bools) -> int:
     """Return the number of the last step before the first that is over."""
     return max(int(np.argmax(over)) - 1, 0) if over.any() else over.size - 1
 
@@ -133,7 +133,7 @@ Waviness: TypeAlias = Annotated[tuple[float, ...] | WavinessTable, _Waviness("wa
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tool(Stated, Value):
+class Tool(TableModel, Value):
     """A round-nosed diamond tool, with its deviations.
 
     The edge lies in the rake plane: an arc of ``nose_radius + radius_error`` plus waviness, inside the included angle,
@@ -239,7 +239,9 @@ class Tool(Stated, Value):
         if self.perfect or half <= STEEP:
             return -half, half
         steps = np.linspace(STEEP, half, 1001)
-        low, high = (side * steps[_before(side * self._slope_angle(side * steps) > HALF_CIRCLE)] for side in (-1, 1))
+        low, high = (
+            side * steps[_last_within(side * self._slope_angle(side * steps) > HALF_CIRCLE)] for side in (-1, 1)
+        )
         return float(low), float(high)
 
     @property

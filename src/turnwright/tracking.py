@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from turnwright._arrays import Floats, frozen, only_read, rounding, same_length
 from turnwright._kernels import tracking as kernel
-from turnwright._validate import positive, whole
+from turnwright._validate import positive, whole_number
 from turnwright.errors import InputError, LimitError
 from turnwright.machine import (
     FAST,
@@ -102,7 +102,7 @@ def track(
     """
     positive(chord, "chord", "mm")
     machine = machine or motion.machine
-    time = _paced(motion, machine)
+    time = _controller_times(motion, machine)
     velocity = _velocities(motion, machine, time)
     blocks = motion.blocks if FAST.keys() & motion.axes.keys() else slice(None)
     uniform = any(
@@ -131,7 +131,7 @@ def track(
             break
         parts = math.ceil(parts * math.sqrt(bulge / chord))
     report(len(axes), len(axes))
-    axes["C"] = motion.sense * _settling(motion.sense * axes["C"], samples, machine)
+    axes["C"] = motion.sense * _settle_angle(motion.sense * axes["C"], samples, machine)
     return Motion(time=samples - samples[0], axes=axes, machine=motion.machine)
 
 
@@ -185,8 +185,8 @@ def precorrect(
     machine = machine or motion.machine
     if bandwidth_hz is not None:
         positive(bandwidth_hz, "bandwidth_hz", "Hz")
-    rounds = whole(rounds, "rounds", 1)
-    if _paced(motion, machine) is not motion.time:
+    rounds = whole_number(rounds, "rounds", 1)
+    if _controller_times(motion, machine) is not motion.time:
         raise LimitError(
             f"{machine.name} slows this motion down by its block rate or look-ahead, so the times of its points do not "
             "hold: reduce the spindle speed or the number of points"
@@ -194,7 +194,7 @@ def precorrect(
     time = motion.time
     axes = dict(motion.axes)
     velocity = _velocities(motion, machine, time)
-    logged = None if missed is None else _logged(missed, motion)
+    logged = None if missed is None else _check_log(missed, motion)
     rounds = rounds if logged is None else 1
     for done in range(rounds):
         for letter, nominal in motion.axes.items():
@@ -205,7 +205,7 @@ def precorrect(
                 error = nominal - _follow(letter, axes[letter], velocity.get(letter), time, machine, time)
             else:
                 error = logged[letter]
-            correction, correction_rate = _inverted(error, time, axis, bandwidth_hz)
+            correction, correction_rate = _invert_error(error, time, axis, bandwidth_hz)
             axes[letter] = axes[letter] + correction
             if letter in velocity:
                 velocity[letter] = velocity[letter] + correction_rate
@@ -214,7 +214,7 @@ def precorrect(
     return Motion(time=time, axes=axes, machine=motion.machine, velocity=velocity or None)
 
 
-def _logged(missed: Mapping[str, ArrayLike], motion: Motion) -> dict[str, Floats]:
+def _check_log(missed: Mapping[str, ArrayLike], motion: Motion) -> dict[str, Floats]:
     unknown = sorted(set(missed) - set(motion.axes))
     if unknown:
         raise InputError(
@@ -236,7 +236,7 @@ def _velocities(motion: Motion, machine: Machine, time: Floats) -> dict[str, Flo
     return {letter: pace * values for letter, values in motion.velocity.items()}
 
 
-def _inverted(missed: Floats, time: Floats, axis: Axis, bandwidth_hz: float | None) -> tuple[Floats, Floats]:
+def _invert_error(missed: Floats, time: Floats, axis: Axis, bandwidth_hz: float | None) -> tuple[Floats, Floats]:
     """Return the command within the bandwidth that makes an axis move by the missing distance, and its velocity."""
     from scipy import fft, interpolate  # noqa: PLC0415 - costly to import
 
@@ -281,7 +281,7 @@ def _band(response: Response | None, rate_hz: float) -> float:
     return float(frequency[weak[0]]) if weak.size else highest
 
 
-def _paced(motion: Motion, machine: Machine) -> Floats:
+def _controller_times(motion: Motion, machine: Machine) -> Floats:
     """Return the times at which the controller reaches the points. (n,) [s]."""
     points = motion.blocks
     time = motion.time[points]
@@ -319,13 +319,13 @@ def _samples(time: Floats, parts: int, *, uniform: bool) -> Floats:
     return at
 
 
-def _settling(angle: Floats, time: Floats, machine: Machine) -> Floats:
+def _settle_angle(angle: Floats, time: Floats, machine: Machine) -> Floats:
     """Return a strictly growing angle, or raise if it swings back further than allowed at its ends. (n,)."""
     if (angle[1:] > angle[:-1]).all():
         return angle
     settled = angle
     for _ in range(2):  # the end, then the beginning, reversed
-        settled = -_creeping(settled)[::-1]
+        settled = -_uniform_end(settled)[::-1]
     back = np.flatnonzero(settled[1:] <= settled[:-1])
     if back.size:
         most = float(np.maximum.accumulate(angle)[back[0]] - angle[back[0] :].min())
@@ -337,7 +337,7 @@ def _settling(angle: Floats, time: Floats, machine: Machine) -> Floats:
     return settled
 
 
-def _creeping(angle: Floats) -> Floats:
+def _uniform_end(angle: Floats) -> Floats:
     """Return an angle that grows uniformly to its end where it overshoots and returns. (n,)."""
     back = np.flatnonzero(angle[1:] <= angle[:-1])
     back = back[angle[back] > angle[-1] - MAX_C_REVERSAL_RAD]
@@ -391,7 +391,7 @@ def _follow(
     out = np.empty(wide.size)
     kernel.command(kind, time, residual, rate, delay, wide, out)
     # The extensions beyond both ends, in which the response to the ends decays, are dropped.
-    out = _filtered(out, step, response)[beyond:-beyond]
+    out = _filter_values(out, step, response)[beyond:-beyond]
     out += steady - slope * _lag(response)
     return out
 
@@ -402,7 +402,7 @@ def _modes(response: RationalResponse) -> tuple[NDArray[np.complex128], NDArray[
     above = np.concatenate((np.zeros(below.size - above.size), above)) / below[0]
     below = below / below[0]
     direct = float(above[0])
-    poles = _separated(np.roots(below).astype(np.complex128))
+    poles = _separate_poles(np.roots(below).astype(np.complex128))
     distances = poles[:, None] - poles + np.eye(poles.size)
     residues = np.polyval(above - direct * below, poles) / distances.prod(axis=1)
     # Make the static gain exactly 1.
@@ -413,7 +413,7 @@ def _modes(response: RationalResponse) -> tuple[NDArray[np.complex128], NDArray[
     return poles[upper], np.where(poles.imag == 0, 0.5, 1.0)[upper] * residues[upper], direct, lag
 
 
-def _separated(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def _separate_poles(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Return poles of which no two coincide, so that each is a separate mode."""
     separated = poles.copy()
     pending = np.ones(poles.size, dtype=bool)
@@ -441,7 +441,7 @@ def _lag(response: Response) -> float:
     return float(-np.angle(response.at(small))) / (2 * math.pi * small)
 
 
-def _filtered(values: Floats, step: float, response: Response) -> Floats:
+def _filter_values(values: Floats, step: float, response: Response) -> Floats:
     """Return evenly spaced values filtered by a response; the line from first to last value is only delayed."""
     from scipy import fft  # noqa: PLC0415 - costly to import
 

@@ -15,7 +15,7 @@ from fractions import Fraction
 from numbers import Real
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from turnwright.errors import UnitError, shown
+from turnwright.errors import UnitError, quote
 
 if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
@@ -185,7 +185,7 @@ def parse(text: object, unit: str) -> float:
     turnwright.errors.UnitError: '0,5 mm' does not start with a plain number: write digits with a decimal point, no
     comma, such as '8 um'
     """
-    quoted = shown(text)
+    quoted = quote(text)
     wanted = _read_unit(unit, repr(unit))
     remedy = f"write it such as '{_example(unit)}'"
     if not isinstance(text, str):

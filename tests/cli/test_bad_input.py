@@ -220,17 +220,17 @@ def refused(folder, job, capsys, *options):
     before = {entry: entry.stat().st_mtime_ns for entry in folder.rglob("*")}
     assert main(["run", str(job), "--out", str(folder / "out"), *options]) == 2
     assert {entry: entry.stat().st_mtime_ns for entry in folder.rglob("*")} == before  # nothing half-written
-    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("turnwright: ")]
-    assert len(said) == 1
-    return said[0]
+    message = [line for line in capsys.readouterr().err.splitlines() if line.startswith("turnwright: ")]
+    assert len(message) == 1
+    return message[0]
 
 
 @pytest.mark.parametrize("name", WRONG)
 def test_a_wrong_job_is_refused_in_one_sentence(name, place, capsys):
     changes, sentence = WRONG[name]
-    said = refused(place, written(place, *changes), capsys)
-    assert re.search(sentence, said), said
-    assert re.search(r"[:?]", said.removeprefix("turnwright: "))  # what is wrong, then the remedy
+    message = refused(place, written(place, *changes), capsys)
+    assert re.search(sentence, message), message
+    assert re.search(r"[:?]", message.removeprefix("turnwright: "))  # what is wrong, then the remedy
 
 
 def test_all_wrong_fields_are_reported_at_once():
@@ -334,10 +334,10 @@ def test_a_full_disk_leaves_nothing(changes, tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (4_000_000, 4_000_000))
 
     process = start(job, tmp_path / "out", preexec_fn=limit)
-    said = process.communicate(timeout=PATIENCE_S)[1].splitlines()[-1]
-    assert process.returncode == 2, said
-    assert re.search(r"the largest that the system allows|File too large|the disk is full", said)
-    assert f"{tmp_path}/." not in said  # the folder that was asked for, not the one of the meantime
+    message = process.communicate(timeout=PATIENCE_S)[1].splitlines()[-1]
+    assert process.returncode == 2, message
+    assert re.search(r"the largest that the system allows|File too large|the disk is full", message)
+    assert f"{tmp_path}/." not in message  # the folder that was asked for, not the one of the meantime
     assert [entry.name for entry in tmp_path.iterdir()] == ["job.toml"]
 
 
@@ -349,9 +349,9 @@ def test_an_interrupted_run_leaves_nothing(kill, tmp_path):
         if line.strip() == "plan":
             break
     process.send_signal(kill)
-    said = process.communicate(timeout=PATIENCE_S)[1]
-    assert process.returncode == 128 + kill, said
-    assert "turnwright: interrupted" in said
+    message = process.communicate(timeout=PATIENCE_S)[1]
+    assert process.returncode == 128 + kill, message
+    assert "turnwright: interrupted" in message
     assert not list(tmp_path.iterdir())
 
 
@@ -403,10 +403,10 @@ def test_an_early_interrupt_is_not_lost(kill, delay, tmp_path):
     assert process.stdout.readline() == "in\n"
     time.sleep(delay)
     process.send_signal(kill)
-    said = process.communicate(timeout=PATIENCE_S)[1]
-    assert process.returncode == 128 + kill, said
-    assert said.splitlines()[-1].startswith("turnwright: interrupted")
-    assert "Traceback (most recent call last)" not in said
+    message = process.communicate(timeout=PATIENCE_S)[1]
+    assert process.returncode == 128 + kill, message
+    assert message.splitlines()[-1].startswith("turnwright: interrupted")
+    assert "Traceback (most recent call last)" not in message
     assert not list(tmp_path.iterdir())
 
 
@@ -425,9 +425,9 @@ def test_a_speed_beyond_the_spindle_is_refused(door, tmp_path, capsys):
     job = written(tmp_path, ("strategy.spindle_speed", "1e5 rpm"))
     limit = Job.load(job).machine.spindle_rpm
     assert main([door, str(job), *(["--out", str(tmp_path / "out")] if door == "run" else [])]) == 2
-    said = capsys.readouterr().err
-    assert "is 100000 rpm" in said or "is 100000 rev/min" in said
-    assert re.search(rf"the limit of .* is {limit:g} (rpm|rev/min)", said)
+    message = capsys.readouterr().err
+    assert "is 100000 rpm" in message or "is 100000 rev/min" in message
+    assert re.search(rf"the limit of .* is {limit:g} (rpm|rev/min)", message)
 
 
 @pytest.mark.parametrize("door", ["check", "run"])

@@ -89,13 +89,13 @@ def test_an_interrupted_study_keeps_finished_rows(how, tmp_path):
         os.killpg(process.pid, how)
     else:
         process.kill()
-    said = process.communicate(timeout=PATIENCE_S)[1]
+    message = process.communicate(timeout=PATIENCE_S)[1]
     assert process.returncode == (130 if how == signal.SIGINT else -signal.SIGKILL)
     if how == signal.SIGINT:
-        assert said.splitlines()[-1] == (
+        assert message.splitlines()[-1] == (
             f"turnwright: interrupted, finished jobs are in {out}: repeat the command to continue"
         )
-        assert "Traceback" not in said
+        assert "Traceback" not in message
     while at_work(process.pid):  # its worker notices
         assert time.monotonic() - start < PATIENCE_S
         time.sleep(0.05)

@@ -50,24 +50,26 @@ def test_the_numbers_are_those_of_the_library(done):
     def refuse(constant):
         raise AssertionError(constant)
 
-    told = json.loads((done / "out" / "result.json").read_text(), parse_constant=refuse)
+    reported = json.loads((done / "out" / "result.json").read_text(), parse_constant=refuse)
     job = Job.load(done / "job.toml")
     part, tool, machine = job.part, job.tool, job.machine
     servo = tw.SlowToolServo(feed=0.02, points_per_rev=120)
     motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, machine)
-    assert told["schema"] == 1
-    assert told["turnwright"] == tw.__version__
-    assert told["ok"] is True
-    assert told["passes"][0]["limits"]["cycle_time_s"] == pytest.approx(tw.check_limits(motion, machine).cycle_time_s)
-    assert told["access"]["nose_radius_limit"] == pytest.approx(tw.check_access(part, tool).nose_radius_limit)
+    assert reported["schema"] == 1
+    assert reported["turnwright"] == tw.__version__
+    assert reported["ok"] is True
+    assert reported["passes"][0]["limits"]["cycle_time_s"] == pytest.approx(
+        tw.check_limits(motion, machine).cycle_time_s
+    )
+    assert reported["access"]["nose_radius_limit"] == pytest.approx(tw.check_access(part, tool).nose_radius_limit)
     (finish,) = tw.inspect_nc(done / "out" / "part.nc").passes
-    assert told["program"]["hash"] == hashlib.sha256(finish.hash.encode()).hexdigest()
-    x, y = (np.load(done / "out" / told["predictions"][1]["axes"][name]) for name in "xy")
-    z = np.load(done / "out" / told["predictions"][1]["file"])
+    assert reported["program"]["hash"] == hashlib.sha256(finish.hash.encode()).hexdigest()
+    x, y = (np.load(done / "out" / reported["predictions"][1]["axes"][name]) for name in "xy")
+    z = np.load(done / "out" / reported["predictions"][1]["file"])
     by_hand = tw.generate(motion, tool, x=x, y=y).minus(part.surface)
     np.testing.assert_allclose(z, by_hand.z, atol=2e-6)  # the decimals of the program
-    assert told["predictions"][1]["roughness"]["sq_nm"] == pytest.approx(tw.roughness(by_hand).sq_nm, rel=0.01)
-    assert told["predictions"][0]["roughness"]["sal"] is None  # not stated on a polar grid
+    assert reported["predictions"][1]["roughness"]["sq_nm"] == pytest.approx(tw.roughness(by_hand).sq_nm, rel=0.01)
+    assert reported["predictions"][0]["roughness"]["sal"] is None  # not stated on a polar grid
 
 
 def test_the_archive_holds_the_same_maps(done):
@@ -82,9 +84,9 @@ def test_the_archive_holds_the_same_maps(done):
 def test_a_backplot_of_the_program_predicts_the_same(done, tmp_path, capsys):
     program, job = str(done / "out" / "part.nc"), str(done / "job.toml")
     assert main(["backplot", program, "--job", job, "--out", str(tmp_path / "maps")]) == 0
-    said = capsys.readouterr().out
-    told = json.loads((done / "out" / "result.json").read_text())
-    assert f"patch: Sq {told['predictions'][1]['roughness']['sq_nm']:.3g} nm" in said
+    message = capsys.readouterr().out
+    reported = json.loads((done / "out" / "result.json").read_text())
+    assert f"patch: Sq {reported['predictions'][1]['roughness']['sq_nm']:.3g} nm" in message
     np.testing.assert_array_equal(
         np.load(tmp_path / "maps" / "maps" / "patch.npy"), np.load(done / "out" / "maps" / "patch.npy")
     )
@@ -99,8 +101,8 @@ def test_a_backplot_takes_a_table_of_axis_positions(done, tmp_path, capsys):
     table = tmp_path / "points.csv"
     np.savetxt(table, np.column_stack(columns), delimiter=",", header="C_deg,X_mm,Z_mm", comments="", fmt="%.9f")
     assert main(["backplot", str(table), "--job", str(done / "job.toml")]) == 0
-    told = json.loads((done / "out" / "result.json").read_text())
-    assert f"patch: Sq {told['predictions'][1]['roughness']['sq_nm']:.3g} nm" in capsys.readouterr().out
+    reported = json.loads((done / "out" / "result.json").read_text())
+    assert f"patch: Sq {reported['predictions'][1]['roughness']['sq_nm']:.3g} nm" in capsys.readouterr().out
     assert main(["backplot", str(table), "--job", str(done / "job.toml"), "--pass", "finish"]) == 2
     assert "--pass 'finish'" in capsys.readouterr().err
 
@@ -118,22 +120,22 @@ def test_a_backplot_counts_the_points_that_are_not_cut(done, tmp_path, capsys):
     """A program cut short within its first turn. Oracle: the azimuths it passes, and those across the axis."""
     table, c = table_of(done, tmp_path, slice(0, 31))
     assert main(["backplot", str(table), "--job", str(done / "job.toml")]) == 0
-    told = capsys.readouterr()
+    reported = capsys.readouterr()
     azimuth = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     low, high = np.sort(c[[0, -1]])
     covered = [any((a + half - low) % (2 * np.pi) <= high - low + 1e-9 for half in (0, np.pi)) for a in azimuth]
     missing = 40 * (24 - sum(covered))  # on the axis itself every pass counts
     assert 0 < missing < 960
-    assert f"whole part: {missing} of 984 points are not cut: no pass reaches them" in told.err
-    assert not re.search(r"\b(inf|nan)\b", told.out + told.err), told.out
+    assert f"whole part: {missing} of 984 points are not cut: no pass reaches them" in reported.err
+    assert not re.search(r"\b(inf|nan)\b", reported.out + reported.err), reported.out
 
 
 def test_a_backplot_refuses_a_place_that_is_not_cut_at_all(done, tmp_path, capsys):
     table, _ = table_of(done, tmp_path, slice(20, 31))  # next to the patch, whose azimuth is 0
     assert main(["backplot", str(table), "--job", str(done / "job.toml")]) == 2
-    told = capsys.readouterr()
-    assert "points of patch is cut" in told.err
-    assert "rev" in told.err
+    reported = capsys.readouterr()
+    assert "points of patch is cut" in reported.err
+    assert "rev" in reported.err
 
 
 def test_a_backplot_counts_what_stands_above_the_stock(done, tmp_path, capsys):
@@ -142,17 +144,17 @@ def test_a_backplot_counts_what_stands_above_the_stock(done, tmp_path, capsys):
     job = written(tmp_path, ("part.stock", "5 um"))
     assert main(["backplot", str(table), "--job", str(job)]) == 0
     # The last turn is 0.8 mm from the axis or more: a nose of 0.5 mm is 5 um above the dish 75 um farther in.
-    counted = int(re.search(r"whole part: (\d+) of 984 points are not cut", told := capsys.readouterr().err)[1])
+    counted = int(re.search(r"whole part: (\d+) of 984 points are not cut", reported := capsys.readouterr().err)[1])
     radius = np.linspace(0, 1, 41)
     assert 24 * np.count_nonzero(radius < 0.7) <= counted <= 24 * np.count_nonzero(radius < 0.8)
-    assert "or only above the stock" in told
+    assert "or only above the stock" in reported
 
 
 def test_check_says_what_the_part_asks_of_the_tool(done, tmp_path, capsys):
     assert main(["check", str(done / "job.toml")]) == 0
-    said = capsys.readouterr().out
-    assert said.count("ok: ") >= 4
-    points, minutes = re.search(r"finish: (\d+) points, at least ([\d.]+) min", said).groups()
+    message = capsys.readouterr().out
+    assert message.count("ok: ") >= 4
+    points, minutes = re.search(r"finish: (\d+) points, at least ([\d.]+) min", message).groups()
     assert int(points) > 6000
     assert float(minutes) > 0
     assert main(["check", str(written(tmp_path, ("part.surface", WAVES), ("tool.clearance", "0.1 deg")))]) == 2
@@ -168,8 +170,8 @@ def test_check_refuses_what_run_would(tmp_path, capsys):
     for changes, sentence in ((end, "Sphere is not defined"), (slow, 'accept = ["clearance"]')):
         job = str(written(tmp_path, *changes, ("tool.included", "120 deg"), ("tool.clearance", "60 deg"), *changes[1:]))
         assert main(["run", job, "--out", str(tmp_path / "out")]) == 2
-        told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("turnwright: ")]
-        assert sentence in told[0]
+        reported = [line for line in capsys.readouterr().err.splitlines() if line.startswith("turnwright: ")]
+        assert sentence in reported[0]
         assert main(["check", job]) == 2
         assert sentence in capsys.readouterr().err
 
@@ -201,10 +203,10 @@ def test_a_defect_is_distinguished_from_bad_input(monkeypatch, tmp_path, capsys)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr("turnwright.job.preview", lambda *_args, **_more: math.sqrt(-1))
     assert main(["check", str(written(tmp_path))]) == 1
-    said = capsys.readouterr().err
-    log = Path(re.search(r"the traceback is in (\S+):", said).group(1))
+    message = capsys.readouterr().err
+    log = Path(re.search(r"the traceback is in (\S+):", message).group(1))
     assert "math.sqrt(-1)" in log.read_text()
-    assert len(said.splitlines()) == 1
+    assert len(message.splitlines()) == 1
 
 
 @pytest.mark.parametrize(
@@ -237,9 +239,9 @@ def test_what_the_computer_refuses_is_one_sentence(error, sentence, monkeypatch,
 )
 def test_a_wrong_command_line_is_one_sentence(arguments, sentence, capsys):
     assert main(arguments) == 2
-    said = capsys.readouterr().err
-    assert said.startswith(f"turnwright: {sentence}")
-    assert len(said.splitlines()) == 1
+    message = capsys.readouterr().err
+    assert message.startswith(f"turnwright: {sentence}")
+    assert len(message.splitlines()) == 1
 
 
 def test_help_and_version_import_nothing_heavy():
@@ -248,10 +250,10 @@ def test_help_and_version_import_nothing_heavy():
         "assert main(['--help']) == 0 == main(['--version']); "
         "print(sorted({'numpy', 'scipy', 'numba', 'matplotlib', 'h5py', 'jinja2'} & set(sys.modules)))"
     )
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert said.splitlines()[-1] == "[]"
-    assert f"turnwright {tw.__version__}" in said
-    assert all(command in said for command in ("run", "check", "backplot"))
+    message = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert message.splitlines()[-1] == "[]"
+    assert f"turnwright {tw.__version__}" in message
+    assert all(command in message for command in ("run", "check", "backplot"))
 
 
 def shell(line, **more):
@@ -265,24 +267,24 @@ def test_the_package_is_the_command_line():
 
 
 @pytest.mark.parametrize(
-    ("where", "code", "said"),
+    ("where", "code", "message"),
     [(">/dev/full", 2, "cannot write to standard output (No space left on device)"), ("| true", 0, "")],
 )
-def test_results_are_kept_when_output_is_closed(where, code, said, done, tmp_path):
-    told = shell(
+def test_results_are_kept_when_output_is_closed(where, code, message, done, tmp_path):
+    reported = shell(
         f"set -o pipefail; {{}} backplot {done}/out/part.nc --job {done}/job.toml --out {tmp_path}/out {where}"
     )
     assert (tmp_path / "out" / "report.html").exists()
-    assert told.returncode == code
-    assert "no results were written" not in told.stderr
-    assert said in told.stderr
-    assert "Traceback" not in told.stderr
+    assert reported.returncode == code
+    assert "no results were written" not in reported.stderr
+    assert message in reported.stderr
+    assert "Traceback" not in reported.stderr
 
 
 def test_a_process_without_error_output_works(done):
-    told = shell(f"{{}} check {done}/job.toml 2>&-")
-    assert told.returncode == 0
-    assert "ok: " in told.stdout
+    reported = shell(f"{{}} check {done}/job.toml 2>&-")
+    assert reported.returncode == 0
+    assert "ok: " in reported.stdout
     assert shell("{} check no.toml 2>&- >&-").returncode == 2
 
 

@@ -35,9 +35,9 @@ def test_all_keep_what_the_job_keeps(tmp_path):
         assert not one.refused
         assert one.limits.ok
         # Points stand within the chord of the path; where they do, the surface differs by as much but for slopes.
-        assert one.shares.chord_nm < found.chord * 1e6 * 1.03
-        assert one.shares.cusp_away_nm < found.scallop * 1e6 * 1.02
-        assert one.shares.pv_nm < one.shares.cusp_nm + 2 * one.shares.chord_nm + 2 * one.shares.rounding_nm
+        assert one.breakdown.chord_nm < found.chord * 1e6 * 1.03
+        assert one.breakdown.cusp_away_nm < found.scallop * 1e6 * 1.02
+        assert one.breakdown.pv_nm < one.breakdown.cusp_nm + 2 * one.breakdown.chord_nm + 2 * one.breakdown.rounding_nm
     _, even, by_chord, steady, adaptive = found.candidates
     assert even.limits.points > by_chord.limits.points > steady.limits.points
     assert adaptive.turns < steady.turns
@@ -91,9 +91,9 @@ def test_a_job_file_can_state_each_strategy(tmp_path, machine, strategy):
     file = written(tmp_path, *changes, ("machine.name", machine), ("strategy", base | strategy))
     found = compare(Job.load(file))
     others = found.candidates[1:]  # the first is the job itself, which may be one of them
-    told = [found.stated(one) for one in others]
-    assert len({str(one) for one in told}) == len(told) > 3
-    for one, table in zip(others, told, strict=True):
+    report = [found.stated(one) for one in others]
+    assert len({str(one) for one in report}) == len(report) > 3
+    for one, table in zip(others, report, strict=True):
         program = {"fast_tool": "position"} if table["kind"].startswith(("fast", "hybrid")) else {}
         job = Job.load(
             written(tmp_path, *changes, ("machine.name", machine), ("strategy", table), ("program", program))
@@ -122,9 +122,9 @@ def test_impossible_strategies_are_reported_and_others_go_on(tmp_path):
     """A tool that stands in a wave too deep for the stroke of its fast tool."""
     deep = {**WAVES, "amplitude": ["40 um", "40 um"], "period": ["2 mm", "2 mm"]}
     found = compare(Job.load(written(tmp_path, *CHANGES, ("part.surface", deep), ("machine.name", "nanoform-fts-70"))))
-    told = {one.name: one for one in found.candidates}
-    assert told["slow, points by chord"].limits.ok
-    fast = told["fast"]
+    report = {one.name: one for one in found.candidates}
+    assert report["slow, points by chord"].limits.ok
+    fast = report["fast"]
     assert fast.refused or any("W" in sentence for sentence in fast.limits.findings)
 
 
@@ -147,14 +147,14 @@ def test_a_defect_in_one_strategy_leaves_the_page_of_the_others(tmp_path, monkey
 def test_the_page_and_the_numbers_say_the_same(tmp_path, capsys):
     job = written(tmp_path, *CHANGES)
     assert main(["compare", str(job), "--out", str(tmp_path / "out")]) == 0
-    said = capsys.readouterr().out
+    message = capsys.readouterr().out
     assert {file.name for file in (tmp_path / "out").iterdir()} == {"comparison.json", "job.toml", "report.html"}
     numbers = json.loads((tmp_path / "out" / "comparison.json").read_text())
     page = (tmp_path / "out" / "report.html").read_text()
     for one in numbers["candidates"]:
-        assert f"{one['name']}: " in said
+        assert f"{one['name']}: " in message
         assert f"{one['limits']['points']:,}" in page
-        assert np.isfinite(one["shares"]["pv_nm"])
+        assert np.isfinite(one["breakdown"]["pv_nm"])
     assert "<script" not in page
     assert tw.__version__ in page
 
@@ -167,13 +167,13 @@ def test_a_machine_without_a_fast_tool_is_one_sentence(tmp_path, capsys):
 
 def test_a_stop_request_is_obeyed_within_a_strategy(tmp_path):
     """Oracle: what the progress raises comes out, as Ctrl-C does, and is not taken for the strategy's refusal."""
-    told = []
+    report = []
 
     def stop(stage, done, total):
-        told.append((stage, done, total))
+        report.append((stage, done, total))
         if stage == "slow, points by chord" and 0 < done < total:
             raise Stopped("enough")
 
     with pytest.raises(Stopped):
         compare(Job.load(written(tmp_path, *CHANGES)), progress=stop)
-    assert told[-1][0] == "slow, points by chord"
+    assert report[-1][0] == "slow, points by chord"

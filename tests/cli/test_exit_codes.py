@@ -31,13 +31,13 @@ def job_file(place, name, **tables):
 def test_run_ends_by_its_tolerances(limit, code, head, tmp_path, capsys):
     file = job_file(tmp_path, "dish", tolerances={"form_pv": limit})
     assert main(["run", file, "--out", str(tmp_path / "out")]) == code
-    said = capsys.readouterr()
+    message = capsys.readouterr()
     found = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
     assert found["keeps_tolerances"] is (code == 0)
     assert found["verdicts"][0]["kept"] is (code == 0)
     assert found["predictions"][0]["pv_nm"] > 50
     assert head in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert ("missed" in said.out) is (code == 4)
+    assert ("missed" in message.out) is (code == 4)
 
 
 def test_a_speed_that_the_path_is_too_short_for_ends_with_2(tmp_path, capsys):
@@ -51,19 +51,19 @@ def test_a_speed_that_the_path_is_too_short_for_ends_with_2(tmp_path, capsys):
     for speed, code in (("260 rpm", 2), ("200 rpm", 0)):
         file = job_file(tmp_path, speed[:3], machine=machine, strategy={**strategy, "spindle_speed": speed})
         assert main(["run", file, "--out", str(tmp_path / f"out {speed}")]) == code
-        said = capsys.readouterr()
+        message = capsys.readouterr()
         if code:
-            assert re.search(r"spindle_rpm is 260 rev/min, .* 24\d\.\d+ rev/min \(by the C acceleration", said.err)
+            assert re.search(r"spindle_rpm is 260 rev/min, .* 24\d\.\d+ rev/min \(by the C acceleration", message.err)
         else:
-            assert " min at 200 rpm, limited by spindle speed as stated" in said.out
+            assert " min at 200 rpm, limited by spindle speed as stated" in message.out
             assert "200 rev/min" in (tmp_path / f"out {speed}" / "report.html").read_text(encoding="utf-8")
 
 
 def test_check_says_which_tolerances_it_does_not_judge(tmp_path, capsys):
     file = job_file(tmp_path, "dish", tolerances={"form_pv": "40 nm", "sq": "1 nm"})
     assert main(["check", file]) == 0
-    said = capsys.readouterr().out
-    assert said.count("not evaluated") == 2
+    message = capsys.readouterr().out
+    assert message.count("not evaluated") == 2
 
 
 def test_a_batch_ends_with_the_gravest_code(tmp_path, capsys):

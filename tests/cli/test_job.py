@@ -126,8 +126,8 @@ def test_a_field_of_several_kinds_is_refused_in_one_sentence(place, value, sente
     table["measurement"][place] = value
     with pytest.raises(JobError) as refused:
         Job.read(table)
-    (said,) = str(refused.value).splitlines()
-    assert said.startswith(sentence)
+    (message,) = str(refused.value).splitlines()
+    assert message.startswith(sentence)
 
 
 def test_waviness_in_degrees_is_the_polynomial_in_degrees():

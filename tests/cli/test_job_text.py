@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 'turnwright[web]'")
 
-from turnwright.job.text import as_tables, written
+from turnwright.job.text import as_tables, write_job
 from turnwright.web.examples import examples
 from turnwright.web.queue import Runs
 from turnwright.web.references import text_in
@@ -55,8 +55,8 @@ whole_part.angles = 24 # few
 
 def lines_changed(before, after):
     """Return the lines that a text has lost, and those that it has gained."""
-    told = list(difflib.ndiff(before.splitlines(), after.splitlines()))
-    return [one[2:] for one in told if one[0] == "-"], [one[2:] for one in told if one[0] == "+"]
+    report = list(difflib.ndiff(before.splitlines(), after.splitlines()))
+    return [one[2:] for one in report if one[0] == "-"], [one[2:] for one in report if one[0] == "+"]
 
 
 def edited(text, place, value):
@@ -97,37 +97,37 @@ EDITS = {
 def test_a_change_touches_its_own_line_alone(edit):
     place, value, lost, gained = EDITS[edit]
     job = edited(HAND, place, value)
-    text = written(job, HAND)
+    text = write_job(job, HAND)
     assert as_tables(tomllib.loads(text)) == job
     assert lines_changed(HAND, text) == (lost, gained)
 
 
 def test_an_unchanged_job_is_the_text_itself():
     for text in (HAND, *(one.toml for one in examples().values())):
-        assert written(as_tables(tomllib.loads(text)), text) == text
-        assert written({**as_tables(tomllib.loads(text)), "nothing": None}, text) == text
+        assert write_job(as_tables(tomllib.loads(text)), text) == text
+        assert write_job({**as_tables(tomllib.loads(text)), "nothing": None}, text) == text
     # A page does not tell whole numbers from others.
-    assert written({"a": {"b": 1.0}}, "[a]\nb = 1 # one\n") == "[a]\nb = 1 # one\n"
-    assert written({"a": {"b": True}}, "[a]\nb = 1 # one\n") == "[a]\nb = true # one\n"
+    assert write_job({"a": {"b": 1.0}}, "[a]\nb = 1 # one\n") == "[a]\nb = 1 # one\n"
+    assert write_job({"a": {"b": True}}, "[a]\nb = 1 # one\n") == "[a]\nb = true # one\n"
 
 
 def test_what_cannot_be_changed_in_place_is_still_the_job():
     job = as_tables(tomllib.loads(HAND))
     job["simulation"]["whole_part"]["deep"] = {"er": [1]}  # below a key of several words
-    text = written(job, HAND)
+    text = write_job(job, HAND)
     assert as_tables(tomllib.loads(text)) == job
     assert "# certified" in text
     twice = ("[a]\nb = 1\nb = 2\n", "a = {b = 1, b = 2}\n", "[a]\nb = 1\n[a.b]\n")
     for broken in ("[part", "\ufeff" + HAND, "a = 1\n" * 2, *twice):
-        assert as_tables(tomllib.loads(written(job, broken))) == job
-    assert "# certified" in written(job, "\ufeff" + HAND)
+        assert as_tables(tomllib.loads(write_job(job, broken))) == job
+    assert "# certified" in write_job(job, "\ufeff" + HAND)
 
 
 def test_a_run_keeps_a_text_with_the_ends_of_lines_that_it_has(tmp_path):
     """Oracle: the bytes."""
     runs = Runs(tmp_path, at_a_time=0)
     text = HAND.replace("\n", "\r\n")
-    assert written(as_tables(tomllib.loads(HAND)), text) == text
+    assert write_job(as_tables(tomllib.loads(HAND)), text) == text
     with runs.new_folder() as folder:
         run = runs.add(folder, {}, kind="run", name="", text=text)
     assert runs.text(run) == text_in(runs.folder_of(run)) == text
@@ -162,5 +162,5 @@ def test_whatever_is_changed_the_text_says_the_job(seed):
             table[last] = chance.choice(["7 mm", 3, 2.5, True, ["1 mm", "2 mm"], {"a": {"b": "2 mm"}}, [{"c": 1}]])
         if not job:
             break
-        text = written(job, text)
+        text = write_job(job, text)
         assert as_tables(tomllib.loads(text)) == as_tables(job)

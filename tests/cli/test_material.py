@@ -133,11 +133,11 @@ def test_a_glass_is_stated_for_ductile_chips_and_its_plateau():
 def test_a_brittle_finish_is_warned_of_with_the_feed_that_holds(tmp_path):
     out = tmp_path / "out"
     assert main(["run", str(job(tmp_path)), "--out", str(out)]) == 0
-    told = json.loads((out / "result.json").read_text())
-    chips = told["passes"][0]["chips"]
+    report = json.loads((out / "result.json").read_text())
+    chips = report["passes"][0]["chips"]
     assert not chips["ok"]
     assert chips["thickest"] * 1e6 > 600
-    assert any("brittle" in one and "feed at most" in one for one in told["warnings"])
+    assert any("brittle" in one and "feed at most" in one for one in report["warnings"])
     page = (out / "report.html").read_text()
     assert "<h2>Uncut chip thickness</h2>" in page
     assert "uncut chip thickness" in page.lower()
@@ -149,9 +149,9 @@ def test_a_brittle_finish_is_warned_of_with_the_feed_that_holds(tmp_path):
 
 def test_check_names_feed_and_what_the_material_does_not_say(tmp_path, capsys):
     assert main(["check", str(job(tmp_path))]) == 0
-    said = capsys.readouterr().out
-    assert "finish: brittle: " in said
-    assert "feed at most" in said
+    message = capsys.readouterr().out
+    assert "finish: brittle: " in message
+    assert "feed at most" in message
     assert main(["check", str(job(tmp_path, feed="1 um/rev"))]) == 0
     assert "ductile up to a feed of" in capsys.readouterr().out
 
@@ -161,9 +161,9 @@ def test_unknown_chips_do_not_stop_a_check(tmp_path, capsys, stock, code):
     """Cusps of 25 nm are higher than 10 nm of stock, which a run judges; 0.6 mm in one pass are beyond the nose."""
     file = job(tmp_path, stock=stock)
     assert main(["check", str(file)]) == code
-    told = capsys.readouterr()
-    assert "finish: chip thickness is not predicted before a run: " in told.out
-    assert ("pass finish has a depth of cut of 600 um" in told.err) == (code == 2)
+    report = capsys.readouterr()
+    assert "finish: chip thickness is not predicted before a run: " in report.out
+    assert ("pass finish has a depth of cut of 600 um" in report.err) == (code == 2)
     if stock == "10 nm":
         chips = tw.run(Job.load(file)).passes[0].chips
         assert chips.verdict == "ductile"

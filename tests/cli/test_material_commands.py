@@ -55,10 +55,13 @@ def write_hdf5(path, _time, force):
 def write_tdms(path, _time, force):
     from nptdms import ChannelObject, TdmsWriter
 
-    said = {"wf_increment": 1 / RATE, "unit_string": "N"}
+    message = {"wf_increment": 1 / RATE, "unit_string": "N"}
     with TdmsWriter(path) as file:
         file.write_segment(
-            [ChannelObject("cut", name, column, said) for name, column in zip(("Fx", "Fy", "Fz"), force.T, strict=True)]
+            [
+                ChannelObject("cut", name, column, message)
+                for name, column in zip(("Fx", "Fy", "Fz"), force.T, strict=True)
+            ]
         )
 
 
@@ -162,21 +165,21 @@ def test_list_names_every_material(capsys):
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(":")[0] for line in lines] == list(Material.known())
     assert any("Kc 1489, Kt 816 N/mm^2; ductile to 600 nm" in line for line in lines)
-    said = "an estimate, Kc about 4500 +- 50 %, Kt about 2500 +- 71 % N/mm^2 at 1 um; no brittle limit"
-    assert f"copper-ofhc: copper OFHC; {said}" in lines  # 700 (1 um / 1 mm)^-0.27 is 4520
+    message = "an estimate, Kc about 4500 +- 50 %, Kt about 2500 +- 71 % N/mm^2 at 1 um; no brittle limit"
+    assert f"copper-ofhc: copper OFHC; {message}" in lines  # 700 (1 um / 1 mm)^-0.27 is 4520
     assert any("no coefficients; ductile to 100 nm and varies with crystal direction" in line for line in lines)
     assert any("PMMA; no coefficients; no brittle limit" in line for line in lines)
 
 
 def test_show_says_where_each_number_is_from(capsys):
     assert main(["material", "show", "irg26"]) == 0
-    said = capsys.readouterr().out
-    assert "1489 +- 62 N/mm^2" in said
-    assert "source of cutting.value: Troutman 2016" in said
+    message = capsys.readouterr().out
+    assert "1489 +- 62 N/mm^2" in message
+    assert "source of cutting.value: Troutman 2016" in message
     assert main(["material", "show", "brass"]) == 0
-    said = capsys.readouterr().out
-    assert "700 +- 350 N/mm^2 at 1 mm, decreasing with chip thickness to the power 0.27" in said
-    assert "valid for chips of 100 um to 1 mm" in said
+    message = capsys.readouterr().out
+    assert "700 +- 350 N/mm^2 at 1 mm, decreasing with chip thickness to the power 0.27" in message
+    assert "valid for chips of 100 um to 1 mm" in message
 
 
 # What is changed in the experiment's file, and what the sentence must say.
@@ -224,9 +227,9 @@ def test_a_wrong_experiment_is_one_sentence(tmp_path, capsys, case):
     (tmp_path / "experiment.toml").write_text(text.replace(before, after))
     out = tmp_path / "glass.toml"
     assert main(["material", "fit", str(tmp_path / "experiment.toml"), "--out", str(out)]) == 2
-    said = capsys.readouterr().err
-    assert re.search(sentence, said)
-    assert len([line for line in said.splitlines() if line.startswith("turnwright:")]) == 1
+    message = capsys.readouterr().err
+    assert re.search(sentence, message)
+    assert len([line for line in message.splitlines() if line.startswith("turnwright:")]) == 1
     assert not out.exists()
 
 
@@ -311,9 +314,9 @@ def test_a_table_of_cuts_that_is_none_is_one_sentence(tmp_path, capsys, case):
     text, sentence = ODD[case]
     (tmp_path / "cuts.csv").write_text(text)
     assert main(["material", "fit", str(tmp_path / "cuts.csv"), "--out", str(tmp_path / "a.toml")]) == 2
-    said = capsys.readouterr().err
-    assert sentence in said
-    assert "warning" not in said
+    message = capsys.readouterr().err
+    assert sentence in message
+    assert "warning" not in message
     assert not (tmp_path / "a.toml").exists()
 
 
@@ -347,7 +350,7 @@ def test_a_damaged_record_is_one_sentence_or_reads(tmp_path, name):
     WRITERS[name](tmp_path / "good", time[:200], force[:200])
     data = (tmp_path / "good").read_bytes()
     random = np.random.default_rng(0)
-    said = []
+    message = []
     for trial in range(4 if name == "forces.h5" else 60):  # HDF5 takes a process each
         bad = bytearray(data[: random.integers(8, len(data))] if trial % 2 else data)
         for place in random.integers(8, max(len(bad) // 4, 9), 3):
@@ -356,9 +359,9 @@ def test_a_damaged_record_is_one_sentence_or_reads(tmp_path, name):
         try:
             read_forces(tmp_path / "bad", unit="N", rate_hz=1.0)
         except InputError as error:
-            said.append(str(error))
-    assert said
-    assert not any("\n" in one for one in said)
+            message.append(str(error))
+    assert message
+    assert not any("\n" in one for one in message)
 
 
 def test_a_file_that_is_no_record_is_named(tmp_path):

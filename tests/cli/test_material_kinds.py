@@ -199,10 +199,10 @@ WRONG = {
 def test_a_wrong_experiment_of_a_kind_is_one_sentence(folder, tmp_path, capsys, case):
     text, before, after, sentence = WRONG[case]
     assert before in text
-    code, said = fit(folder, text.replace(before, after), tmp_path, capsys)
+    code, message = fit(folder, text.replace(before, after), tmp_path, capsys)
     assert code == 2
-    assert re.search(sentence, said.err)
-    assert len([line for line in said.err.splitlines() if line.startswith("turnwright:")]) == 1
+    assert re.search(sentence, message.err)
+    assert len([line for line in message.err.splitlines() if line.startswith("turnwright:")]) == 1
     assert not (tmp_path / "glass.toml").exists()
 
 

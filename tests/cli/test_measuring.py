@@ -102,13 +102,13 @@ def test_measure_says_how_far_the_part_is_off(shop, tmp_path, capsys):
     assert main(["measure", str(shop / "dish.x3p"), "--job", str(shop / "job.toml"), "--out", str(out)]) == 0
     assert "form error PV" in capsys.readouterr().out
     assert files_of(out) == {"report.html", "measured.json", "error.npz"}
-    told = strict(out / "measured.json")
+    report = strict(out / "measured.json")
     error = tw.read_map(out / "error.npz")
     radius, z = np.hypot(*error.points()), error.z
     known = ~np.isnan(z)
     rows = np.stack([np.ones(known.sum()), radius[known] ** 2], axis=1)
     cone = OFFSET * radius[known] / 20
-    assert told["form_rms_nm"] == pytest.approx(1e6 * np.std(z[known]), rel=0.05)
+    assert report["form_rms_nm"] == pytest.approx(1e6 * np.std(z[known]), rel=0.05)
     left, expected = (np.std(one - rows @ np.linalg.lstsq(rows, one, rcond=None)[0]) for one in (z[known], cone))
     cusps = 0.02**2 / (8 * 0.5) * np.sqrt(4 / 45)
     assert left == pytest.approx(np.sqrt(expected**2 + cusps**2 + 5e-6**2), rel=0.1)
@@ -173,9 +173,9 @@ def test_a_corrected_part_is_not_corrected_again(shop, corrected, second, tmp_pa
         assert sorted(tmp_path.iterdir()) == there
     out = tmp_path / "why"
     assert main(["diagnose", str(second), str(shop / "dish.x3p"), *jobs, "--out", str(out)]) == 0
-    told = strict(out / "diagnosis.json")
-    assert len(told["measured"]) == 2
-    assert told["repeatability_nm"] < 5
+    report = strict(out / "diagnosis.json")
+    assert len(report["measured"]) == 2
+    assert report["repeatability_nm"] < 5
 
 
 def test_a_map_is_not_corrected_twice(shop, corrected, tmp_path, capsys):
@@ -210,7 +210,7 @@ def test_a_tool_that_moved_again_is_corrected_again(shop, corrected, tmp_path):
 def test_a_part_may_be_stated_as_cut_by_the_corrected_job(shop, corrected, tmp_path, capsys):
     """The same error came back: nothing in the map tells that from a part that was cut before."""
     seen(corrected / "job.toml", tmp_path / "again.npz", offset=2 * OFFSET)
-    out, job = tmp_path / "out", tmp_path / "said" / "job.toml"
+    out, job = tmp_path / "out", tmp_path / "jobs" / "job.toml"
     text = (shutil.copytree(corrected, job.parent) / "job.toml").read_text(encoding="utf-8")
     job.write_text(text.replace("[measurement]", '[measurement]\ncut_by = "this job"'), encoding="utf-8")
     common = ["correct", str(tmp_path / "again.npz"), "--out", str(out), "--job"]
@@ -270,8 +270,8 @@ whole_part = { radii = 41, angles = 24 }
 
 
 def lines_lost(text):
-    told = list(difflib.ndiff(BY_HAND.splitlines(), text.splitlines()))
-    return [line[2:] for line in told if line[0] == "-"], [line[2:] for line in told if line[0] == "+"]
+    report = list(difflib.ndiff(BY_HAND.splitlines(), text.splitlines()))
+    return [line[2:] for line in report if line[0] == "-"], [line[2:] for line in report if line[0] == "+"]
 
 
 def test_a_correction_keeps_what_a_person_wrote(shop, tmp_path):

@@ -22,13 +22,13 @@ def test_a_plan_is_a_job_that_keeps_its_tolerances(tmp_path, capsys):
     """Oracle: `run` on the planned job warns of no tolerance, on the job's own grids."""
     job = written(tmp_path, ("tolerances", TOLERANCES), ("strategy.overrun", "5 um"))
     assert main(["plan", str(job), "--out", str(tmp_path / "planned.toml")]) == 0
-    said = capsys.readouterr().out
+    message = capsys.readouterr().out
     planned, asked = Job.load(tmp_path / "planned.toml"), Job.load(job)
     assert planned.strategy.feed != asked.strategy.feed
     assert planned.strategy.points_per_rev is None
     assert (planned.part, planned.tool, planned.machine) == (asked.part, asked.tool, asked.machine)
     for word in ("cusps", "points", "decimals", "servos", "nearest to its limit"):
-        assert word in said
+        assert word in message
     assert main(["run", str(tmp_path / "planned.toml"), "--out", str(tmp_path / "out")]) == 0
     assert "the tolerance is" not in capsys.readouterr().err
 
@@ -75,8 +75,8 @@ def test_a_plan_keeps_what_a_person_wrote(tmp_path, elsewhere):
     assert main(["plan", str(shop / "job.toml"), "--out", str(out / "planned.toml")]) == 0
     text = (out / "planned.toml").read_bytes().decode()
     assert text.count("\n") == text.count("\r\n")
-    told = list(difflib.ndiff(WRITTEN_BY_HAND.splitlines(), text.splitlines()))
-    lost, new = ([line[2:] for line in told if line[0] == sign] for sign in "-+")
+    report = list(difflib.ndiff(WRITTEN_BY_HAND.splitlines(), text.splitlines()))
+    lost, new = ([line[2:] for line in report if line[0] == sign] for sign in "-+")
     assert {line.partition(" = ")[0] for line in lost} <= {"feed", "points_per_rev", "spindle_speed", "surface"}
     assert any(line.startswith("surface") for line in lost) == elsewhere
     # The feed keeps its unit and its remark; what sets the points now is a new key.
@@ -106,9 +106,9 @@ def test_a_plan_needs_tolerances(tmp_path, capsys):
 def test_a_tolerance_that_no_plan_keeps_is_one_sentence(tmp_path, capsys):
     job = written(tmp_path, ("tolerances", {"form_pv": "2 nm", "sq": "0.5 nm"}))
     assert main(["plan", str(job), "--out", str(tmp_path / "planned.toml")]) == 2
-    said = capsys.readouterr().err.splitlines()
-    assert said[-1].startswith("turnwright: ")
-    assert "relax" in said[-1] or "smaller nose_radius" in said[-1]
+    message = capsys.readouterr().err.splitlines()
+    assert message[-1].startswith("turnwright: ")
+    assert "relax" in message[-1] or "smaller nose_radius" in message[-1]
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_other_strategies_are_planned_too(changes, tmp_path):
                            ("simulation", {"whole_part": {"radii": 800, "angles": 60}}), *changes))  # fmt: skip
     chosen = plan(job)
     assert chosen.limits.ok
-    assert 15 < chosen.shares.sq_nm <= 20
+    assert 15 < chosen.breakdown.sq_nm <= 20
     assert run(chosen.job, out=tmp_path).predictions[0].roughness.pv_nm <= 300
 
 
@@ -199,10 +199,10 @@ def test_the_fastest_offered_interpolation_is_taken(tmp_path, capsys, monkeypatc
     """Oracle: SciPy's cubic Hermite spline through the program read back, against the exact height of the tip."""
     job = lathe(tmp_path, controller='other_interpolations = { hermite = "pmac" }', rate=100)
     assert main(["plan", str(job), "--out", str(tmp_path / "planned.toml")]) == 0
-    said = capsys.readouterr().out
+    message = capsys.readouterr().out
     planned = Job.load(tmp_path / "planned.toml")
     assert planned.machine.controller.interpolation == "hermite"
-    points = [int(re.search(rf"^{name}: (\d+) points", said, re.MULTILINE)[1]) for name in ("linear", "hermite")]
+    points = [int(re.search(rf"^{name}: (\d+) points", message, re.MULTILINE)[1]) for name in ("linear", "hermite")]
     assert points[1] < points[0]
     assert main(["run", str(tmp_path / "planned.toml"), "--out", str(tmp_path / "out")]) == 0
     assert "the tolerance is" not in capsys.readouterr().err
@@ -211,7 +211,7 @@ def test_the_fastest_offered_interpolation_is_taken(tmp_path, capsys, monkeypatc
     again = tw.read_nc(program, planned.machine)
     # The plan knew how the program comes to speed and to rest.
     assert again.time.size == points[1]
-    share = float(re.search(r"points ±(\S+) nm, decimals", said)[1])
+    share = float(re.search(r"points ±(\S+) nm, decimals", message)[1])
     # As closely at both ends, from rest and to rest, as elsewhere.
     first, last = again.time[[0, -1]]
     time = np.unique(
@@ -224,7 +224,7 @@ def test_the_fastest_offered_interpolation_is_taken(tmp_path, capsys, monkeypatc
     assert 0.3 * share < off < 1.1 * share
     assert main(["backplot", str(program), "--job", str(tmp_path / "planned.toml")]) == 0
     capsys.readouterr()
-    assert candidate(planned, 1, monkeypatch).shares.chord_nm > 0
+    assert candidate(planned, 1, monkeypatch).breakdown.chord_nm > 0
 
 
 def test_the_error_of_points_falls_with_their_spacing(tmp_path):
@@ -239,7 +239,7 @@ def test_the_error_of_points_falls_with_their_spacing(tmp_path):
     file.write_text(file.read_text().partition("[axes.X.response]")[0], encoding="utf-8")
     found = plan(Job.load(job))
     assert found.limits.points < 40_000
-    assert found.shares.pv_nm <= 100
+    assert found.breakdown.pv_nm <= 100
 
 
 def test_error_not_caused_by_the_points_ends_the_search(tmp_path, monkeypatch):
@@ -297,7 +297,7 @@ def test_a_corrected_plan_is_faster_and_keeps_the_limits(steady, tmp_path):
     assert made.limits.cycle_time_s == pytest.approx(chosen.limits.cycle_time_s, rel=1e-9)
     (whole,) = made.predictions
     assert whole.roughness.pv_nm <= 300
-    assert np.abs(whole.tracking.z).max() * 1e6 <= 1.02 * chosen.shares.tracking_nm
+    assert np.abs(whole.tracking.z).max() * 1e6 <= 1.02 * chosen.breakdown.tracking_nm
 
 
 @pytest.mark.parametrize(

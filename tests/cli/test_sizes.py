@@ -56,17 +56,17 @@ FIELDS = {
 def checked(folder, capsys, *changes):
     """Return the exit code of ``turnwright check`` and what it says."""
     code = main(["check", str(written(folder, *changes))])
-    said = capsys.readouterr()
-    return code, " ".join((said.err + said.out).split())
+    message = capsys.readouterr()
+    return code, " ".join((message.err + message.out).split())
 
 
-def refused_or_done(told):
-    code, said = told
-    assert code in (0, 2), said
-    assert "defect" not in said
-    assert "nan" not in said.replace("nanotech", "")
-    assert "RuntimeWarning" not in said
-    assert "encountered" not in said  # as NumPy warns
+def refused_or_done(report):
+    code, message = report
+    assert code in (0, 2), message
+    assert "defect" not in message
+    assert "nan" not in message.replace("nanotech", "")
+    assert "RuntimeWarning" not in message
+    assert "encountered" not in message  # as NumPy warns
 
 
 @pytest.mark.parametrize(("place", "value"), every_second(FIELDS, [HUGE, f"-{HUGE}", TINY, TINIEST]))
@@ -88,12 +88,12 @@ def test_no_size_of_a_surface_is_a_defect(tmp_path, capsys, family, value):
 
 
 def test_the_limit_says_what_how_much_and_the_remedy(tmp_path, capsys):
-    code, said = checked(tmp_path, capsys, ("tool.nose_radius", "1e308 mm"))
+    code, message = checked(tmp_path, capsys, ("tool.nose_radius", "1e308 mm"))
     assert code == 2
-    assert "tool.nose_radius: '1e308 mm' is above 1e+30 mm, the limit for any size: check its exponent" in said
-    code, said = checked(tmp_path, capsys, ("strategy.feed", "1e-308 um/rev"))
+    assert "tool.nose_radius: '1e308 mm' is above 1e+30 mm, the limit for any size: check its exponent" in message
+    code, message = checked(tmp_path, capsys, ("strategy.feed", "1e-308 um/rev"))
     assert code == 2
-    assert "'1e-308 um/rev' is below 1e-30 mm/rev, the limit for any size" in said
+    assert "'1e-308 um/rev' is below 1e-30 mm/rev, the limit for any size" in message
     with pytest.raises(InputError, match=r"nose_radius is 1e\+308 mm, the limits are 1e-30 to 1e\+30 mm: check"):
         tw.Tool(nose_radius=1e308)
     with pytest.raises(InputError, match="feed is 1e-308 mm/rev, the limits are"):

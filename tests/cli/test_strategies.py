@@ -59,9 +59,9 @@ def test_a_fast_tool_is_back_plotted_with_its_table(tmp_path, capsys):
         ("program", {"fast_tool": "position"}),
     )
     assert main(["run", str(job), "--out", str(tmp_path / "out")]) == 0
-    told = capsys.readouterr().out
+    report = capsys.readouterr().out
     assert main(["backplot", str(tmp_path / "out" / "part.nc"), "--job", str(job)]) == 0
-    whole = next(line for line in told.splitlines() if line.startswith("whole part"))
+    whole = next(line for line in report.splitlines() if line.startswith("whole part"))
     assert whole in capsys.readouterr().out
 
 
@@ -144,9 +144,9 @@ def test_a_stream_too_slow_for_the_motion_is_refused(tmp_path, capsys):
     servo = {"kind": "fast tool servo", **SPIRAL}
     job = written(tmp_path, *PART, *FAST, BLANK, ("strategy", servo), ("program", program))
     assert main(["run", str(job), "--out", str(tmp_path / "out")]) == 2
-    told = capsys.readouterr().err.splitlines()[-1]
-    assert "at rate_hz 1 heights deviate by up to" in told
-    assert "at up to 180 Hz" in told, "180 points a turn, 1 turn a second"
+    report = capsys.readouterr().err.splitlines()[-1]
+    assert "at rate_hz 1 heights deviate by up to" in report
+    assert "at up to 180 Hz" in report, "180 points a turn, 1 turn a second"
     assert not (tmp_path / "out").exists()
 
 
@@ -186,6 +186,6 @@ def test_the_page_shows_bandwidth_of_a_fast_tool(tmp_path):
 def test_a_plan_without_a_place_is_refused_before_it_is_made(tmp_path, capsys):
     job = written(tmp_path, *PART, ("tolerances", {"form_pv": "200 nm", "sq": "40 nm"}))
     assert main(["plan", str(job), "--out", str(tmp_path / "none" / "planned.toml")]) == 2
-    (told,) = capsys.readouterr().err.splitlines()
-    assert "the folder of" in told
-    assert "does not exist" in told
+    (report,) = capsys.readouterr().err.splitlines()
+    assert "the folder of" in report
+    assert "does not exist" in report

@@ -75,13 +75,13 @@ def test_the_command_leaves_table_page_and_study(job_file, tmp_path, capsys):
         "--vary", "tool.nose_radius=0.2..0.6 mm:3", "--vary", "strategy.feed=0.5, 1, 2 mm/min",
         "--measure", "sq_nm", "--measure", "minutes", "--measure", "peak_speed@X", "--measure", "binding",
     ])  # fmt: skip
-    said = capsys.readouterr()
-    assert code == 0, said.err
+    message = capsys.readouterr()
+    assert code == 0, message.err
     assert sorted(file.name for file in out.iterdir()) == [
         "job.toml", "report.html", "study.csv", "study.json", "study.parquet",
     ]  # fmt: skip
     assert not (tmp_path / "study.cases").exists()
-    assert "9 cases, 0 failed" in said.out
+    assert "9 cases, 0 failed" in message.out
     with (out / "study.csv").open(encoding="utf-8", newline="") as lines:
         head, *rows = csv.reader(lines)
     assert head == [
@@ -276,9 +276,9 @@ def test_an_interrupted_command_goes_on_where_it_was(job_file, tmp_path, capsys,
 
     monkeypatch.setattr(_study, "run_cases", half)
     assert cli.main(asked) == 130
-    said = capsys.readouterr().err
+    message = capsys.readouterr().err
     kept = tmp_path / "out.cases"
-    assert f"interrupted, finished cases are in {kept}: repeat the command to continue" in said
+    assert f"interrupted, finished cases are in {kept}: repeat the command to continue" in message
     assert not (tmp_path / "out").exists()
     before = {file.name: file.stat().st_mtime_ns for file in (kept / "rows").iterdir()}
     assert len(before) == 2
@@ -297,7 +297,7 @@ def test_an_interrupted_command_goes_on_where_it_was(job_file, tmp_path, capsys,
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "message"),
     [
         (["--vary", "tool.nose_radius", "--measure", "sq_nm"], "--vary must be FIELD=VALUES"),
         (["--vary", "tool.nos_radius=1 mm", "--measure", "sq_nm"], "did you mean tool.nose_radius?"),
@@ -309,11 +309,11 @@ def test_an_interrupted_command_goes_on_where_it_was(job_file, tmp_path, capsys,
         ),
     ],
 )
-def test_a_wrong_command_is_one_sentence_and_leaves_nothing(job_file, tmp_path, capsys, more, said):
+def test_a_wrong_command_is_one_sentence_and_leaves_nothing(job_file, tmp_path, capsys, more, message):
     assert cli.main(["study", str(job_file), "--out", str(tmp_path / "out"), *more]) == 2
-    told = capsys.readouterr().err
-    assert said in told
-    assert len(told.strip().splitlines()) == 1
+    reported = capsys.readouterr().err
+    assert message in reported
+    assert len(reported.strip().splitlines()) == 1
     assert sorted(file.name for file in tmp_path.iterdir()) == ["job.toml"]
 
 
@@ -327,7 +327,7 @@ def test_a_file_that_a_job_names_travels_through_the_store(threads, tmp_path, mo
     from turnwright.studies import files as _files
 
     # A machine that does not have the file.
-    monkeypatch.setattr(_files, "_is_there", lambda _path, _digest: False)
+    monkeypatch.setattr(_files, "_is_stored", lambda _path, _digest: False)
     apart = study(job, vary={"strategy.feed": "9, 10 um/rev"}, measure=deepest, executor=threads, store=tmp_path / "s")
     np.testing.assert_array_equal(apart["deepest"], right["deepest"])
     with pytest.raises(StudyError, match=r"does not have 1 of the files that the job names, such as .*: use a store"):
@@ -340,7 +340,7 @@ def test_a_missing_array_is_no_outcome_of_a_case(threads, tmp_path, monkeypatch)
     from turnwright.studies import files as _files
 
     # A machine that has neither the file nor this folder.
-    monkeypatch.setattr(_files, "_is_there", lambda _path, _digest: False)
+    monkeypatch.setattr(_files, "_is_stored", lambda _path, _digest: False)
     whole = Store.array
     monkeypatch.setattr(Store, "array", lambda _self, name: whole(Store.open(tmp_path / "elsewhere"), name))
     asked = {"vary": {"strategy.feed": "9 um/rev"}, "measure": deepest, "executor": threads, "store": tmp_path / "s"}
@@ -391,11 +391,11 @@ def test_a_store_in_memory_is_refused_for_other_processes(job, job_file, tmp_pat
         "study", str(job_file), "--out", str(tmp_path / "out"), "--store", "memory://kept", "--workers", "1",
         "--vary", "tool.nose_radius=0.2..0.6 mm:3", "--measure", "sq_nm",
     ])  # fmt: skip
-    said = capsys.readouterr().err
+    message = capsys.readouterr().err
     assert code == 2
-    assert "the store 'memory://kept' is in the memory of this process" in said
-    assert said.strip().endswith("name a folder, or use threads")
-    assert len(said.strip().splitlines()) == 1
+    assert "the store 'memory://kept' is in the memory of this process" in message
+    assert message.strip().endswith("name a folder, or use threads")
+    assert len(message.strip().splitlines()) == 1
     asked = {"vary": {"strategy.feed": "9, 10 um/rev"}, "measure": "sq_nm", "store": f"memory://{tmp_path.name}"}
     assert study(job, executor=threads, **asked).ok.all()
 
@@ -406,10 +406,10 @@ def test_a_study_of_refused_cases_keeps_its_rows(job_file, tmp_path, capsys):
         "study", str(job_file), "--out", str(out), "--workers", "1",
         "--vary", "strategy.spindle_speed=2000, 3000 rpm", "--measure", "sq_nm", "--measure", "minutes",
     ])  # fmt: skip
-    said = capsys.readouterr()
+    message = capsys.readouterr()
     assert code == 2
-    assert said.err.splitlines()[-1].startswith("turnwright: all 2 cases failed, the first one: ")
-    assert "2 cases, 2 failed" in said.out
+    assert message.err.splitlines()[-1].startswith("turnwright: all 2 cases failed, the first one: ")
+    assert "2 cases, 2 failed" in message.out
     found = Study.load(out)
     assert len(found) == 2
     assert not found.ok.any()
@@ -459,10 +459,10 @@ def test_a_silent_scheduler_is_one_sentence(job_file, tmp_path, capsys):
         "study", str(job_file), "--out", str(tmp_path / "out"), "--cluster", "tcp://127.0.0.1:9",
         "--vary", "tool.nose_radius=0.2..0.6 mm:3", "--measure", "sq_nm",
     ])  # fmt: skip
-    said = capsys.readouterr().err
+    message = capsys.readouterr().err
     assert code == 2
-    assert "tcp://127.0.0.1:9" in said
-    assert len(said.strip().splitlines()) == 1
+    assert "tcp://127.0.0.1:9" in message
+    assert len(message.strip().splitlines()) == 1
     assert sorted(file.name for file in tmp_path.iterdir()) == ["job.toml"]
 
 

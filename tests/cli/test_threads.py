@@ -27,7 +27,7 @@ def share(monkeypatch):
     """Give this process so many threads, whatever the machine has."""
 
     def give(threads):
-        monkeypatch.setattr(progress, "_cores_there", lambda: threads)
+        monkeypatch.setattr(progress, "_count_cores", lambda: threads)
         monkeypatch.setenv(progress.THREADS, str(threads))
         assert progress.cores() == threads
 

@@ -79,9 +79,9 @@ def chunks(store):
 def test_command(job, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["tile", str(job), "--pixel", "2 um", "--out", str(out), "--tile", "128"]) == 0
-    said = capsys.readouterr()
-    assert "map: 401 x 401 pixels" in said.out
-    assert "aliases cusps" not in said.err
+    message = capsys.readouterr()
+    assert "map: 401 x 401 pixels" in message.out
+    assert "aliases cusps" not in message.err
     numbers = json.loads((out / "tiled.json").read_text(encoding="utf-8"))
     # Away from the axis and the rim a flat keeps the cusps of the closed form.
     sq = (0.5 - np.sqrt(0.25 - 0.01**2 / 4)) * np.sqrt(4 / 45) * 1e6
@@ -118,16 +118,16 @@ def test_impossible_tiles_are_reported_before_planning(job, tmp_path, capsys, mo
 
     def refused(*words):
         assert main(list(words)) == 2
-        said = capsys.readouterr().err
-        assert len(said.splitlines()) == 1
-        return said
+        message = capsys.readouterr().err
+        assert len(message.splitlines()) == 1
+        return message
 
     taken, file = tmp_path / "taken", tmp_path / "letter.txt"
     taken.mkdir()
     (taken / "report.html").write_text("mine", encoding="utf-8")
     file.write_text("mine", encoding="utf-8")
     before = sorted(tmp_path.rglob("*"))
-    for words, said in (
+    for words, message in (
         (
             [*command, "--tile", "8"],
             "the width of a tile in pixels is 8, it must be a whole number, 64 to 32768: give one",
@@ -143,7 +143,7 @@ def test_impossible_tiles_are_reported_before_planning(job, tmp_path, capsys, mo
         ([*command[:5], str(file / "deep")], "letter.txt' is not a folder"),
         ([*command[:5], str(tmp_path / "new"), "--cluster", "tcp://127.0.0.1:9"], "no Dask scheduler answers at"),
     ):
-        assert said in refused(*words)
+        assert message in refused(*words)
     job.write_text(JOB.replace('feed = "10 um/rev"', 'feed = "9 um/rev"'), encoding="utf-8")
     assert "holds the map of another job, tile size or version" in refused(*command, "--tile", "128")
     assert sorted(tmp_path.rglob("*")) == before
@@ -158,9 +158,9 @@ def test_an_interrupt_keeps_the_finished_tiles_and_says_so(job, tmp_path):
         while len(chunks(out / "map.zarr")) < 5 and time.monotonic() < until:
             time.sleep(0.05)
         process.send_signal(signal.SIGINT)
-        said = process.stderr.read()
+        message = process.stderr.read()
     assert process.returncode == 130
-    assert said.splitlines()[-1].startswith("turnwright: interrupted, finished tiles are in")
+    assert message.splitlines()[-1].startswith("turnwright: interrupted, finished tiles are in")
     with pytest.raises(tw.InputError, match=r"has \d+ of \d+ tiles: repeat the call"):
         tw.studies.TiledMap.open(out / "map.zarr")
 
@@ -168,10 +168,10 @@ def test_an_interrupt_keeps_the_finished_tiles_and_says_so(job, tmp_path):
 def test_a_disk_too_small_is_refused_beforehand(job, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(shutil, "disk_usage", lambda _folder: SimpleNamespace(free=10**7))
     assert main(["tile", str(job), "--pixel", "0.5 um", "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr().err
-    assert "the map of 1601 x 1601 pixels needs 0.0" in said
-    assert "has 0.01 GB: free some space" in said
-    assert len(said.splitlines()) == 1
+    message = capsys.readouterr().err
+    assert "the map of 1601 x 1601 pixels needs 0.0" in message
+    assert "has 0.01 GB: free some space" in message
+    assert len(message.splitlines()) == 1
     assert not (tmp_path / "out").exists()
 
 
@@ -198,9 +198,9 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path):
     torn = next(file for file in below if place(file) not in finished)
     torn.parent.mkdir(parents=True, exist_ok=True)
     torn.write_bytes(b"half of it")
-    told = []
-    found = made(store, progress=lambda done, total: told.append((done, total)))
-    assert told[0] == (len(finished), total)
+    report = []
+    found = made(store, progress=lambda done, total: report.append((done, total)))
+    assert report[0] == (len(finished), total)
     assert {file: seen for file, seen in chunks(store).items() if file in before} == before
     assert np.array_equal(found.height_map().z, made(tmp_path / "other").height_map().z, equal_nan=True)
     assert tw.studies.TiledMap.open(store).valid == found.valid
@@ -236,13 +236,13 @@ def test_a_disk_that_becomes_full_keeps_what_is_finished(tmp_path, monkeypatch):
 def test_processes_make_the_same_map_despite_a_kill(tmp_path):
     seen = []
 
-    def told(done, _total):
+    def report(done, _total):
         seen.append(done)
         if len(seen) == 4:
             os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
 
     with tw.studies.local(2) as pool:
-        found = made(tmp_path / "map", executor=pool, progress=told)
+        found = made(tmp_path / "map", executor=pool, progress=report)
     assert np.array_equal(found.height_map().z, made(tmp_path / "other").height_map().z, equal_nan=True)
     assert seen == sorted(set(seen))
 
@@ -256,7 +256,7 @@ def test_a_map_killed_at_its_first_file_begins_again(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("asked", "said"),
+    ("asked", "message"),
     [
         ({"pixel": 0.0}, "the pixel along x is 0 mm"),
         ({"radius": None}, "the extent of the map is not stated"),
@@ -272,12 +272,12 @@ def test_a_map_killed_at_its_first_file_begins_again(tmp_path):
         ({"store": "nosuch://there"}, "cannot be used as a store"),
     ],
 )
-def test_what_is_refused(tmp_path, asked, said):
+def test_what_is_refused(tmp_path, asked, message):
     machine = tw.Machine(name="t", axes={letter: tw.Axis() for letter in "CXZ"}, spindle_rpm=1.0, block_rate_hz=1.0)
     c = np.linspace(0, 20.0, 50)
     motion = tw.Motion(time=c, axes={"C": c, "X": 0.02 - 1e-3 * c, "Z": 0 * c}, machine=machine)
     wanted = {"pixel": 0.001, "store": tmp_path / "map", "radius": 0.02, **asked}
-    with pytest.raises(tw.InputError, match=said) as caught:
+    with pytest.raises(tw.InputError, match=message) as caught:
         tw.studies.generate_tiled(motion, tw.Tool(nose_radius=0.2, included=1.7), **wanted)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "map").exists()
@@ -285,7 +285,7 @@ def test_what_is_refused(tmp_path, asked, said):
 
 def test_what_a_map_refuses(tmp_path):
     found = made(tmp_path / "map")
-    for call, said in (
+    for call, message in (
         (lambda: found.height_map(9), r"the level is 9, it must be a whole number, 0 to \d: give one"),
         (lambda: found.window(x=(1, 0), y=(0, 1)), "the window along x is 1 to 0, it must ascend"),
         (lambda: found.window(x=(0, 1), y=(0, 1), pixels=0), "the width of a window in pixels is 0"),
@@ -296,7 +296,7 @@ def test_what_a_map_refuses(tmp_path):
         (lambda: found.line_psd(along="radius", segment=64), "along is 'radius'"),
         (lambda: tw.studies.TiledMap.open(tmp_path), "holds no tiled map"),
     ):
-        with pytest.raises(tw.InputError, match=said):
+        with pytest.raises(tw.InputError, match=message):
             call()
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "letter.txt").write_text("mine", encoding="utf-8")

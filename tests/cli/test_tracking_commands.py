@@ -45,10 +45,10 @@ def done(tmp_path_factory):
 
 def test_a_run_predicts_what_the_servos_make_of_its_program(done):
     job = tw.Job.load(done / "job.toml")
-    told = json.loads((done / "out" / "result.json").read_text())["predictions"]
+    reported = json.loads((done / "out" / "result.json").read_text())["predictions"]
     motion = tw.read_nc(done / "out" / "part.nc", job.machine)
     real = tw.track(motion)
-    for one, axes in zip(told, (("radius", "angle"), ("x", "y")), strict=True):
+    for one, axes in zip(reported, (("radius", "angle"), ("x", "y")), strict=True):
         grid = {name: np.load(done / "out" / one["axes"][name]) for name in axes}
         make = tw.generate_polar if "radius" in grid else tw.generate
         with_servos, without = (make(each, job.tool, **grid) for each in (real, motion))
@@ -76,11 +76,11 @@ def test_a_backplot_tracks_any_program(done, tmp_path, capsys):
     lathe(tmp_path)
     program = str(done / "out" / "part.nc")
     assert main(["backplot", program, "--job", str(without), "--track", "--out", str(tmp_path / "maps")]) == 0
-    said = capsys.readouterr()
-    assert "servo contribution" in said.out
-    assert "track" in said.err.split()
-    told = json.loads((tmp_path / "maps" / "backplot.json").read_text())
-    for one in told:
+    message = capsys.readouterr()
+    assert "servo contribution" in message.out
+    assert "track" in message.err.split()
+    reported = json.loads((tmp_path / "maps" / "backplot.json").read_text())
+    for one in reported:
         for file in (one["file"], one["tracking"]["file"]):
             np.testing.assert_array_equal(np.load(tmp_path / "maps" / file), np.load(done / "out" / file))
     assert main(["backplot", program, "--job", str(without)]) == 0

@@ -98,9 +98,9 @@ def test_repeated_passes_are_steps_of_their_own(tmp_path, lines, heights):
     assert main(command_of("run", tmp_path, heights)) in (0, 4)
     (line,) = lines
     assert [line.known.count(one) for one in ("place", "limits", "chips", "write program")] == [2, 3, 3, 1]
-    told = [(one.step, one.stage) for one in line.seen]
-    assert len({step for step, stage in told if stage == "limits"}) == 3
-    assert len({step for step, stage in told if stage == "place"}) == 2
+    report = [(one.step, one.stage) for one in line.seen]
+    assert len({step for step, stage in report if stage == "limits"}) == 3
+    assert len({step for step, stage in report if stage == "place"}) == 2
 
 
 @pytest.mark.parametrize(

@@ -114,9 +114,9 @@ def test_velocities_need_cubic_interpolation():
 
 def test_the_command_checks_a_dialect(workshop, capsys):
     assert main(["post", "check", workshop]) == 0
-    said = capsys.readouterr().out
-    assert "4 programs written and read back" in said
-    assert "assumed: call" in said
+    text = capsys.readouterr().out
+    assert "4 programs written and read back" in text
+    assert "assumed: call" in text
     assert main(["post", "list"]) == 0
     assert capsys.readouterr().out.count("\n") == len(Dialect.known())
     assert main(["post", "check", "nix"]) == 2

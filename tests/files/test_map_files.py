@@ -130,18 +130,22 @@ def test_the_bytes_tell_the_format_whatever_the_name(tmp_path, name):
 
 
 def test_what_the_file_says_is_kept(tmp_path):
-    said = read(tmp_path, metropro(), "a.dat").metadata
-    assert said["comment"] == "a dish"
-    assert said["objective"] == "Sm Aperture"
-    assert said["wavelength"] == "632.8 nm"
-    assert said["timestamp"] == "2015-04-24T19:54:52+00:00"
+    message = read(tmp_path, metropro(), "a.dat").metadata
+    assert message["comment"] == "a dish"
+    assert message["objective"] == "Sm Aperture"
+    assert message["wavelength"] == "632.8 nm"
+    assert message["timestamp"] == "2015-04-24T19:54:52+00:00"
     assert read(tmp_path, zygo_ascii(), "a.asc").metadata["part"] == "part 7"
     assert read(tmp_path, datx(), "a.datx").metadata["part number"] == "7b"
     assert read(tmp_path, digital_surf(), "a.sur").metadata["comment"] == "a dish"
     assert read(tmp_path, digital_surf(), "a.sur").metadata["date"] == "2010-01-04T08:42:09"
     assert read(tmp_path, sdf_text(), "a.sdf").metadata["comment"] == "OperatorName = Jane Doe"
-    said = read(tmp_path, x3p(), "a.x3p").metadata
-    assert (said["manufacturer"], said["comment"], said["date"]) == ("M", "a dish", "2010-01-04T08:42:09+00:00")
+    message = read(tmp_path, x3p(), "a.x3p").metadata
+    assert (message["manufacturer"], message["comment"], message["date"]) == (
+        "M",
+        "a dish",
+        "2010-01-04T08:42:09+00:00",
+    )
 
 
 @pytest.mark.parametrize("resolution", COUNTS)
@@ -403,9 +407,9 @@ OPEN_QUESTIONS = {
 }
 
 
-@pytest.mark.parametrize(("text", "said"), OPEN_QUESTIONS.values(), ids=OPEN_QUESTIONS)
-def test_what_would_have_to_be_guessed_is_refused(tmp_path, text, said):
-    with pytest.raises(MapError, match=said):
+@pytest.mark.parametrize(("text", "message"), OPEN_QUESTIONS.values(), ids=OPEN_QUESTIONS)
+def test_what_would_have_to_be_guessed_is_refused(tmp_path, text, message):
+    with pytest.raises(MapError, match=message):
         read(tmp_path, text, "a.csv")
 
 
@@ -451,9 +455,9 @@ ARRAYS = {
 }
 
 
-@pytest.mark.parametrize(("name", "data", "said"), ARRAYS.values(), ids=ARRAYS)
-def test_arrays_that_are_no_maps_are_refused(tmp_path, name, data, said):
-    with pytest.raises(MapError, match=said):
+@pytest.mark.parametrize(("name", "data", "message"), ARRAYS.values(), ids=ARRAYS)
+def test_arrays_that_are_no_maps_are_refused(tmp_path, name, data, message):
+    with pytest.raises(MapError, match=message):
         read(tmp_path, data, name)
 
 
@@ -558,8 +562,8 @@ def test_other_programs_read_a_written_x3p_alike(tmp_path):
 
     one = HeightMap(z=UP * 1e-6, x=5 + 0.002 * np.arange(4), y=0.003 * np.arange(3), metadata={"part": "7b"})
     write_map(one, tmp_path / "a.x3p")
-    said = zipfile.ZipFile(tmp_path / "a.x3p").read("main.xml").decode()
-    assert "<Revision>ISO5436 - 2000</Revision>" in said
+    message = zipfile.ZipFile(tmp_path / "a.x3p").read("main.xml").decode()
+    assert "<Revision>ISO5436 - 2000</Revision>" in message
     file = x3pio.read(tmp_path / "a.x3p")
     assert file.metadata.comment == "part: 7b"
     np.testing.assert_allclose(file.layers[0].z, UP * 1e-9, rtol=1e-15)
@@ -598,9 +602,9 @@ UNWRITABLE = {
 }
 
 
-@pytest.mark.parametrize(("one", "name", "said"), UNWRITABLE.values(), ids=UNWRITABLE)
-def test_map_that_a_format_cannot_hold_is_refused_without_a_file(tmp_path, one, name, said):
-    with pytest.raises(MapError, match=said):
+@pytest.mark.parametrize(("one", "name", "message"), UNWRITABLE.values(), ids=UNWRITABLE)
+def test_map_that_a_format_cannot_hold_is_refused_without_a_file(tmp_path, one, name, message):
+    with pytest.raises(MapError, match=message):
         write_map(one, tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
@@ -708,12 +712,12 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize(("name", "data", "said"), BAD.values(), ids=BAD)
-def test_damage_and_harm_end_in_one_sentence_and_take_no_memory(tmp_path, name, data, said):
+@pytest.mark.parametrize(("name", "data", "message"), BAD.values(), ids=BAD)
+def test_damage_and_harm_end_in_one_sentence_and_take_no_memory(tmp_path, name, data, message):
     (tmp_path / name).write_bytes(data)
     tracemalloc.start()
     try:
-        with pytest.raises(MapError, match=said) as caught:
+        with pytest.raises(MapError, match=message) as caught:
             read_map(tmp_path / name)
         peak = tracemalloc.get_traced_memory()[1]
     finally:

@@ -48,12 +48,12 @@ def test_inspection_reports_what_the_files_hold(tmp_path, dialect):
     calls = [line for line in main.splitlines() if line.startswith("M98")]
     call = "M98({})" if dialect == "nanotech" else "M98 <{}>"
     assert calls == [call.format(name) for name in names[1:]]
-    told = inspect_nc(tmp_path / "part.nc")
-    assert told.header.design == "Lens [A.1]"
-    assert told.header.tool == "R1.5 + waviness"
-    assert told.header.date == "2026-01-02"
-    assert told.header.notes == " ".join(["?m", "line"] * 30)
-    assert (told.machine, told.dialect) == ("lathe", dialect)
+    report = inspect_nc(tmp_path / "part.nc")
+    assert report.header.design == "Lens [A.1]"
+    assert report.header.tool == "R1.5 + waviness"
+    assert report.header.date == "2026-01-02"
+    assert report.header.notes == " ".join(["?m", "line"] * 30)
+    assert (report.machine, report.dialect) == ("lathe", dialect)
     assert f"( MINUTES: {done.minutes:.3f} )" in main
 
 

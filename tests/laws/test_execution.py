@@ -107,17 +107,17 @@ def standard():
     "executor", [lambda: local(2), threads_of_this, standard], ids=["local", "threads", "standard"]
 )
 def test_rows_keep_the_order_of_cases_on_any_executor(executor, store):
-    told = []
+    report = []
     asked = cases(12)[::-1]
     with executor() as made:
         rows = run_cases(
-            ours.plain, asked, executor=made, store=store, progress=lambda done, total: told.append((done, total))
+            ours.plain, asked, executor=made, store=store, progress=lambda done, total: report.append((done, total))
         )
     assert rows == [answer(n) for n in range(12)][::-1]
     assert [store.row(case.key) for case in asked] == rows
-    assert told[0] == (0, 12)
-    assert told[-1] == (12, 12)
-    assert told == sorted(told)
+    assert report[0] == (0, 12)
+    assert report[-1] == (12, 12)
+    assert report == sorted(report)
 
 
 def test_no_executor_is_a_pool_of_this_machine():
@@ -212,10 +212,10 @@ def test_ctrl_c_ends_driver_and_workers_and_keeps_results(store, log):
     process = driver(store, log)
     until(lambda: len(store.keys()) >= 10)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: workers too
-    said = process.communicate(timeout=PATIENCE_S)[1]
+    message = process.communicate(timeout=PATIENCE_S)[1]
     assert process.returncode != 0
-    assert said.count("Traceback") == 1  # Python's own of the driver; the workers are quiet
-    assert said.splitlines()[-1] == "KeyboardInterrupt"
+    assert message.count("Traceback") == 1  # Python's own of the driver; the workers are quiet
+    assert message.splitlines()[-1] == "KeyboardInterrupt"
     assert not any(alive(pid) for _, pid in begun(log))
     rows = run_cases(ours.plain, cases(60), shared={"log": log}, store=store)
     assert rows == [answer(n) for n in range(60)]
@@ -255,8 +255,8 @@ def test_a_case_that_fails_is_a_row_with_its_reason(pool, store, log):
 
 def test_a_full_disk_is_one_sentence_and_what_is_finished_stays(store, log):
     asked = cases(20)
-    said = r"is full \(File too large\), finished cases are kept: free"
-    with pytest.raises(StudyError, match=said) as error, local(1) as made:
+    message = r"is full \(File too large\), finished cases are kept: free"
+    with pytest.raises(StudyError, match=message) as error, local(1) as made:
         run_cases(ours.filling, asked, shared={"log": log, "full": 9}, executor=made, store=store)
     assert one_sentence(error)
     assert store.keys() == {f"case-{n}" for n in range(9)}
@@ -392,8 +392,8 @@ def test_cores_are_those_that_one_was_given(monkeypatch):
     there = len(os.sched_getaffinity(0))
     monkeypatch.delenv("TURNWRIGHT_THREADS", raising=False)
     assert cores() == there
-    for told, share in (("1", 1), ("1000", there), ("0", there), ("many", there)):
-        monkeypatch.setenv("TURNWRIGHT_THREADS", told)
+    for report, share in (("1", 1), ("1000", there), ("0", there), ("many", there)):
+        monkeypatch.setenv("TURNWRIGHT_THREADS", report)
         assert cores() == share
     monkeypatch.delenv("TURNWRIGHT_THREADS")
     with at_most(1):
@@ -461,12 +461,12 @@ def test_a_script_that_forgets_its_guard_is_one_sentence(tmp_path):
         "from execution_work import cases, plain\nfrom turnwright.studies import run_cases, local\n"
         "with local(1) as pool:\n    run_cases(plain, cases(2), executor=pool)\n"
     )
-    told = subprocess.run(
+    report = subprocess.run(
         [sys.executable, str(script)], env=os.environ | {"PYTHONPATH": str(HERE)}, capture_output=True, text=True,
         check=False, timeout=PATIENCE_S,
     )  # fmt: skip
-    assert told.returncode == 1
-    assert told.stderr.splitlines()[-1] == (
+    assert report.returncode == 1
+    assert report.stderr.splitlines()[-1] == (
         "turnwright.errors.StudyError: no worker process can be started (exit code 1): start the work of a script "
         'below if __name__ == "__main__":, or use fewer workers'
     )
@@ -480,8 +480,8 @@ def test_work_that_cannot_travel_is_one_sentence(pool):
 
 
 def test_a_broken_foreign_pool_is_one_sentence(store, log):
-    said = r"runs no more cases \(BrokenProcessPool.* finished cases are kept"
-    with pytest.raises(StudyError, match=said) as error, standard() as made:
+    message = r"runs no more cases \(BrokenProcessPool.* finished cases are kept"
+    with pytest.raises(StudyError, match=message) as error, standard() as made:
         run_cases(ours.deadly, cases(40), shared={"log": log, "killer": 9}, executor=made, store=store)
     assert one_sentence(error)
     assert store.keys()
@@ -592,14 +592,14 @@ def test_a_dask_cluster_computes_each_case_once(store, log, caplog):
             assert rows == [answer(n) for n in range(20)]
             assert not alive(killed[0][1])
             until(lambda: executor.workers == 2)  # Dask brings it back
-            told = run_cases(ours.threads, cases(12), executor=executor)
+            report = run_cases(ours.threads, cases(12), executor=executor)
             apart = Store.open(f"memory://{os.getpid()}-{id(store)}")  # each process has one of its own
             run_cases(ours.plain, cases(4), executor=executor, store=apart)
             assert [apart.row(f"case-{n}") for n in range(4)] == [answer(n) for n in range(4)]
         assert_once_but_for(1, 20, log)
         assert store.keys() == {f"case-{n}" for n in range(20)}
         assert len({pid for _, pid in begun(log)} - {os.getpid()}) >= 2
-        assert {row["cores"] for row in told} == {1}  # two on two cores, not four
+        assert {row["cores"] for row in report} == {1}  # two on two cores, not four
 
         once = len(begun(log))
 

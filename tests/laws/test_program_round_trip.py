@@ -87,12 +87,12 @@ def test_every_pass_comes_back_under_its_name(tmp_path_factory, data):
     for name, motion in passes.items():
         assert_same(read_nc(path, machine, name=name), motion, machine.dialect, reach)
     assert_same(read_nc(path, machine), passes["finish"], machine.dialect, reach)
-    told = inspect_nc(path)
-    assert [one.hash for one in told.passes] == [one.hash for one in done.passes]
-    assert [one.name for one in told.passes] == list(passes)
-    assert [(one.points, one.sense) for one in told.passes] == [(m.time.size, m.sense) for m in passes.values()]
+    report = inspect_nc(path)
+    assert [one.hash for one in report.passes] == [one.hash for one in done.passes]
+    assert [one.name for one in report.passes] == list(passes)
+    assert [(one.points, one.sense) for one in report.passes] == [(m.time.size, m.sense) for m in passes.values()]
     minutes = [(m.time[-1] - m.time[0]) / 60 for m in passes.values()]
-    assert [one.minutes for one in told.passes] == pytest.approx(minutes, abs=0.00051)
+    assert [one.minutes for one in report.passes] == pytest.approx(minutes, abs=0.00051)
 
 
 def reformatted(text, random):

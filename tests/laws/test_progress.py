@@ -17,17 +17,17 @@ from turnwright.tool import Tool
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize(("total", "chunk"), [(0, 3), (1, 3), (10, 3), (12, 3)])
 def test_every_place_is_worked_on_once_and_reported(threads, total, chunk):
-    places, told = [], []
+    places, report = [], []
     run_chunks(
         lambda start, stop: places.extend(range(start, stop)),
         total,
         chunk,
-        lambda *at: told.append(at),
+        lambda *at: report.append(at),
         threads=threads,
     )
     assert sorted(places) == list(range(total))
-    assert told == sorted(told)
-    assert told[-1:] == [(total, total)] * (total > 0)
+    assert report == sorted(report)
+    assert report[-1:] == [(total, total)] * (total > 0)
 
 
 @pytest.mark.parametrize(("chunk", "threads"), [(2, 1), (5, 2)])
@@ -70,7 +70,7 @@ def test_work_that_exceeds_the_memory_is_refused_beforehand(monkeypatch):
     assert servo.extent(part, tool)[0] > 3e7  # which is counted without being made
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the limit is told by Linux")
+@pytest.mark.skipif(sys.platform != "linux", reason="the limit is reported by Linux")
 def test_the_limit_of_a_process_counts_as_memory():
     """Oracle: the limit that is set, less what the process has."""
     code = (
@@ -92,11 +92,11 @@ def overall(*works, clock=None):
 def test_a_fraction_is_the_work_that_is_done_and_never_falls():
     """Oracle: shares of 1, 2, 1 and 4 s, by hand."""
     whole, seen = overall(("plan", 1.0), ("place", 2.0), ("plan", 1.0), ("place", 4.0))
-    for told in (
+    for report in (
         ("plan", 0, 1), ("plan", 1, 1), ("plan", 1, 1), ("place", 0, 1), ("place", 1, 2), ("place", 1, 4),
         ("place", 1, 1), ("plan", 0, 1), ("plan", 1, 1), ("place", 0, 1), ("place", 3, 4),
     ):  # fmt: skip
-        whole(*told)
+        whole(*report)
     whole.finish()
     assert [one.fraction * 8 for one in seen] == [0, 1, 1, 1, 2, 2, 3, 3, 4, 4, 7, 8]
     assert [one.step for one in seen] == [1, 1, 1, 2, 2, 2, 2, 3, 3, 4, 4, 4]
@@ -104,8 +104,8 @@ def test_a_fraction_is_the_work_that_is_done_and_never_falls():
 
 def test_skipped_steps_count_as_done():
     whole, seen = overall(("plan", 1.0), ("chips", 1.0), ("write", 2.0))
-    for told in (("plan", 1, 1), ("dust", 1, 2), ("write", 0, 0)):
-        whole(*told)
+    for report in (("plan", 1, 1), ("dust", 1, 2), ("write", 0, 0)):
+        whole(*report)
     assert [(one.stage, one.step, one.fraction) for one in seen] == [
         ("plan", 1, 0.25), ("dust", 1, 0.25), ("write", 3, 0.5),
     ]  # fmt: skip

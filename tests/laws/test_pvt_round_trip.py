@@ -108,9 +108,9 @@ def test_a_block_is_position_colon_velocity_after_its_time(tmp_path):
     assert rows[first - 1] == "DWELL10"
     assert sum("PVT" in row for row in rows[first:]) == 1  # one time for all
     k = 1000
-    said = re.fullmatch(r"C([\d.-]+):([\d.-]+) X([\d.-]+):([\d.-]+) Z([\d.-]+):([\d.-]+)", rows[first + k])
+    message = re.fullmatch(r"C([\d.-]+):([\d.-]+) X([\d.-]+):([\d.-]+) Z([\d.-]+):([\d.-]+)", rows[first + k])
     wanted = [np.rad2deg(3.0), np.rad2deg(6.0), 4.5, -1.0, motion.axes["Z"][k], motion.velocity["Z"][k]]
-    assert [float(number) for number in said.groups()] == pytest.approx(wanted, abs=HALF)
+    assert [float(number) for number in message.groups()] == pytest.approx(wanted, abs=HALF)
     assert rows[first + 2000 + 1] == "LINEAR"
     assert rows[first + 2000].split()[2].endswith(":0.000000")
 

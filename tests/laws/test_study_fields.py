@@ -81,7 +81,7 @@ def test_any_field_of_the_job_can_be_varied(job, name, given, value):
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("tool.nosradius", "tool.nosradius is not a field of this job: did you mean tool.nose_radius?"),
         ("strategy.spindle_rpm", "did you mean strategy.spindle_speed?"),
@@ -97,15 +97,15 @@ def test_any_field_of_the_job_can_be_varied(job, name, given, value):
         ("passes..feed", "is not a field of this job"),
     ],
 )
-def test_a_field_that_is_not_there_is_named_with_the_nearest(job, name, said):
+def test_a_field_that_is_not_there_is_named_with_the_nearest(job, name, message):
     with pytest.raises(InputError) as error:
         find_field(job, name)
-    assert said in str(error.value)
+    assert message in str(error.value)
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("name", "given", "said"),
+    ("name", "given", "message"),
     [
         ("tool.nose_radius", "0.1..1 um/rev:3", "'1 um/rev' is a feed per revolution, it must be a length"),
         ("tool.nose_radius", "0.1..1:3", "'1' has no unit, it must be a length"),
@@ -133,10 +133,10 @@ def test_a_field_that_is_not_there_is_named_with_the_nearest(job, name, said):
         ("strategy.feed", "-1..1 mm/min:3", "strategy.feed: -1.0 mm/min is not above 0 mm/min: give a larger value"),
     ],
 )  # fmt: skip
-def test_values_that_are_wrong_are_refused_in_one_sentence(job, name, given, said):
+def test_values_that_are_wrong_are_refused_in_one_sentence(job, name, given, message):
     with pytest.raises(InputError) as error:
         read_varied(job, name, given)
-    assert said in str(error.value)
+    assert message in str(error.value)
     assert "\n" not in str(error.value)
 
 
@@ -207,7 +207,7 @@ def test_every_whole_number_of_a_range_is_drawn_as_often(job, design):
 
 
 @pytest.mark.parametrize(
-    ("how", "said"),
+    ("how", "message"),
     [
         ({"design": "sobol"}, "the design 'sobol' needs a number of cases, 1"),
         ({"design": "soboll", "count": 3}, "design is 'soboll', it must be grid, random, sobol"),
@@ -241,11 +241,11 @@ def test_every_whole_number_of_a_range_is_drawn_as_often(job, design):
         ({"measure": 3}, "a measure is 3, it must be a name or a function"),
     ],
 )
-def test_impossible_study_is_refused_before_any_case_runs(job, how, said):
+def test_impossible_study_is_refused_before_any_case_runs(job, how, message):
     asked = {"vary": {"strategy.feed": "5, 10 um/rev"}, "measure": "minutes", **how}
     with pytest.raises(InputError) as error:
         study(job, executor=Executor(), **asked)  # a call of that executor would fail
-    assert said in str(error.value)
+    assert message in str(error.value)
     assert "\n" not in str(error.value)
 
 

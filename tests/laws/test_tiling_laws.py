@@ -38,13 +38,13 @@ def test_any_tile_and_any_stop_give_the_same_map_and_roughness(name, tile, stop)
     with TemporaryDirectory() as folder:
         heights, overview, rough = whole(name, folder)
 
-        def told(done, _total):
+        def report(done, _total):
             if done >= stop:
                 raise EnoughError
 
         asked = {"pixel": 0.002, "store": f"{folder}/map", "tile": tile, **CASES[name]}
         with pytest.raises(EnoughError):
-            tw.studies.generate_tiled(MOTION, TOOL, progress=told, **asked) and told(stop, 0)
+            tw.studies.generate_tiled(MOTION, TOOL, progress=report, **asked) and report(stop, 0)
         made = tw.studies.generate_tiled(MOTION, TOOL, **asked)
         assert np.array_equal(made.height_map().z, heights, equal_nan=True)
         assert np.array_equal(made.height_map(2).z, overview, equal_nan=True)

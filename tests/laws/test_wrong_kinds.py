@@ -102,11 +102,11 @@ CALLS = {
     "key": lambda at, it: at["store"].row(it),
     "array": lambda at, it: at["store"].array(it),
     "place": lambda _at, it: Store(place=it),
-    "told of a study": lambda at, it: study(at, progress=it),
-    "told of a tolerance": lambda at, it: tolerance(at, progress=it),
-    "told of tiles": lambda at, it: tiled(at, progress=it),
-    "told of a roughness": lambda at, it: at["made"].roughness(progress=it),
-    "told of cases": lambda _at, it: run_cases(row, [], executor=ThreadPoolExecutor(1), progress=it),
+    "progress of a study": lambda at, it: study(at, progress=it),
+    "progress of a tolerance": lambda at, it: tolerance(at, progress=it),
+    "progress of tiles": lambda at, it: tiled(at, progress=it),
+    "progress of a roughness": lambda at, it: at["made"].roughness(progress=it),
+    "progress of cases": lambda _at, it: run_cases(row, [], executor=ThreadPoolExecutor(1), progress=it),
     "drawn": lambda at, it: study(at, vary={"tool.nose_radius": "0.1..1 mm"}, design="random", count=it),
     "drawn by": lambda at, it: study(at, vary={"tool.nose_radius": "0.1..1 mm"}, design="sobol", count=2, seed=it),
     "design": lambda at, it: study(at, design=it),
@@ -126,14 +126,14 @@ CALLS = {
 @pytest.mark.parametrize("name", CALLS)
 def test_what_is_of_the_wrong_kind_is_a_sentence(name, there, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    said = []
+    message = []
     for value in WRONG:
         try:
             CALLS[name](there, value)
         except InputError as error:
-            said.append(str(error))
-    assert len(said) >= 12  # some take None, or a number, or a text
-    assert not [one for one in said if "\n" in one or len(one) > 1000]
+            message.append(str(error))
+    assert len(message) >= 12  # some take None, or a number, or a text
+    assert not [one for one in message if "\n" in one or len(one) > 1000]
 
 
 def test_the_name_of_a_test_part_is_no_list_of_its_letters():

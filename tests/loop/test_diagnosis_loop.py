@@ -180,7 +180,7 @@ def test_a_lag_needs_a_fiducial():
     asked = {"error_sources": ("servo lag", "offset x"), "waviness": (3,)}
     hidden = tw.diagnose(heights, part, TOOL, MACHINE, **asked)["servo lag"]
     assert not hidden.determined
-    assert "fiducial" in hidden.why
+    assert "fiducial" in hidden.explanation
     seen = tw.diagnose(heights, part, TOOL, MACHINE, free=("piston", "tilt", "decentre"), **asked)["servo lag"]
     assert seen.determined
     assert seen.interval[0] < 2e-4 < seen.interval[1]

@@ -48,7 +48,7 @@ def test_a_drift_that_is_no_source_passes_for_none(drifted):
     part, _, found, better = drifted
     for name in ("offset x", "radius error", "squareness"):
         low, high = found[name].interval
-        assert low < 0 < high, found[name].why
+        assert low < 0 < high, found[name].explanation
     assert part.judged(commander(better.job)) < 0.5 * part.judged()
 
 
@@ -60,7 +60,7 @@ def test_lobes_that_are_no_source_pass_for_none():
     found = tw.diagnose(maps)
     for name in ("offset x", "radius error", "squareness"):
         low, high = found[name].interval
-        assert low < 0 < high, found[name].why
+        assert low < 0 < high, found[name].explanation
     one, _ = outcome(part, maps, found, 0.0, anew=False)
     assert one.written
     assert one.after < 0.5 * one.before
@@ -96,7 +96,7 @@ def test_a_drift_that_swings_passes_for_no_source(size, cycles, begun):
     found = tw.diagnose(measured(part, 1))
     for name in ("offset x", "radius error"):
         low, high = found[name].interval
-        assert low < 0 < high, found[name].why
+        assert low < 0 < high, found[name].explanation
 
 
 def freeform(errors):
@@ -193,10 +193,10 @@ def test_lobes_that_test_parts_show_are_reported_to_stay(tmp_path):
     part = sample(replace(LOBED, offset=(7e-3, 0.0, 0.0)))
     found = tw.diagnose(maps_of(part, np.random.default_rng(1)))
     better = tw.correct(part.job, found, out=tmp_path / "better")
-    said = [one for one in better.sentences if "not corrected on this part" in one]
-    assert len(said) == 1
-    assert "axial error motion of the spindle" in said[0]
-    assert "drift" not in said[0]
+    message = [one for one in better.sentences if "not corrected on this part" in one]
+    assert len(message) == 1
+    assert "axial error motion of the spindle" in message[0]
+    assert "drift" not in message[0]
 
 
 @pytest.mark.proof

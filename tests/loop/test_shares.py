@@ -165,11 +165,11 @@ def test_a_plan_keeps_its_tolerances(response, tmp_path):
     )
     chosen = plan(job)
     assert chosen.limits.ok
-    assert chosen.shares.pv_nm <= 100
-    assert chosen.shares.sq_nm <= 8
-    assert chosen.shares.sq_nm > 5, "the finish tolerance is used up"
+    assert chosen.breakdown.pv_nm <= 100
+    assert chosen.breakdown.sq_nm <= 8
+    assert chosen.breakdown.sq_nm > 5, "the finish tolerance is used up"
     if response is not None:
-        assert chosen.shares.tracking_nm > 5, "the speed is used up"
+        assert chosen.breakdown.tracking_nm > 5, "the speed is used up"
     result = run(chosen.job)
     assert result.limits.points == chosen.limits.points
     assert result.limits.cycle_time_s == pytest.approx(chosen.limits.cycle_time_s, rel=1e-3)

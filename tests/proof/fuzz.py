@@ -127,25 +127,25 @@ class Inline:
 
 def ask(case: Case, folder: Path, listener: Listener) -> tuple[int, str]:
     """Give an input, written to a folder, to its door."""
-    said, code = io.StringIO(), 0
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+    output, code = io.StringIO(), 0
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
         try:
             if case.door == "request":
                 code, text = _request(case, folder)
-                said.write(text)
+                output.write(text)
             elif case.door in ("map", "run"):
                 with warnings.catch_warnings():
                     warnings.simplefilter("always")
-                    warnings.showwarning = lambda message, *_args, **_more: said.write(f"warning: {message}\n")
+                    warnings.showwarning = lambda message, *_args, **_more: output.write(f"warning: {message}\n")
                     code = _by_name(case, folder, listener)
             else:
                 code = _by_command(case, folder, listener)
         except InputError as error:
             code = 2
-            said.write(f"{error}\n")
+            output.write(f"{error}\n")
         except Announced:
             code = 0
-    return code, said.getvalue()
+    return code, output.getvalue()
 
 
 def _by_name(case: Case, folder: Path, listener: Listener) -> int:
@@ -217,12 +217,12 @@ def _request(case: Case, folder: Path) -> tuple[int, str]:
     status = answer[0]["status"] if answer else 500
     sent = b"".join(one.get("body", b"") for one in answer[1:])
     try:
-        told = json.loads(sent, parse_constant=lambda name: f"the number {name} ")
+        report = json.loads(sent, parse_constant=lambda name: f"the number {name} ")
     except (ValueError, RecursionError):
         return (1 if status >= 500 else 0), ""
-    told = told if isinstance(told, dict) else {}
-    errors = told.get("errors") or []
-    lines = [str(told.get("detail", "")), *(str(one["sentence"]) for one in errors if isinstance(one, dict))]
+    report = report if isinstance(report, dict) else {}
+    errors = report.get("errors") or []
+    lines = [str(report.get("detail", "")), *(str(one["sentence"]) for one in errors if isinstance(one, dict))]
     if status == 500:
         lines.append(f"defect of Turnwright: {(_server().state.folder / 'defects.log').read_text()[-3000:]}")
     return (1 if status == 500 else 2 if status >= 400 or errors else 0), "\n".join(lines)

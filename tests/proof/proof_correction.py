@@ -186,8 +186,8 @@ def main():
         if name == "all":
             good = good and abs(found.unexplained_rms_nm / UNEXPLAINED_NM - 1) < 0.15
         failed += not good
-        told = " -> ".join(f"{one:.2f}" for one in residual)
-        print(f"{'' if good else 'FAILED: '}{name}: {told} nm, of at least {before:g} at most {after:g}", flush=True)
+        report = " -> ".join(f"{one:.2f}" for one in residual)
+        print(f"{'' if good else 'FAILED: '}{name}: {report} nm, of at least {before:g} at most {after:g}", flush=True)
     return failed
 
 

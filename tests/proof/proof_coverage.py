@@ -24,9 +24,9 @@ def main(trials=100, seed=0):
         narrow = powers != (3, 4, 5) or (usual[:4] < model_trials.NARROW).all()
         failed = bool(hits.min() < 0.9 * trials or abs(worst - 20) > 0.07 * 20 or not narrow)
         bad += failed
-        told = " ".join(f"{one:.1e}" for one in usual)
+        report = " ".join(f"{one:.1e}" for one in usual)
         name = f"waviness {powers}"
-        print(f"{name:20s} {trials:7d} {hits.min() / trials:12.3f} {worst:18.2f}   {told}{'  FAILED' * failed}")
+        print(f"{name:20s} {trials:7d} {hits.min() / trials:12.3f} {worst:18.2f}   {report}{'  FAILED' * failed}")
     hits, together = model_trials.neighbours(trials, seed)
     usual = float(np.median(together))
     failed = bool(hits < 0.9 * trials or abs(usual / model_trials.AS_ONE - 1) > 0.5)

@@ -245,11 +245,11 @@ def main(parts=24, seed=1):
             before, after, clean = (
                 np.array([getattr(one, name) for one in every]) for name in ("before", "after", "clean")
             )
-            told = f"{np.mean(hits):.3f} of {len(hits)}" if count == 1 and hits else ""
+            report = f"{np.mean(hits):.3f} of {len(hits)}" if count == 1 and hits else ""
             print(
                 f"{group:9s} {count:4d} {np.mean([one.written for one in every]):7.2f} {np.median(before):8.2f} "
                 f"{np.median(after):8.2f} {np.median(clean):8.2f} {np.max(after - before):6.2f} "
-                f"{np.mean(after <= 0.5 * before):5.2f} {np.mean(after <= 1.3 * clean):10.2f}  {told:>13s} "
+                f"{np.mean(after <= 0.5 * before):5.2f} {np.mean(after <= 1.3 * clean):10.2f}  {report:>13s} "
                 f"{np.median([one.seconds for one in every]):5.2f}"
             )
             bad += failures(group, count, every)

@@ -137,13 +137,13 @@ def in_time(shape, phi, time, rpm, entry, phase, teeth=1):
 def recorded(random, force, *, noise=5e-3):
     """What a dynamometer with resonance and cross-talk says of forces, with noise that hangs together and drift."""
     count = force.shape[0]
-    said = through(force)
-    together = np.sqrt(0.75) * lfilter([1], [1, -0.5], random.normal(size=said.shape), axis=0)
+    measured = through(force)
+    together = np.sqrt(0.75) * lfilter([1], [1, -0.5], random.normal(size=measured.shape), axis=0)
     share = (np.arange(count) / count)[:, None]
     drift = (
         np.array([0.02, -0.05, 0.03]) * share + np.array([0.01, 0.01, -0.02]) * share**2 + 0.1 * random.normal(size=3)
     )
-    return said + noise * together + drift
+    return measured + noise * together + drift
 
 
 def turning_record(random, *, noise=5e-3, feeds=None, nose=1.0, depth=0.020, each=0.25, gap=0.03, brittle=True):
@@ -189,10 +189,10 @@ def milling_record(random, kind, *, noise=5e-3, brittle=True):
     return recorded(random, force, noise=noise), glass, geometry, rpm
 
 
-def found_back(random, said):
+def found_back(random, measured):
     """The forces through the inverse of the dynamometer as taps tell it."""
     sensor = Dynamometer.from_taps(tap_tests(random))
-    record = ForceRecord(force=said, rate_hz=RATE, channels=CHANNELS)
+    record = ForceRecord(force=measured, rate_hz=RATE, channels=CHANNELS)
     return sensor, sensor.forces(record, bandwidth_hz=5000.0, noise_to_signal=0.01)
 
 
@@ -203,8 +203,8 @@ def shares(sensor, true, cuts):
 
 
 def learned_turning(random, *, noise=5e-3, **more):
-    said, glass, feeds = turning_record(random, noise=noise)
-    sensor, true = found_back(random, said)
+    measured, glass, feeds = turning_record(random, noise=noise)
+    sensor, true = found_back(random, measured)
     cuts = engagements(true, "Fz", shortest=0.02, drift=2, lead=0.08)
     rows = turning_cuts(
         true, cuts, nose_radius=1.0, depth=0.02, feed=feeds, block=2e-3, guard=2e-3,
@@ -214,8 +214,8 @@ def learned_turning(random, *, noise=5e-3, **more):
 
 
 def learned_milling(random, kind, *, block, brittle=True, **more):
-    said, glass, geometry, rpm = milling_record(random, kind, brittle=brittle)
-    sensor, true = found_back(random, said)
+    measured, glass, geometry, rpm = milling_record(random, kind, brittle=brittle)
+    sensor, true = found_back(random, measured)
     cuts = [[int(0.2 * RATE), true.samples - int(0.2 * RATE)]]
 
     def passband(frequency):

@@ -26,8 +26,8 @@ def through(force, rate=RATE):
     count = 2 * force.shape[0]
     frequency = np.fft.rfftfreq(count, 1 / rate)
     spectrum = np.fft.rfft(np.concatenate([force, np.zeros_like(force)]), axis=0)
-    said = np.fft.irfft((true_response(frequency) @ spectrum[:, :, None])[:, :, 0], count, axis=0)
-    return said[: force.shape[0]]
+    measured = np.fft.irfft((true_response(frequency) @ spectrum[:, :, None])[:, :, 0], count, axis=0)
+    return measured[: force.shape[0]]
 
 
 def tap_tests(random, *, each=5, count=2560, rate=RATE, noise=1e-3, hammer_noise=0.01):
@@ -41,12 +41,12 @@ def tap_tests(random, *, each=5, count=2560, rate=RATE, noise=1e-3, hammer_noise
             stroke = np.where(np.abs(time - middle) < width / 2, np.cos(np.pi * (time - middle) / width) ** 2, 0.0)
             stroke *= 10 * random.uniform(0.7, 1.3)
             direction = np.eye(3)[axis]
-            said = through(stroke[:, None] * direction, rate)
+            measured = through(stroke[:, None] * direction, rate)
             taps.append(
                 TapTest(
                     hammer=stroke + hammer_noise * random.normal(size=count),
                     direction=direction,
-                    response=said + noise * random.normal(size=said.shape),
+                    response=measured + noise * random.normal(size=measured.shape),
                     rate_hz=rate,
                 )
             )
@@ -78,13 +78,13 @@ def ramp_record(random, *, seconds=1.4, noise=5e-3, period=0.05, engaged=0.035):
     thrust = np.where(brittle, truth.thrust * truth.critical * 0.7, truth.thrust * chip) * WIDTH * on
     # Fracture comes and goes: the force of brittle cutting fluctuates.
     cutting = cutting * (1 + 0.05 * brittle * lfilter([0.3], [1, -0.954], random.normal(size=count)))
-    said = through(np.column_stack((0.1 * cutting, cutting, thrust)))
-    together = np.sqrt(0.75) * lfilter([1], [1, -0.5], random.normal(size=said.shape), axis=0)
+    measured = through(np.column_stack((0.1 * cutting, cutting, thrust)))
+    together = np.sqrt(0.75) * lfilter([1], [1, -0.5], random.normal(size=measured.shape), axis=0)
     share = (time / seconds)[:, None]
     drift = (
         np.array([0.02, -0.05, 0.03]) * share + np.array([0.01, 0.01, -0.02]) * share**2 + 0.1 * random.normal(size=3)
     )
-    return ForceRecord(force=said + noise * together + drift, rate_hz=RATE, channels=CHANNELS), truth
+    return ForceRecord(force=measured + noise * together + drift, rate_hz=RATE, channels=CHANNELS), truth
 
 
 def learned(record, taps, **more):

@@ -208,10 +208,10 @@ X3P = """<?xml version="1.0" encoding="UTF-8"?>{before}
 <Record4><ChecksumFile>md5checksum.hex</ChecksumFile></Record4></p:ISO5436_2>"""
 
 
-def x3p(picture=PICTURE, *, data=None, **said):
+def x3p(picture=PICTURE, *, data=None, **fields):
     """ISO 25178-72: heights in m, rows ascending in y, so the picture goes in from its bottom."""
     rows, columns = picture.shape
-    values = {"before": "", "x": 2e-6, "y": 3e-6, "comment": "a dish", "rows": rows, "columns": columns, **said}
+    values = {"before": "", "x": 2e-6, "y": 3e-6, "comment": "a dish", "rows": rows, "columns": columns, **fields}
     raw = (picture[::-1] * 1e-9).astype("<f8").tobytes() if data is None else data
     return archive({"main.xml": X3P.format(**values).encode(), "bindata/data.bin": raw})
 

@@ -167,9 +167,9 @@ class Bench:
 
     def answer(self, path, act):
         """Return what the server answers to the first question at a path that `act` makes the page ask."""
-        with self.page.expect_response(lambda one: urlsplit(one.url).path.endswith(path) and one.ok) as told:
+        with self.page.expect_response(lambda one: urlsplit(one.url).path.endswith(path) and one.ok) as response:
             act()
-        return told.value
+        return response.value
 
     def download(self, link):
         """Return the bytes that a link leads to."""

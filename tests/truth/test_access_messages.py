@@ -31,7 +31,7 @@ PART = Part(surface=Bowl(0.2), radius=2.0)
 TOOL = Tool(nose_radius=0.5, included=np.deg2rad(60), clearance=np.deg2rad(12))
 
 
-def said(tool, name, part=PART):
+def message(tool, name, part=PART):
     access = check_access(part, tool)
     item = next(item for item in access.findings if item.name == name)
     assert access.ok == all(other.ok for other in access.findings)
@@ -49,15 +49,15 @@ def said(tool, name, part=PART):
     ],
 )
 def test_a_tool_that_does_not_pass(tool, name, words):
-    item = said(tool, name)
+    item = message(tool, name)
     assert not item.ok
     assert words in item.sentence
     assert item.margin is None or item.margin < 0
-    assert said(TOOL, name).ok
+    assert message(TOOL, name).ok
 
 
 def test_margins_are_what_is_left():
-    included, clearance = said(TOOL, "included angle"), said(TOOL, "clearance")
+    included, clearance = message(TOOL, "included angle"), message(TOOL, "clearance")
     assert included.margin == pytest.approx(np.deg2rad(60) - 2 * np.arctan(0.4))
     assert clearance.margin == pytest.approx(np.deg2rad(12) - np.arctan(0.2))
     assert np.hypot(*included.where) == pytest.approx(2)
@@ -65,7 +65,7 @@ def test_margins_are_what_is_left():
 
 def test_what_is_not_needed_need_not_be_stated():
     tool = Tool(nose_radius=0.5, included=1.0)
-    assert said(tool, "clearance", Part(surface=Bowl(0.0), radius=2.0)).ok
+    assert message(tool, "clearance", Part(surface=Bowl(0.0), radius=2.0)).ok
 
 
 def test_the_sense_is_a_sign():

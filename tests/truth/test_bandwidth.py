@@ -95,7 +95,7 @@ def test_a_fast_tool_is_judged_by_all_of_its_limits():
     """0.04 mm at 400 waves of 2 turns/s: beyond 0.035 mm, 700 Hz, 100 mm/s and 1e5 mm/s^2, all of them."""
     turned = np.linspace(0, 3 * TURN, 3 * 20_000 + 1)
     found = limits(0.04 * np.sin(400 * turned), turned)
-    said = " ".join(found.findings)
+    message = " ".join(found.findings)
     assert not found.ok
     for words in (
         "W speed reaches 200",
@@ -103,9 +103,9 @@ def test_a_fast_tool_is_judged_by_all_of_its_limits():
         "W bandwidth reaches 801 Hz",
         "W goes to 0.0399",
     ):
-        assert words in said
-    assert "104.9 rev/min" in said  # 120 * 700 / 801
-    assert "to Z" in said
+        assert words in message
+    assert "104.9 rev/min" in message  # 120 * 700 / 801
+    assert "to Z" in message
     assert found.utilisation["W bandwidth"] == pytest.approx(801 / 700)
     # The lathe itself turns steadily: a block every 1/32 of a turn and not 40 000 blocks/s.
     assert found.block_rate_hz < 2 * 64

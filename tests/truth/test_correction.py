@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from turnwright import HeightMap, InputError, Part, Plane
-from turnwright.metrology.smoothing import _binned, _smoothed, form_compensation, smooth_table
+from turnwright.metrology.smoothing import _bin_points, _fit_table, form_compensation, smooth_table
 
 FLAT = Part(surface=Plane(slope=(0.0, 0.0)), radius=5.0)
 
@@ -30,7 +30,7 @@ def test_a_wave_keeps_the_share_of_a_thin_plate(wavelength):
     side = np.linspace(-6, 6, 241)
     x, y = (at.ravel() for at in np.meshgrid(side, side))
     wave = np.cos(2 * np.pi * (0.8 * x + 0.6 * y) / wavelength)
-    table = _smoothed(_binned(x, y, wave, 0.1, 7.0), 1.0, 7.0)
+    table = _fit_table(_bin_points(x, y, wave, 0.1, 7.0), 1.0, 7.0)
     inner = np.hypot(x, y) < 3.5
     kept = (table.sag(x, y)[inner] @ wave[inner]) / (wave[inner] @ wave[inner])
     # Means over cells and the splines' own reach cost a percent at five steps to the cutoff.

@@ -207,5 +207,5 @@ def test_cusps_grow_with_the_bend_of_a_wave():
     for k, sweep in enumerate(found.sweep):
         here = {s: sweep, at: sweep, r0: 0.5 + 1e-3 * sweep**2 + 2e-3 * sweep**3,
                 r1: 2e-3 * sweep + 6e-3 * sweep**2, r2: 2e-3 + 12e-3 * sweep}  # fmt: skip
-        told = [float(sp.diff(bent, one).subs(here)) * np.cos(tool.rake) for one in (r0, r1, r2)]
-        assert found.between_by[:, k] == pytest.approx(told, rel=1e-10)
+        report = [float(sp.diff(bent, one).subs(here)) * np.cos(tool.rake) for one in (r0, r1, r2)]
+        assert found.between_by[:, k] == pytest.approx(report, rel=1e-10)

@@ -35,12 +35,12 @@ def test_responses_are_carried_to_any_frequency_across_the_peak(quiet):
 
 def test_a_force_comes_back_through_ringing_and_cross_talk(quiet):
     force = square()
-    said = through(force)
-    ringing = np.abs(said[5005:5100] - said[15_000]).max()
-    found = quiet.forces(ForceRecord(force=said, rate_hz=RATE, channels=CHANNELS), **BAND).force
+    message = through(force)
+    ringing = np.abs(message[5005:5100] - message[15_000]).max()
+    found = quiet.forces(ForceRecord(force=message, rate_hz=RATE, channels=CHANNELS), **BAND).force
     left = np.abs(found - force)[5200:19_800].max()
     assert ringing > 0.01
-    assert np.abs(said - force)[15_000:16_000].max() > ACROSS * 0.1
+    assert np.abs(message - force)[15_000:16_000].max() > ACROSS * 0.1
     assert left < 5e-4 * 0.2
 
 

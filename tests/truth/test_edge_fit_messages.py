@@ -57,10 +57,10 @@ def test_a_cutoff_longer_than_the_arc():
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "told"), [("cutoff", 0.0, "cutoff is 0 mm"), ("tilt", 1.0, "tilt is 1 rad .57.29")]
+    ("key", "value", "report"), [("cutoff", 0.0, "cutoff is 0 mm"), ("tilt", 1.0, "tilt is 1 rad .57.29")]
 )
-def test_numbers_out_of_range(key, value, told):
-    with pytest.raises(InputError, match=told):
+def test_numbers_out_of_range(key, value, report):
+    with pytest.raises(InputError, match=report):
         fit_edge(*ARC, **{"toward_x": 1, "cutoff": 0.01, key: value})
 
 
@@ -72,7 +72,7 @@ def test_one_radius_is_kept_as_nominal():
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "report"),
     [
         ("1,2,3\n", "has no line 'X,Y,Z' above its points, and not two columns: export"),
         ("Number of data,661,16\nX,Y,Z\n1,2,3\n", "holds 16 profiles, the limit is 1: give its number"),
@@ -81,10 +81,10 @@ def test_one_radius_is_kept_as_nominal():
         ("X,Y,Z\n1\n2\n", "has 2 rows, it needs rows"),
     ],
 )
-def test_files_that_are_no_trace(tmp_path: Path, text, told):
+def test_files_that_are_no_trace(tmp_path: Path, text, report):
     path = tmp_path / "trace.csv"
     path.write_text(text)
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=report):
         read_edge_trace(path)
 
 

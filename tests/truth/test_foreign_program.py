@@ -261,14 +261,14 @@ SLOW = {
 def test_lines_of_blanks_take_no_time(tmp_path, name, headed):
     text = (SLOW[name] if headed else START + SLOW[name]) + "C2\nM30\n"
     started = time.process_time()
-    said = ""
+    output = ""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ProgramWarning)
         try:
             read(tmp_path, text)
         except ProgramError as error:
-            said = str(error)
-    assert len(said.replace(str(tmp_path), "")) < 400
+            output = str(error)
+    assert len(output.replace(str(tmp_path), "")) < 400
     assert time.process_time() - started < 1.0
 
 

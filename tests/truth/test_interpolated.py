@@ -8,7 +8,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 import turnwright as tw
 from turnwright.job import interpolation as _interpolated
-from turnwright.job.interpolation import chord_error, interpolated
+from turnwright.job.interpolation import chord_error, interpolate_motion
 
 MACHINE = tw.Machine(
     name="test",
@@ -40,7 +40,7 @@ def off_the_cubics(made, motion):
 @pytest.mark.parametrize("points", [24, 120])
 def test_pieces_of_a_pvt_motion_agree_to_a_hundredth_of_a_nm(points):
     motion = pvt_motion(points)
-    made = interpolated(motion, MACHINE)
+    made = interpolate_motion(motion, MACHINE)
     assert off_the_cubics(tw.track(motion, MACHINE), motion) > 2e-7
     assert off_the_cubics(made, motion) < 1.02e-8
     assert chord_error(made) == pytest.approx(off_the_cubics(made, motion), rel=0.05)
@@ -49,7 +49,7 @@ def test_pieces_of_a_pvt_motion_agree_to_a_hundredth_of_a_nm(points):
 def test_pieces_are_as_short_as_memory_allows(monkeypatch):
     monkeypatch.setattr(_interpolated, "MAX_SEGMENTS", 10_000)
     motion = pvt_motion(24)
-    made = interpolated(motion, MACHINE)
+    made = interpolate_motion(motion, MACHINE)
     assert 7_000 < made.time.size <= 10_500
     assert 1e-8 < off_the_cubics(made, motion) < 1e-6
     assert chord_error(made) == pytest.approx(off_the_cubics(made, motion), rel=0.05)
@@ -58,4 +58,4 @@ def test_pieces_are_as_short_as_memory_allows(monkeypatch):
 def test_straight_lines_get_no_more_pieces_than_track_takes():
     motion = replace(pvt_motion(24), velocity=None)
     machine = replace(MACHINE, controller=tw.Controller(interpolation="linear"))
-    np.testing.assert_array_equal(interpolated(motion, machine).time, tw.track(motion, machine).time)
+    np.testing.assert_array_equal(interpolate_motion(motion, machine).time, tw.track(motion, machine).time)

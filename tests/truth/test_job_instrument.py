@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
-from turnwright.job.pass_plan import cut_by, motion_of
+from turnwright.job.pass_plan import cut_heights, motion_of
 
 
 def job_of(surface, **measurement):
@@ -31,7 +31,7 @@ def test_cusps_agree_only_through_the_instrument():
     wide = 0.3 - 0.1 + np.arange(int((side * 2e-3 + 0.2) / fine)) * fine
     x, y = np.meshgrid(wide, wide - 0.6)
     plain = job_of(sphere)
-    error = cut_by(motion_of(plain), plain, x.ravel(), y.ravel()).reshape(x.shape) - plain.part.surface.sag(x, y)
+    error = cut_heights(motion_of(plain), plain, x.ravel(), y.ravel()).reshape(x.shape) - plain.part.surface.sag(x, y)
     seen = blurred(error, fine, 0.010, 2e-3)
     first = round((axis[0] - wide[0]) / fine)
     z = seen[first : first + ratio * side : ratio, first : first + ratio * side : ratio]

@@ -119,7 +119,7 @@ def test_rotation_and_scale_are_separated_from_displacements():
     best = left @ np.diag([1, np.linalg.det(left @ right)]) @ right
     assert found.rotation == pytest.approx(np.arctan2(best[1, 0], best[0, 0]), abs=1e-15)
     assert found.scale == pytest.approx(sizes.sum() / np.sum(about**2) - 1, abs=1e-14)
-    assert found.share > 0.99
+    assert found.explained_fraction > 0.99
     assert abs(found.rotation - turn) < 4 * found.rotation_std
     assert np.abs(np.array(found.shift) - [0.05, -0.02]).max() < 4 * found.shift_std
     # The same lenslets on a part that is clocked and shifted: the rest only turns with it.

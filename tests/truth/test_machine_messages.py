@@ -254,5 +254,5 @@ def test_machine_stays_read_only_in_another_process():
         "import pickle, turnwright as tw; m = tw.Machine.load('nanotech-350fg'); n = pickle.loads(pickle.dumps(m)); "
         "print(dict(n.axes) == dict(m.axes), n.name == m.name, type(n.axes).__name__)"
     )
-    said = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True).stdout
-    assert said.split() == ["True", "True", "mappingproxy"]
+    message = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True).stdout
+    assert message.split() == ["True", "True", "mappingproxy"]

@@ -124,11 +124,11 @@ def test_the_header_says_where_c_must_stand_after_a_stop(tmp_path, dialect):
     assert ("SET C" in stop) == (dialect != "nanotech")
     if dialect == "nanotech":  # which turns C the short way
         return
-    told = [re.search(r"^\( APPROACH \w+: BEGINS AT (C-?[\d.]+) \)$", row) for row in head]
-    told = [found[1] for found in told if found]
+    report = [re.search(r"^\( APPROACH \w+: BEGINS AT (C-?[\d.]+) \)$", row) for row in head]
+    report = [found[1] for found in report if found]
     rapids = re.findall(r"(?:G0|RAPID|rapid)\s*(C-?[\d.]+)", files[0].read_text(), re.IGNORECASE)
-    assert told == rapids
-    assert abs(float(told[1][1:]) - float(told[0][1:])) > 360
+    assert report == rapids
+    assert abs(float(report[1][1:]) - float(report[0][1:])) > 360
 
 
 @pytest.mark.parametrize(("sense", "words_of_it"), [(1, "CLOCKWISE, AS M04"), (-1, "COUNTER-CLOCKWISE, AS M03")])

@@ -152,9 +152,9 @@ def test_astigmatism_on_a_torus_is_confused_with_a_rotation():
     with pytest.raises(InputError, match="hardly determines the direction rotation"):
         register(heights, part, undetermined="raise")
     # Lengths are written in the unit that suits them: a um of form, and what it passes for at the rim.
-    said = next(one.words for one in plain.undetermined if "rotation" in one.words)
-    assert re.search(r"a form error of 1 um .* [\d.]+ (nm|um|mm|m) at the rim\.$", said), said
-    assert "e+" not in said
+    message = next(one.words for one in plain.undetermined if "rotation" in one.words)
+    assert re.search(r"a form error of 1 um .* [\d.]+ (nm|um|mm|m) at the rim\.$", message), message
+    assert "e+" not in message
     unsure = register(heights, part, terms=[astigmatism], undetermined="hold")  # other forms remain
     assert "rotation" in unsure.held
     along = register(heights, part, terms=[astigmatism], form_error=0.0)

@@ -133,13 +133,13 @@ def test_missing_points_leave_a_rectangle_or_a_mask():
     z[np.hypot(x - 3, x[:, None] - 3) > 2.9] = np.nan
     z[rng.random(z.shape) < 1e-4] = np.nan
     holed = HeightMap(x=x, y=x, z=z)
-    for missing, said in (("rectangle", "largest rectangle without gaps"), ("mask", "smears")):
+    for missing, message in (("rectangle", "largest rectangle without gaps"), ("mask", "smears")):
         found = area_psd(holed, missing=missing)
         assert found.band_rms_nm(5, 7) == pytest.approx(30 / np.sqrt(2), rel=0.02)
         assert found.radial().density[-20:].mean() == pytest.approx(
             1.0 * 0.02**2, rel=0.1 if missing == "mask" else 0.2
         )
-        assert said in found.notes[0]
+        assert message in found.notes[0]
         lines = line_psd(holed, along="y", missing=missing)
         assert lines.band_rms_nm(10, 20) ** 2 == pytest.approx(10 / 25, rel=0.1)
     # Parseval with a mask: the mean square of what is valid, its weighted mean taken off.

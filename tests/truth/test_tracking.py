@@ -45,7 +45,7 @@ def test_a_perfect_axis_follows_its_interpolation(irregular):
     assert np.abs(made.axes["X"] - (5 - 0.1 * made.time)).max() < 1e-14
 
 
-def told(given):
+def report(given):
     """The motion of `motion` with the velocities that it really has, at few points."""
     t = given.time
     z_velocity = 0.02 * 24 * np.pi * np.cos(24 * np.pi * t) - 0.005 * 62 * np.pi * np.sin(62 * np.pi * t + 0.4)
@@ -54,7 +54,7 @@ def told(given):
 
 @pytest.mark.parametrize("irregular", [False, True])
 def test_velocities_that_a_motion_states_are_those_of_its_cubics(irregular):
-    given = told(motion(machine(), points=60, irregular=irregular))
+    given = report(motion(machine(), points=60, irregular=irregular))
     spline = CubicHermiteSpline(given.time, given.axes["Z"], given.velocity["Z"])
     made = track(given, machine("hermite"), chord=1e-8)
     assert np.abs(made.axes["Z"] - spline(made.time)).max() < 1e-14
@@ -67,7 +67,7 @@ def test_velocities_that_a_motion_states_are_those_of_its_cubics(irregular):
 
 
 def test_velocities_slow_down_with_the_motion():
-    given = told(motion(machine(), points=60))
+    given = report(motion(machine(), points=60))
     slow = track(given, machine("hermite", block_rate=59 / 0.8), chord=1e-8)
     slower = slow.time[-1] / 0.4
     assert slower == pytest.approx(2, rel=1e-8)
@@ -78,7 +78,7 @@ def test_velocities_slow_down_with_the_motion():
 @pytest.mark.parametrize("irregular", [False, True])
 def test_a_correction_states_its_velocities(irregular):
     lathe = machine("hermite", Z=Axis(response=SecondOrder(frequency_hz=80, damping=0.7, velocity_feedforward=1.0)))
-    given = told(motion(lathe, points=120, irregular=irregular))
+    given = report(motion(lathe, points=120, irregular=irregular))
     spline = CubicHermiteSpline(given.time, given.axes["Z"], given.velocity["Z"])
 
     def missed(command):

@@ -139,8 +139,8 @@ def test_a_pydantic_field_takes_text_only_and_goes_out_as_text():
 @given(st.floats(1e-6, 9.99e5), st.sampled_from((1, -1)))
 def test_a_length_is_written_in_plain_digits_and_reads_back(length, sign):
     """Oracle: pint reads the text."""
-    said = say_length(sign * length)
-    number, name = said.split()
+    output = say_length(sign * length)
+    number, name = output.split()
     assert "e" not in number
     assert 1 <= abs(float(number)) < 1000
     assert REGISTRY.Quantity(float(number), name).to("mm").magnitude == pytest.approx(sign * length, rel=5.1e-3)

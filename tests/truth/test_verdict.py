@@ -9,7 +9,7 @@ import turnwright as tw
 from proof_verdict import judged, random_job
 from tolerance_jobs import SERVO, job_of
 from turnwright.generation import generate_polar
-from turnwright.job import PassPlan, finishing_motion, judge, judge_form, missed, plan, unjudged
+from turnwright.job import PassPlan, any_missed, finishing_motion, judge, judge_form, not_evaluated, plan
 from turnwright.job.extremes import find_extremes
 from turnwright.studies import ErrorBudget, Store
 from turnwright.studies.draws import CaseContext, plan_cuts
@@ -76,12 +76,12 @@ def test_places_that_no_pass_cuts_keep_no_tolerance():
 
 def test_the_judge_says_what_is_not_judged():
     job = tw.Job.read(DISH | {"tolerances": {"form_pv": "40 nm", "sq": "8 nm"}})
-    assert [one.is_kept for one in unjudged(job, "no surface")] == [None, None]
+    assert [one.is_kept for one in not_evaluated(job, "no surface")] == [None, None]
     form, sq = judge_form(job, 41.0, sq_reason="a map of the form")
     assert (form.is_kept, sq.is_kept) == (False, None)
     assert "a map of the form" in sq.sentence
-    assert missed((form, sq))
-    assert not missed((sq,))
+    assert any_missed((form, sq))
+    assert not any_missed((sq,))
     assert [one.is_kept for one in judge(job, ())] == [None, None]
 
 
@@ -117,7 +117,7 @@ def test_a_plan_with_servos_is_run_with_servos(tmp_path):
     chosen = plan(tw.Job.read(table))
     assert chosen.job.simulation.tracking
     _, result = finishing_motion(chosen.job)
-    assert result.predictions[0].pv_nm == pytest.approx(chosen.shares.pv_nm, rel=1e-6)
+    assert result.predictions[0].pv_nm == pytest.approx(chosen.breakdown.pv_nm, rel=1e-6)
     assert result.keeps_tolerances
 
 

@@ -25,8 +25,8 @@ def serving(folder, *more):
     command = [sys.executable, "-m", "turnwright", "serve", "--port", "0", "--no-open", "--folder", str(folder), *more]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
-            said = process.stdout.readline()
-            yield process, said.split()[-1] if said else ""
+            message = process.stdout.readline()
+            yield process, message.split()[-1] if message else ""
         finally:
             process.kill()
 

@@ -51,16 +51,16 @@ def client(folder):
 
 def ended(client, name, *, state="done"):
     """Wait for the end of a run as a page does, by its events."""
-    told = []
+    reported = []
     with client.stream("GET", f"/api/runs/{name}/events") as stream:
         assert stream.headers["content-type"].startswith("text/event-stream")
         lines = [line for line in stream.iter_lines() if line and not line.startswith(":")]
     for kind, data in zip(lines[::2], lines[1::2], strict=True):
-        told.append((kind.removeprefix("event: "), json.loads(data.removeprefix("data: "))))
+        reported.append((kind.removeprefix("event: "), json.loads(data.removeprefix("data: "))))
     run = client.get(f"/api/runs/{name}").json()
     assert run["state"] == state, run["sentence"]
-    assert told[-1] == ("state", {"state": state, "sentence": run["sentence"]})
-    return told
+    assert reported[-1] == ("state", {"state": state, "sentence": run["sentence"]})
+    return reported
 
 
 @pytest.fixture(scope="module")
@@ -68,17 +68,17 @@ def dish(folder, client):
     """A job by the server and by the command line."""
     job = changed(*DISH)
     name = client.post("/api/runs", json={"data": job, "kind": "run"}).json()["id"]
-    told = ended(client, name)
+    reported = ended(client, name)
     file = written(folder, *DISH)
     assert main(["run", str(file), "--out", str(folder / "by-hand")]) == 0
-    return name, folder / "by-hand", told
+    return name, folder / "by-hand", reported
 
 
 def test_the_server_says_what_it_is(client):
-    told = client.get("/api/about").json()
-    assert told["version"] == tw.__version__
-    assert "infrared_lens" in told["examples"]
-    assert told["limits"]["upload_bytes"] == 2 * 2**30
+    reported = client.get("/api/about").json()
+    assert reported["version"] == tw.__version__
+    assert "infrared_lens" in reported["examples"]
+    assert reported["limits"]["upload_bytes"] == 2 * 2**30
 
 
 def test_the_page_may_load_only_from_the_server(client):
@@ -95,18 +95,18 @@ def test_every_example_is_a_job_in_the_schema(client):
     listed = client.get("/api/examples").json()
     assert [one["name"] for one in listed] == list(examples())
     for one in listed:
-        told = client.get(f"/api/examples/{one['name']}").json()
-        assert told["errors"] == []
-        assert [error.message for error in check.iter_errors(told["data"])] == []
+        reported = client.get(f"/api/examples/{one['name']}").json()
+        assert reported["errors"] == []
+        assert [error.message for error in check.iter_errors(reported["data"])] == []
         # The text and the data say the same, and a page can send either back.
-        assert tomllib.loads(told["toml"])["tool"] == told["data"]["tool"]
-        assert client.post("/api/job/parse", json={"toml": told["toml"]}).json() == {
-            "data": told["data"],
+        assert tomllib.loads(reported["toml"])["tool"] == reported["data"]["tool"]
+        assert client.post("/api/job/parse", json={"toml": reported["toml"]}).json() == {
+            "data": reported["data"],
             "errors": [],
         }
-        back = client.post("/api/job/write", json={"data": told["data"]}).json()
+        back = client.post("/api/job/write", json={"data": reported["data"]}).json()
         assert back["errors"] == []
-        assert tomllib.loads(back["toml"]) == told["data"]
+        assert tomllib.loads(back["toml"]) == reported["data"]
 
 
 def leaves(schema, node, where=""):
@@ -160,9 +160,9 @@ def test_every_field_that_names_a_file_says_which_it_takes(client):
 
 def test_errors_stand_where_the_field_is(client):
     job = changed(("tool.nose_radius", "0.5"), ("strategy.fed", "1 um/rev"), ("part.surface.radius", "0,5 mm"))
-    told = client.post("/api/job/check", json={"data": job}).json()
-    assert {one["field"] for one in told["errors"]} == {"tool.nose_radius", "strategy.fed", "part.surface.radius"}
-    assert told["access"] is None
+    reported = client.post("/api/job/check", json={"data": job}).json()
+    assert {one["field"] for one in reported["errors"]} == {"tool.nose_radius", "strategy.fed", "part.surface.radius"}
+    assert reported["access"] is None
     broken = client.post("/api/job/parse", json={"toml": "[part"}).json()
     assert broken["data"] == {}
     assert "not TOML" in broken["errors"][0]["sentence"]
@@ -170,13 +170,13 @@ def test_errors_stand_where_the_field_is(client):
 
 def test_a_check_says_what_the_job_classes_say(client):
     job = changed(("tool.included", "20 deg"), ("part.surface.radius", "2 mm"))
-    told = client.post("/api/job/check", json={"data": job}).json()
+    reported = client.post("/api/job/check", json={"data": job}).json()
     plan = preview(Job.read(job))
-    assert told["access"]["ok"] is plan.access.ok is False
-    assert told["access"]["nose_radius_limit"] == pytest.approx(plan.access.nose_radius_limit)
-    assert [one["sentence"] for one in told["access"]["findings"]] == [one.sentence for one in plan.access.findings]
-    assert told["preview"]["points"] == dict(plan.points)
-    assert told["preview"]["refused"] == list(plan.refused)
+    assert reported["access"]["ok"] is plan.access.ok is False
+    assert reported["access"]["nose_radius_limit"] == pytest.approx(plan.access.nose_radius_limit)
+    assert [one["sentence"] for one in reported["access"]["findings"]] == [one.sentence for one in plan.access.findings]
+    assert reported["preview"]["points"] == dict(plan.points)
+    assert reported["preview"]["refused"] == list(plan.refused)
 
 
 def test_the_program_is_that_of_the_command_line(client, dish):
@@ -189,8 +189,8 @@ def test_the_program_is_that_of_the_command_line(client, dish):
         if one["name"] in ("program", "job"):
             assert answer.content == (by_hand / one["file"]).read_bytes()
     mine, theirs = client.get(f"/api/runs/{name}/result").json(), json.loads((by_hand / "result.json").read_text())
-    for told in (mine, theirs):
-        told.pop("timings"), told.pop("peak_memory_gb")
+    for reported in (mine, theirs):
+        reported.pop("timings"), reported.pop("peak_memory_gb")
     assert mine == theirs
 
 
@@ -203,13 +203,15 @@ def test_all_files_of_a_program_come_together(client, dish):
 
 
 def test_a_run_tells_its_progress(dish):
-    told = dish[2]
-    stages = [data["stage"] for kind, data in told if kind == "progress"]
+    reported = dish[2]
+    stages = [data["stage"] for kind, data in reported if kind == "progress"]
     assert len(set(stages)) >= 2
-    fractions = [data["fraction"] for kind, data in told if kind == "progress"]
+    fractions = [data["fraction"] for kind, data in reported if kind == "progress"]
     assert fractions == sorted(fractions)
     assert all(0 <= one <= 1 for one in fractions)
-    assert all(1 <= data["step"] <= data["steps"] and data["left_s"] >= 0 for kind, data in told if kind == "progress")
+    assert all(
+        1 <= data["step"] <= data["steps"] and data["left_s"] >= 0 for kind, data in reported if kind == "progress"
+    )
 
 
 def test_a_run_that_misses_a_tolerance_says_so_in_the_list(client, dish):
@@ -230,10 +232,10 @@ def test_lines_of_the_program_lie_where_the_motion_is(client, dish):
     text = (by_hand / "part.nc").read_text().splitlines()
     first = text.index("G93") + 1  # the plunge before it begins with G93 G1
     begin = first - 100
-    told = client.get(f"/api/runs/{name}/program", params={"first": begin, "count": 2000}).json()
-    assert told["lines"] == text[begin : begin + 2000]
-    assert told["total"] == len(text)
-    places = np.array(told["places"][100:])
+    reported = client.get(f"/api/runs/{name}/program", params={"first": begin, "count": 2000}).json()
+    assert reported["lines"] == text[begin : begin + 2000]
+    assert reported["total"] == len(text)
+    places = np.array(reported["places"][100:])
     np.testing.assert_allclose(places, tip[1 : len(places) + 1], atol=2e-8)
     for row in (700, 2500):
         line = client.get(f"/api/runs/{name}/program", params={"near": f"{tip[row, 0]},{tip[row, 1]}"}).json()["line"]
@@ -255,7 +257,7 @@ def test_a_long_program_is_found_by_its_index(tmp_path, monkeypatch):
     assert whole["total"] == len(whole["lines"]) > 5000
     rng = np.random.default_rng(3)
     for x, y in rng.uniform(-0.6, 0.6, (12, 2)):
-        line = _program.near(str(tmp_path / "out"), x, y)["line"]
+        line = _program.nearest_line(str(tmp_path / "out"), x, y)["line"]
         best = np.nanmin(np.hypot(places[:, 0] - x, places[:, 1] - y))
         assert np.hypot(*(places[line, :2] - (x, y))) == pytest.approx(best, abs=1e-9)
         assert _program.lines(str(tmp_path / "out"), line, 1)["lines"] == [whole["lines"][line]]
@@ -265,13 +267,13 @@ def test_a_comparison_is_that_of_the_command_line(client, folder):
     job = changed(("strategy.feed", "50 um/rev"), ("simulation.patches", []))
     name = client.post("/api/runs", json={"data": job, "kind": "compare", "name": "which way"}).json()["id"]
     ended(client, name)
-    told = client.get(f"/api/runs/{name}/comparison").json()
+    reported = client.get(f"/api/runs/{name}/comparison").json()
     (folder / "compared").mkdir()
     archive_comparison(compare(Job.read(job)), folder / "compared")
     theirs = json.loads((folder / "compared" / "comparison.json").read_text())
-    for one in (*told["candidates"], *theirs["candidates"]):
+    for one in (*reported["candidates"], *theirs["candidates"]):
         one.pop("wall_s")
-    assert told == theirs
+    assert reported == theirs
     assert client.get(f"/api/runs/{name}").json()["name"] == "which way"
 
 
@@ -286,14 +288,14 @@ def measured(client, dish, folder):
 
 
 def test_a_measured_map_tells_the_injected_offset(client, measured):
-    told = client.get(f"/api/measurements/{measured}").json()
-    offset = next(one for one in told["findings"] if one["name"] == "offset x")
+    reported = client.get(f"/api/measurements/{measured}").json()
+    offset = next(one for one in reported["findings"] if one["name"] == "offset x")
     assert offset["value"] == pytest.approx(OFFSET, abs=offset["uncertainty"])
-    assert {one["name"] for one in told["contributions"]} >= {"drift of Z", "low form"}
+    assert {one["name"] for one in reported["contributions"]} >= {"drift of Z", "low form"}
     assert offset["correctable"]
-    assert told["alignment"]["rms_nm"] > 0
-    assert len(told["zernike"]) == 37
-    assert told["psd"]["frequency"]
+    assert reported["alignment"]["rms_nm"] > 0
+    assert len(reported["zernike"]) == 37
+    assert reported["psd"]["frequency"]
     for name in ("measured", "residual"):
         header, arrays = unpack(
             client.get(f"/api/measurements/{measured}/map", params={"name": name, "nx": 60, "ny": 50}).content
@@ -308,21 +310,21 @@ def test_a_measured_map_tells_the_injected_offset(client, measured):
 def test_a_correction_plans_with_the_tool_as_it_was_found(client, measured, folder):
     wrong = client.post(f"/api/measurements/{measured}/correct", json={"error_sources": ["weather"]})
     assert wrong.status_code == 422
-    told = client.get(f"/api/measurements/{measured}").json()
-    error_source = next(one["error_source"] for one in told["findings"] if one["name"] == "offset x")
+    reported = client.get(f"/api/measurements/{measured}").json()
+    error_source = next(one["error_source"] for one in reported["findings"] if one["name"] == "offset x")
     name = client.post(f"/api/measurements/{measured}/correct", json={"error_sources": [error_source]}).json()["id"]
     ended(client, name)
     run = client.get(f"/api/runs/{name}").json()
     assert parse(run["data"]["tool"]["offset"][0], "mm") == pytest.approx(OFFSET, abs=5e-4)
-    told = client.get(f"/api/measurements/{measured}").json()
-    assert told["correction"] == name
+    reported = client.get(f"/api/measurements/{measured}").json()
+    assert reported["correction"] == name
     # The same by what the command line calls, of a job that corrects this cause.
     (folder / "again").mkdir()
     part = measure(Job.read(changed(*DISH, ("measurement.correct", [error_source]))), tw.read_map(folder / "dish.x3p"))
     better = correct(part.job, diagnose([part]), [part], out=folder / "again")
-    left = told["predicted"]["predicted"]
+    left = reported["predicted"]["predicted"]
     assert (left["pv_nm"], left["rms_nm"]) == pytest.approx(better.numbers_nm["predicted"], rel=1e-9)
-    assert told["predicted"]["missed"] == []
+    assert reported["predicted"]["missed"] == []
     strict = replace(better, job=Job.read(changed(*DISH, ("tolerances.form_pv", "1 nm"))))
     write_predicted(strict, folder / "again")
     (missed,) = json.loads((folder / "again" / "shown.json").read_text())["missed"]
@@ -381,10 +383,10 @@ def test_a_damaged_file_ends_its_own_process_only(client, dish):
     )
     name = answer.json()["id"]
     ended(client, name, state="failed")
-    told = client.get(f"/api/measurements/{name}").json()
-    assert "my measured.x3p" in told["sentence"]  # as who brought it calls it
-    assert re.findall("my|measured", told["sentence"]) == ["my", "measured"]
-    assert "/" not in told["sentence"].replace("and/or", "")
+    reported = client.get(f"/api/measurements/{name}").json()
+    assert "my measured.x3p" in reported["sentence"]  # as who brought it calls it
+    assert re.findall("my|measured", reported["sentence"]) == ["my", "measured"]
+    assert "/" not in reported["sentence"].replace("and/or", "")
     assert client.delete(f"/api/runs/{name}").status_code == 204
     assert client.get(f"/api/runs/{name}").status_code == 404
 
@@ -395,8 +397,8 @@ def test_a_run_is_cancelled_and_leaves_nothing(client, folder):
     while not (client.get(f"/api/runs/{name}").json()["progress"]) and time.monotonic() < until:
         time.sleep(0.05)
     assert client.delete(f"/api/runs/{name}").status_code == 409
-    told = client.post(f"/api/runs/{name}/cancel").json()
-    assert told["state"] == "cancelled"
+    reported = client.post(f"/api/runs/{name}/cancel").json()
+    assert reported["state"] == "cancelled"
     left = {file.name for file in (folder / "runs" / name).iterdir()}
     assert left == {"job.json", "state.json", "log.txt"}
     assert client.post(f"/api/runs/{name}/cancel").status_code == 409
@@ -420,8 +422,8 @@ def test_runs_wait_for_their_turn_and_outlive_the_server(tmp_path, folder, dish)
         (second, "queued", "dish"),
     ]
     with TestClient(create_app(tmp_path), base_url=HERE) as client:
-        told = {one["id"]: one["state"] for one in client.get("/api/runs").json()}
-        assert told == {first: "running", second: "queued"}
+        reported = {one["id"]: one["state"] for one in client.get("/api/runs").json()}
+        assert reported == {first: "running", second: "queued"}
         for name in (second, first):
             assert client.post(f"/api/runs/{name}/cancel").json()["state"] == "cancelled"
     # What has ended stays as it is, and its folder with it.
@@ -488,16 +490,16 @@ def test_the_file_of_an_instrument_is_read_when_it_is_brought(client, text, stat
 
 def test_files_travel_with_a_job_to_the_command_line(client, folder, tmp_path):
     """Oracles: the bytes that were brought, and the command line with them on disk."""
-    told = {}
+    reported = {}
     for kind, (name, content) in BROUGHT.items():
         answer = client.post("/api/files", params={"kind": kind, "name": name}, content=content)
         assert answer.status_code == 201, answer.text
-        told[kind] = answer.json()
-        assert told[kind]["bytes"] == len(content)
+        reported[kind] = answer.json()
+        assert reported[kind]["bytes"] == len(content)
     # Its bytes alone say where a file lies.
     again = client.post("/api/files", params={"kind": "waviness", "name": "x.csv"}, content=WAVY).json()["reference"]
-    assert again.split("/")[1] == told["waviness"]["reference"].split("/")[1]
-    job = with_files({kind: one["reference"] for kind, one in told.items()})
+    assert again.split("/")[1] == reported["waviness"]["reference"].split("/")[1]
+    job = with_files({kind: one["reference"] for kind, one in reported.items()})
     checked = client.post("/api/job/check", json={"data": job}).json()
     assert checked["errors"] == []
     name = client.post("/api/runs", json={"data": job, "kind": "run"}).json()["id"]
@@ -551,15 +553,15 @@ def test_a_table_with_units_of_its_own_is_brought_too(client, name, content, key
     answer = client.post("/api/files", params={"kind": "heights", "name": name}, content=content)
     assert answer.status_code == 201, answer.text
     job = changed(("part.surface", {"family": "gridded", "file": answer.json()["reference"], **keys}))
-    told = client.post("/api/job/check", json={"data": job}).json()
-    assert told["errors"] == []
-    assert told["preview"]["shape"]["Heights"].endswith("PV 5 um")
+    reported = client.post("/api/job/check", json={"data": job}).json()
+    assert reported["errors"] == []
+    assert reported["preview"]["shape"]["Heights"].endswith("PV 5 um")
 
 
 def test_a_check_names_the_tolerances_that_it_does_not_judge(client):
     job = changed(("tolerances", {"form_pv": "100 nm", "sq": "8 nm"}))
-    told = client.post("/api/job/check", json={"data": job}).json()["preview"]["unjudged"]
-    assert [("form error PV" in one, "Sq" in one, "not evaluated" in one) for one in told] == [
+    reported = client.post("/api/job/check", json={"data": job}).json()["preview"]["unjudged"]
+    assert [("form error PV" in one, "Sq" in one, "not evaluated" in one) for one in reported] == [
         (True, False, True), (False, True, True),
     ]  # fmt: skip
     assert client.post("/api/job/check", json={"data": changed()}).json()["preview"]["unjudged"] == []
@@ -567,11 +569,11 @@ def test_a_check_names_the_tolerances_that_it_does_not_judge(client):
 
 def test_an_archive_of_a_job_is_opened_again(client):
     """Oracles: the archive that the page itself saves, the bytes that were brought, and the remarks in its text."""
-    told = {
+    reported = {
         kind: client.post("/api/files", params={"kind": kind, "name": name}, content=content).json()["reference"]
         for kind, (name, content) in BROUGHT.items()
     }
-    job = with_files(told)
+    job = with_files(reported)
     text = client.post("/api/job/write", json={"data": job}).json()["toml"].replace("[tool]", "# the good one\n[tool]")
     saved = client.post("/api/job/bundle", json={"data": job, "toml": text}).content
     with zipfile.ZipFile(io.BytesIO(saved)) as archive:
@@ -597,8 +599,8 @@ def test_a_job_is_kept_as_it_was_written(client):
     assert client.post("/api/job/write", json={"data": job, "toml": text}).json() == {"toml": wanted, "errors": []}
     name = client.post("/api/runs", json={"data": job, "toml": text, "kind": "run"}).json()["id"]
     ended(client, name)
-    told = client.get(f"/api/runs/{name}").json()
-    assert told["toml"] == wanted
+    reported = client.get(f"/api/runs/{name}").json()
+    assert reported["toml"] == wanted
     assert client.get(f"/api/runs/{name}/files/written").text == wanted
     plain = client.post("/api/runs", json={"data": job, "kind": "run"}).json()["id"]
     assert client.get(f"/api/runs/{plain}").json()["toml"] == ""
@@ -616,9 +618,9 @@ def test_a_file_of_two_names_is_archived_by_both(client):
     packed = client.post("/api/job/bundle", json={"data": job})
     assert packed.status_code == 200, packed.text
     with zipfile.ZipFile(io.BytesIO(packed.content)) as archive:
-        told = tomllib.loads(archive.read("job.toml").decode())
-        assert told["tool"]["waviness_file"] == "edge.csv"
-        assert told["actual"]["tool"]["waviness_file"] == "same.csv"
+        reported = tomllib.loads(archive.read("job.toml").decode())
+        assert reported["tool"]["waviness_file"] == "edge.csv"
+        assert reported["actual"]["tool"]["waviness_file"] == "same.csv"
         assert [archive.read(name) for name in ("edge.csv", "same.csv")] == [WAVY, WAVY]
 
 
@@ -651,12 +653,14 @@ def test_a_file_is_thrown_away_when_no_run_names_it_for_long(tmp_path):
 
 def test_an_error_in_a_file_names_the_file(client):
     """A table that is none of this surface is met at the check, and called what its owner calls it."""
-    told = client.post("/api/files", params={"kind": "waviness", "name": "edge 3.csv"}, content=WAVY).json()
-    job = changed(("tool.waviness_file", told["reference"]), ("tool.waviness", ["1 um/rad"]))
+    reported = client.post("/api/files", params={"kind": "waviness", "name": "edge 3.csv"}, content=WAVY).json()
+    job = changed(("tool.waviness_file", reported["reference"]), ("tool.waviness", ["1 um/rad"]))
     one = client.post("/api/job/check", json={"data": job}).json()["errors"]
     assert [error["field"] for error in one] == ["tool"]
     # A file is of the kind that it was brought as.
-    job = changed(("part.surface", {"family": "gridded", "file": told["reference"], "units": "mm", "sag_units": "mm"}))
+    job = changed(
+        ("part.surface", {"family": "gridded", "file": reported["reference"], "units": "mm", "sag_units": "mm"})
+    )
     assert [one["field"] for one in client.post("/api/job/check", json={"data": job}).json()["errors"]] == [
         "part.surface.file"
     ]

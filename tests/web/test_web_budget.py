@@ -80,10 +80,10 @@ def test_the_budget_of_a_run_is_that_of_the_comparison(made: tuple[Path, tw.job.
     servo = job.servo(job.passes[-1])
     spiral = servo.spiral(job.part.aimed, job.tool)
     motion = tw.drive(tw.place(spiral, job.part.aimed, job.tool), servo, job.machine)
-    told = break_down_error(job.part.aimed, job.tool, spiral, motion)
-    assert found["cusp_nm"] == pytest.approx(told.cusp_nm, rel=1e-9)
-    assert found["pv_nm"] == pytest.approx(told.pv_nm, abs=2 * result.rounding_limit_nm)
-    assert abs(found["chord_nm"] - told.chord_nm) <= 2 * result.rounding_limit_nm
+    reported = break_down_error(job.part.aimed, job.tool, spiral, motion)
+    assert found["cusp_nm"] == pytest.approx(reported.cusp_nm, rel=1e-9)
+    assert found["pv_nm"] == pytest.approx(reported.pv_nm, abs=2 * result.rounding_limit_nm)
+    assert abs(found["chord_nm"] - reported.chord_nm) <= 2 * result.rounding_limit_nm
     assert found["rounding_nm"] == result.rounding_nm
     assert found["servos"] is False
     assert {*found} == {one.name for one in fields(tw.job.ErrorBreakdown)} - {"error"} | {"servos"}

@@ -168,9 +168,9 @@ FILES = {
 @pytest.mark.parametrize("name", FILES)
 def test_no_job_names_a_file_of_the_server(client, folder, name):
     before = tree(folder)
-    told = client.post("/api/job/check", json=FILES[name]).json()
-    assert told["errors"], told
-    assert not re.search("root:|localhost", json.dumps(told["errors"]))
+    response = client.post("/api/job/check", json=FILES[name]).json()
+    assert response["errors"], response
+    assert not re.search("root:|localhost", json.dumps(response["errors"]))
     answer = client.post("/api/runs", json={**FILES[name], "kind": "run"})
     assert answer.status_code == 422
     assert answer.json()["detail"]
@@ -193,8 +193,8 @@ FORMULAS = [
 def test_formulas_are_never_carried_out_as_code(client, formula, tmp_path):
     owned = tmp_path / "owned"
     surface = {"family": "expression", "formula": formula.replace("OWNED", str(owned)), "units": "mm"}
-    told = client.post("/api/job/check", json=job(("part.surface", surface))).json()
-    assert told["errors"]
+    response = client.post("/api/job/check", json=job(("part.surface", surface))).json()
+    assert response["errors"]
     assert not owned.exists()
 
 
@@ -212,9 +212,9 @@ SIZES = {
 
 @pytest.mark.parametrize("name", SIZES)
 def test_absurd_sizes_are_refused_in_a_sentence(client, name):
-    told = client.post("/api/job/check", json=SIZES[name])
-    assert told.status_code in (200, 422), told.text
-    assert told.json().get("errors") or told.json()["detail"]
+    response = client.post("/api/job/check", json=SIZES[name])
+    assert response.status_code in (200, 422), response.text
+    assert response.json().get("errors") or response.json()["detail"]
     assert client.post("/api/runs", json={**SIZES[name], "kind": "run"}).status_code == 422
 
 
@@ -398,8 +398,8 @@ def test_a_file_has_the_name_that_the_server_gives_it(client, folder, name):
 )  # fmt: skip
 def test_a_reference_leads_nowhere_else(client, reference):
     surface = {"family": "gridded", "file": reference, "units": "mm", "sag_units": "um"}
-    told = client.post("/api/job/check", json=job(("part.surface", surface))).json()
-    assert told["errors"][0]["field"].startswith("part.surface.file")
+    response = client.post("/api/job/check", json=job(("part.surface", surface))).json()
+    assert response["errors"][0]["field"].startswith("part.surface.file")
 
 
 def test_reading_a_file_ends_at_its_limit(client, folder, monkeypatch):
@@ -490,11 +490,11 @@ ARCHIVES = {
 
 @pytest.mark.parametrize("name", ARCHIVES)
 def test_an_archive_that_is_none_is_refused_and_leaves_nothing(client, folder, name):
-    content, said = ARCHIVES[name]
+    content, message = ARCHIVES[name]
     before = tree(folder)
     answer = client.post("/api/files/archive", content=content())
     assert answer.status_code == 422, answer.text
-    assert said in answer.json()["detail"]
+    assert message in answer.json()["detail"]
     assert "root:" not in answer.text
     assert tree(folder) == before
 
@@ -503,9 +503,9 @@ def test_what_an_archive_does_not_hold_is_not_looked_for(client, folder):
     """Neither on this disk nor among what was brought: the field says that it must be brought."""
     for name in ("/etc/hosts", "../../secret.csv", "other.csv"):
         before = tree(folder)
-        told = client.post("/api/files/archive", content=packed([naming(name), ("__MACOSX/._job.toml", "x")]))
-        assert told.status_code == 201, told.text
-        (error,) = told.json()["errors"]
+        response = client.post("/api/files/archive", content=packed([naming(name), ("__MACOSX/._job.toml", "x")]))
+        assert response.status_code == 201, response.text
+        (error,) = response.json()["errors"]
         assert error["field"] == "part.surface.file"
         assert "must be an uploaded file" in error["sentence"]
         assert tree(folder) == before
@@ -518,7 +518,7 @@ def test_an_archive_leaves_room_on_the_disk(tmp_path, monkeypatch):
     monkeypatch.setattr(_bundles.shutil, "disk_usage", lambda _folder: SimpleNamespace(free=MIN_FREE_BYTES))
     before = tree(tmp_path)
     with pytest.raises(InputError, match="GB free"):
-        _bundles.opened(str(file), str(tmp_path))
+        _bundles.unpack_job(str(file), str(tmp_path))
     assert tree(tmp_path) == before
 
 
@@ -564,9 +564,9 @@ def test_reading_a_measured_file_ends_at_its_limit(tmp_path, limits, sentence):
         before = tree(folder)
         with client.stream("GET", f"/api/runs/{sent}/events") as stream:
             assert "failed" in "".join(stream.iter_text())
-        told = client.get(f"/api/measurements/{sent}").json()
-        assert sentence in told["sentence"]
-        assert "defect" not in told["sentence"]
+        response = client.get(f"/api/measurements/{sent}").json()
+        assert sentence in response["sentence"]
+        assert "defect" not in response["sentence"]
         left = set(tree(folder)) - set(before)
         assert {Path(one).name for one in left} <= {"log.txt", "state.json"}
         assert client.delete(f"/api/runs/{sent}").status_code == 204

@@ -205,8 +205,8 @@ def test_a_wrong_field_is_marked_where_it_stands(bench, by_hand, tmp_path, capsy
         wrong = one.page.locator("#field-tool-nose_radius-wrong")
         expect(nose).to_have_attribute("aria-invalid", "true")
         assert main(["check", str(written(tmp_path, *DISH, ("tool.nose_radius", typed)))]) == 2
-        said = " ".join(capsys.readouterr().err.split())
-        wait(lambda: wrong.inner_text().strip() and wrong.inner_text().strip() in said, what=f"the sentence of {said}")  # noqa: B023
+        message = " ".join(capsys.readouterr().err.split())
+        wait(lambda: wrong.inner_text().strip() and wrong.inner_text().strip() in message, what="the sentence")  # noqa: B023
         expect(one.page.locator("#run")).to_be_disabled()
     nose.fill("0.5 mm")
     expect(nose).not_to_have_attribute("aria-invalid", "true")
@@ -466,11 +466,11 @@ def test_a_long_run_shows_progress_and_can_be_cancelled(bench, folder, tmp_path)
     one = bench().take(written(tmp_path, *LONG))
     page = one.page
     name = begun(one, lambda: page.keyboard.press("Control+Enter"))
-    told = page.locator(".run", has_text="long").locator(".progress [role=status]")
+    reported = page.locator(".run", has_text="long").locator(".progress [role=status]")
     shown = []
 
     def risen():
-        text = plain(told.inner_text())
+        text = plain(reported.inner_text())
         if (not shown or text != shown[-1]) and text.endswith("%"):
             shown.append(text)
         shares = [(one.rpartition(":")[0], figures(one)[-1]) for one in shown]
@@ -486,7 +486,7 @@ def test_a_long_run_shows_progress_and_can_be_cancelled(bench, folder, tmp_path)
     }
     page.reload()
     page.get_by_role("tab", name="Runs").click()
-    expect(told).to_be_visible()
+    expect(reported).to_be_visible()
     assert page.locator("#field-strategy-feed").input_value() == "2 um/rev"  # the job outlives the reload, too
     page.get_by_role("button", name="Cancel long").click()
     expect(page.locator(".run", has_text="long")).to_have_attribute("data-state", "cancelled")
@@ -538,20 +538,20 @@ TOOL = tw.Tool(nose_radius=NOSE, included=np.deg2rad(60), clearance=np.deg2rad(1
 
 def zoomed(one, act):
     """Return the view after an act, and what the server sent of it: header, x, y and values."""
-    told = []
-    one.page.on("response", lambda each: told.append(each) if "/map?" in each.url and "x0=" in each.url else None)
+    reported = []
+    one.page.on("response", lambda each: reported.append(each) if "/map?" in each.url and "x0=" in each.url else None)
     act()
 
     def rested():
-        before = one.store("window"), len(told)
+        before = one.store("window"), len(reported)
         time.sleep(0.4)  # by then the page has asked for what it still wants
         view = one.store("window")
-        if (view, len(told)) != before or one.page.locator("#panel-maps .mapwait").is_visible():
+        if (view, len(reported)) != before or one.page.locator("#panel-maps .mapwait").is_visible():
             return None
         # Asked is a little more than is in view, but nothing beyond the part.
-        asked = [dict(parse_qsl(urlsplit(each.url).query)) for each in told]
+        asked = [dict(parse_qsl(urlsplit(each.url).query)) for each in reported]
         there = [
-            each for each, window in zip(told, asked, strict=True)
+            each for each, window in zip(reported, asked, strict=True)
             if float(window["x0"]) <= max(-2.0, view["x0"]) and float(window["x1"]) >= min(2.0, view["x1"])
         ]  # fmt: skip
         return (view, there[-1]) if there else None
@@ -592,9 +592,9 @@ def test_the_wheel_leads_to_single_cusps(bench, motion):
     assert np.nanmax(values) - np.nanmin(values) == pytest.approx(cusp, rel=0.03)
     # What stands under the pointer is what was sent.
     page.mouse.move(place[0] + 7, place[1] + 5)
-    told = page.locator("#panel-maps .readout")
-    wait(lambda: "mm" in told.inner_text(), what="a value under the pointer")
-    at_x, at_y, value = figures(told.inner_text())
+    reported = page.locator("#panel-maps .readout")
+    wait(lambda: "mm" in reported.inner_text(), what="a value under the pointer")
+    at_x, at_y, value = figures(reported.inner_text())
     near = values[np.abs(y - at_y).argmin()][np.abs(x - at_x).argmin()]
     beside = np.abs(np.diff(values, axis=1)).max() + np.abs(np.diff(values, axis=0)).max()
     assert value == pytest.approx(near * 1e6, abs=beside * 1e6 + 0.01)
@@ -629,9 +629,9 @@ def test_a_line_on_the_map_is_a_profile(bench, motion):
     wanted = tw.generate_points(motion, TOOL, x=x, y=y) - tw.Sphere(radius=SPHERE).sag(x, y)
     np.testing.assert_allclose(arrays["error"], wanted, rtol=1e-4, atol=1e-11)
     one.drawn("#panel-maps .mapside .charthost", colours=20)
-    said = page.locator("#panel-maps .mapside .bar strong").inner_text()
-    assert figures(said) == pytest.approx([np.ptp(wanted) * 1e6], rel=5e-3)
-    assert said.endswith("nm")
+    message = page.locator("#panel-maps .mapside .bar strong").inner_text()
+    assert figures(message) == pytest.approx([np.ptp(wanted) * 1e6], rel=5e-3)
+    assert message.endswith("nm")
 
 
 @pytest.mark.usefixtures("done")
@@ -639,11 +639,11 @@ def test_the_axes_are_shown_against_their_limits(bench, by_hand):
     one = bench().look_at("run")
     page = one.page
     page.keyboard.press("3")
-    told = json.loads((by_hand / "result.json").read_text(encoding="utf-8"))["passes"][-1]["limits"]
+    reported = json.loads((by_hand / "result.json").read_text(encoding="utf-8"))["passes"][-1]["limits"]
     machine = tw.Machine.load("generic")
     for letter in "XZ":
         title = page.locator("#panel-motion figcaption").filter(has_text=f"{letter}, peak")
-        share = 100 * told["peak_speed"][letter] / machine.axes[letter].speed
+        share = 100 * reported["peak_speed"][letter] / machine.axes[letter].speed
         assert figures(title.inner_text())[-1] == pytest.approx(share, rel=0.05), letter
     assert one.drawn("#panel-motion .charthost >> nth=0", colours=20)
 
@@ -651,16 +651,18 @@ def test_the_axes_are_shown_against_their_limits(bench, by_hand):
 def test_strategies_stand_side_by_side(bench, compared, folder):
     one = bench().look_at("compare")
     page = one.page
-    told = json.loads((folder / "served" / "runs" / compared / "out" / "comparison.json").read_text(encoding="utf-8"))
-    planned = {each["name"]: each for each in told["candidates"] if not each["refused"]}
+    reported = json.loads(
+        (folder / "served" / "runs" / compared / "out" / "comparison.json").read_text(encoding="utf-8")
+    )
+    planned = {each["name"]: each for each in reported["candidates"] if not each["refused"]}
     assert len(planned) >= 3
     rows = page.locator("table.data tbody tr")
     assert {row.locator("th").inner_text().strip().splitlines()[0] for row in rows.all()} == set(planned)
-    refused = {each["name"] for each in told["candidates"] if each["refused"]}
+    refused = {each["name"] for each in reported["candidates"] if each["refused"]}
     assert {each.inner_text() for each in page.locator("#panel-compare .sentences strong").all()} == refused
     for error in ("pv_nm", "rms_nm"):
         page.get_by_label("Error to compare").select_option(error)
-        places = {name: (one["limits"]["cycle_time_s"], one["shares"][error]) for name, one in planned.items()}
+        places = {name: (one["limits"]["cycle_time_s"], one["breakdown"][error]) for name, one in planned.items()}
         unbeaten = {
             name for name, (time, left) in places.items()
             if not any((a <= time and b <= left and (a, b) != (time, left)) for a, b in places.values())
@@ -692,9 +694,9 @@ def test_lines_of_the_program_lead_to_the_part(bench, motion):
     expect(chosen.locator(".at")).to_have_text("3000")
     expect(chosen.locator("code")).to_contain_text("G1 X")
     x, z, turned = (float(word[1:]) for word in chosen.locator("code").inner_text().split()[1:4])
-    told = figures(page.locator("#panel-program .bar .number").inner_text())
+    reported = figures(page.locator("#panel-program .bar .number").inner_text())
     angle = math.radians(turned)
-    assert told == pytest.approx([x * math.cos(angle), x * math.sin(angle), z], rel=1e-4)
+    assert reported == pytest.approx([x * math.cos(angle), x * math.sin(angle), z], rel=1e-4)
     # Closed form: the tip of a round nose in a bowl stands on a bowl that is smaller by the nose.
     assert z == pytest.approx(SPHERE - NOSE - math.sqrt((SPHERE - NOSE) ** 2 - x**2), abs=1e-6)
 
@@ -741,9 +743,9 @@ def test_an_injected_offset_is_found_and_corrected(bench, folder, tmp_path):
     after = page.get_by_role("tab", name="After correction")
     expect(after).to_be_enabled()
     before = pixels(one.drawn("#measured .map canvas.mapcanvas", colours=60))
-    told = one.answer("/map", after.click)
-    assert told.url.endswith("name=predicted")
-    header, arrays = unpack(told.body())
+    reported = one.answer("/map", after.click)
+    assert reported.url.endswith("name=predicted")
+    header, arrays = unpack(reported.body())
     wait(
         lambda: differs_from(before, one.png(page.locator("#measured .map canvas.mapcanvas"))), what="the predicted map"
     )
@@ -751,7 +753,7 @@ def test_an_injected_offset_is_found_and_corrected(bench, folder, tmp_path):
     judged = page.locator("#measured .decide .bar > span")
     expect(judged).to_contain_text("then predicted")
     # Closed form: an offset leaves a cone, offset times slope; it was there, and will be gone.
-    measured = unpack(page.request.get(told.url.replace("predicted", "measured")).body())
+    measured = unpack(page.request.get(reported.url.replace("predicted", "measured")).body())
     assert header["unit"] == "nm"
     assert cone(*measured) == pytest.approx(-OFFSET / SPHERE, rel=0.05)
     assert abs(cone(header, arrays)) < 0.05 * OFFSET / SPHERE
@@ -987,9 +989,9 @@ def test_light_and_dark_follow_the_system_and_the_switch(bench):
     for dark in (False, True):
         one = bench(dark=dark)
         page = one.page
-        said = pixels(one.png()).mean()
-        assert (said < 100) == dark
-        assert (said > 180) != dark
+        message = pixels(one.png()).mean()
+        assert (message < 100) == dark
+        assert (message > 180) != dark
         page.keyboard.press("t")
         wait(lambda: (pixels(one.png()).mean() < 100) != dark, what="the other scheme")  # noqa: B023
         page.reload()

@@ -152,7 +152,7 @@ def test_a_glimpse_is_points_of_the_whole_spiral(servo: tw.strategy.Strategy) ->
     job = tw.Job.read(BOWL)
     part, tool = job.part, replace(job.tool, offset=(0.003, 0.0, 0.0))
     whole = servo.spiral(part, tool)
-    some = servo.glimpse(part, tool, turns=12, per_turn=24)
+    some = servo.preview_spiral(part, tool, turns=12, per_turn=24)
     at = np.searchsorted(whole.angle * whole.sense, some.angle * some.sense)
     np.testing.assert_array_equal(some.angle, whole.angle[at])
     np.testing.assert_array_equal(some.radius, whole.radius[at])
@@ -203,10 +203,10 @@ def test_the_cusps_next_to_the_contact_are_those_of_a_flat() -> None:
 
 def test_maps_are_listed_as_they_are_stored(made: tuple[Path, tw.job.Result]) -> None:
     out, result = made
-    told = _made.listed(str(out))
-    assert [one["name"] for one in told] == ["whole part", "spot"]
-    assert [one["shape"] for one in told] == [list(one.error.z.shape) for one in result.predictions]
-    assert told[1]["pixel"] == pytest.approx(0.002)
+    reported = _made.list_maps(str(out))
+    assert [one["name"] for one in reported] == ["whole part", "spot"]
+    assert [one["shape"] for one in reported] == [list(one.error.z.shape) for one in result.predictions]
+    assert reported[1]["pixel"] == pytest.approx(0.002)
 
 
 @pytest.mark.parametrize("quantity", ["error", "height"])
@@ -257,7 +257,7 @@ def test_regenerated_map_is_the_stored_one(interpolation: str, tmp_path: Path) -
     spot = result.predictions[1].error
     assert spot.x is not None
     assert spot.y is not None
-    error, _ = _made.generated(str(tmp_path), spot.x, spot.y)
+    error, _ = _made.simulate_window(str(tmp_path), spot.x, spot.y)
     np.testing.assert_array_equal(error, spot.z)
 
 

@@ -86,10 +86,10 @@ def _open_closed() -> None:
 def _print_error(text: str) -> None:
     from contextlib import suppress  # noqa: PLC0415 - no import before signals are handled
 
-    from turnwright.errors import shortened  # noqa: PLC0415
+    from turnwright.errors import shorten_message  # noqa: PLC0415
 
     with suppress(OSError):
-        for line in shortened(text).splitlines():
+        for line in shorten_message(text).splitlines():
             print(f"turnwright: {line}", file=sys.stderr)  # noqa: T201 - the one place errors go
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from turnwright._io import write_whole
+from turnwright._io import write_atomic
 from turnwright._signals import Stop
 from turnwright.cli.shared import MISSED_CODE, Session, new_folder, show_progress
 from turnwright.errors import InputError
@@ -114,7 +114,7 @@ def _run_case(data: Mapping[str, Any], shared: Mapping[str, Any], _store: Store 
     with Stop() as stop, new_folder(out, Session(stop), force=shared["force"]) as folder:
         result = run_into(folder, job, lambda *_: stop.check())
         done = {"outcome": _outcome(result), "missed": sum(verdict.is_kept is False for verdict in result.verdicts)}
-        write_whole(folder / CASE_FILE, json.dumps({"key": key, **done}) + "\n")
+        write_atomic(folder / CASE_FILE, json.dumps({"key": key, **done}) + "\n")
     return done
 
 

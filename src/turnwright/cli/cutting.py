@@ -94,11 +94,11 @@ def new(
 ) -> None:
     """Write a job file with every key explained."""
     session: Session = context.obj
-    from turnwright._io import write_whole  # noqa: PLC0415
+    from turnwright._io import write_atomic  # noqa: PLC0415
     from turnwright.job import job_template  # noqa: PLC0415 - costly
 
     require_unused(out)
-    write_whole(out, job_template(family, strategy))
+    write_atomic(out, job_template(family, strategy))
     session.echo(f"job: {out}")
 
 
@@ -106,7 +106,7 @@ def new(
 def check(context: typer.Context, job: JobFile) -> None:
     """Check tool access, cycle time and chip thickness."""
     session: Session = context.obj
-    from turnwright.job import Job, preview, steps_of_preview, unjudged  # noqa: PLC0415
+    from turnwright.job import Job, not_evaluated, preview, steps_of_preview  # noqa: PLC0415
 
     recipe = Job.load(job)
     with show_progress(session.stop, steps_of_preview(recipe)) as progress:
@@ -119,7 +119,7 @@ def check(context: typer.Context, job: JobFile) -> None:
         session.echo(f"{name}: {points} points, at least {plan.shortest_s[name] / 60:.1f} min")
     for name, sentence in plan.chips.items():
         session.echo(f"{name}: {sentence}")
-    for verdict in unjudged(recipe, "only a run predicts the surface"):
+    for verdict in not_evaluated(recipe, "only a run predicts the surface"):
         session.echo(verdict.sentence)
     warn(plan.warnings)
     if plan.refused:
@@ -143,7 +143,7 @@ def plan(
     write_edited(out, job, recipe, chosen.job)
     for trial in chosen.tried if len(chosen.tried) > 1 else ():
         session.echo(f"{trial.interpolation}: {trial.refused or f'{trial.points} points, {trial.minutes:.1f} min'}")
-    budget = chosen.shares
+    budget = chosen.breakdown
     session.echo(
         f"{chosen.limits.points} points, {chosen.limits.cycle_time_s / 60:.1f} min at "
         f"{chosen.limits.spindle_rpm:.4g} rpm, {chosen.limits.nearest} is nearest to its limit"
@@ -178,13 +178,13 @@ def compare(
             progress("report", 1, 1)
     for candidate in comparison.candidates:
         limits = candidate.limits
-        if candidate.refused or limits is None or candidate.shares is None:
+        if candidate.refused or limits is None or candidate.breakdown is None:
             session.echo(f"{candidate.name}: {candidate.refused}")
             continue
         session.echo(
             f"{candidate.name}: {candidate.turns:.0f} revolutions, {limits.points} points, "
             f"{limits.cycle_time_s / 60:.1f} min at {limits.spindle_rpm:.4g} rpm, limited by {limits.binding}; "
-            f"PV {candidate.shares.pv_nm:.3g} nm"
+            f"PV {candidate.breakdown.pv_nm:.3g} nm"
         )
     session.echo(f"report: {out / 'report.html'}")
 

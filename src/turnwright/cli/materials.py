@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from turnwright._io import write_whole
+from turnwright._io import write_atomic
 from turnwright.cli.shared import Session, app, require_picture, require_unused, show_progress
 from turnwright.progress import Step
 from turnwright.units import say_length
@@ -87,7 +87,7 @@ def fit(context: typer.Context, data: Data, out: Out, picture: Picture = None) -
         from turnwright.report import write_fit_picture  # noqa: PLC0415 - imports matplotlib
 
         write_fit_picture(experiment, picture)
-    write_whole(out, text)
+    write_atomic(out, text)
     for sentence in experiment.learned.sentences:
         session.echo(sentence)
     session.echo(f"material: {out}")

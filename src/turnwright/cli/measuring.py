@@ -121,7 +121,7 @@ def measure(
         new_folder(out, session, force=force) as folder,
         show_progress(session.stop, steps_of_measurement(_heights([file]))) as progress,
     ):
-        measured = _measured([file], [job], progress, unit, keys)[0]
+        measured = _register_maps([file], [job], progress, unit, keys)[0]
         progress("report", 0, 1)
         from turnwright.report import archive_measured, write_measured  # noqa: PLC0415 - costly to import
 
@@ -149,7 +149,7 @@ def diagnose(
     ):
         from turnwright.job import diagnose  # noqa: PLC0415
 
-        measured = _measured(files, job, progress, unit, keys)
+        measured = _register_maps(files, job, progress, unit, keys)
         diagnosis = diagnose(measured, progress=progress)
         progress("report", 0, 1)
         from turnwright.report import archive_diagnosis, write_diagnosis  # noqa: PLC0415 - costly to import
@@ -186,7 +186,7 @@ def correct(
     ):
         from turnwright.job import correct, diagnose  # noqa: PLC0415
 
-        measured = _measured(files, job, progress, unit, keys)
+        measured = _register_maps(files, job, progress, unit, keys)
         diagnosis = diagnose(measured, progress=progress)
         base = measured[0].job if of is None else _load_job(of, keys)
         correction = correct(base, diagnosis, measured, out=folder, source=of or job[0], progress=progress)
@@ -231,7 +231,7 @@ def _load_job(file: Path, keys: Sequence[str]) -> Job:
     return Job.read(table)
 
 
-def _measured(
+def _register_maps(
     files: Sequence[Path], jobs: Sequence[Path], progress: StageProgress, unit: str | None, keys: Sequence[str]
 ) -> list[Measured]:
     """Read each map and register it to its part."""
@@ -269,8 +269,8 @@ def _print_sources(session: Session, diagnosis: Diagnosis) -> None:
     smallest = MIN_LISTED_FRACTION * diagnosis.measured_rms_nm
     for source in diagnosis:
         if source.verdict == "correct" or source.rms_nm > smallest:
-            session.echo(f"{source.verdict}: {source.why}")
+            session.echo(f"{source.verdict}: {source.explanation}")
     for term in diagnosis.contributions:
         if term.rms_nm > smallest:
-            session.echo(term.why)
+            session.echo(term.explanation)
     session.echo(diagnosis.summary)

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from turnwright import __version__
-from turnwright._io import write_whole
+from turnwright._io import write_atomic
 from turnwright._signals import Stop
-from turnwright.errors import InputError, shortened
+from turnwright.errors import InputError, shorten_message
 from turnwright.progress import OverallProgress
 
 try:
@@ -109,15 +109,15 @@ class Session:
 def print_status(text: str) -> None:
     """Print a status line to standard error; errors are ignored."""
     with suppress(OSError):
-        typer.echo(shortened(text), err=True)
+        typer.echo(shorten_message(text), err=True)
 
 
 def exit_on_missed(session: Session, verdicts: Iterable[Verdict]) -> None:
     """Exit with `MISSED_CODE` if a tolerance is missed."""
-    from turnwright.job import missed  # noqa: PLC0415
+    from turnwright.job import any_missed  # noqa: PLC0415
 
     verdicts = tuple(verdicts)
-    if missed(verdicts):
+    if any_missed(verdicts):
         count = sum(verdict.is_kept is False for verdict in verdicts)
         session.echo(f"results are written, but {count} of {len(verdicts)} evaluated tolerances are missed")
         raise typer.Exit(MISSED_CODE)
@@ -167,10 +167,10 @@ def parse_option(option: str, text: str, kind: str, example: str) -> tuple[str, 
 
 def write_edited(out: Path, file: Path, job: Job, changed: Job) -> None:
     """Write a changed job as the text of its file with the changes, so that comments and layout are kept."""
-    from turnwright.job import edited  # noqa: PLC0415
+    from turnwright.job import edit_text  # noqa: PLC0415
 
     text = file.read_bytes().decode("utf-8")
-    write_whole(out, edited(text, job, changed, folder=file.absolute().parent, into=out.absolute().parent))
+    write_atomic(out, edit_text(text, job, changed, folder=file.absolute().parent, into=out.absolute().parent))
 
 
 @contextmanager

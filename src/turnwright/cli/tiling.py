@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from turnwright._io import part_of, write_whole
+from turnwright._io import part_of, write_atomic
 from turnwright.cli.shared import JobFile, Session, app, show_progress, warn
 from turnwright.errors import InputError
 from turnwright.progress import Step
@@ -67,7 +67,7 @@ def tile(
             workers = stack.enter_context(connect(cluster))
         motion, result = finishing_motion(recipe, progress=progress)
         out.mkdir(parents=True, exist_ok=True)
-        write_whole(out / CASE_FILE, json.dumps({"key": key}) + "\n")
+        write_atomic(out / CASE_FILE, json.dumps({"key": key}) + "\n")
         session.partial = f"finished tiles are in {str(out)!r}: repeat the command to continue"
         tiled = generate_tiled(
             motion, recipe.actual_tool, machine=recipe.actual_machine, pixel=step, radius=part.radius,

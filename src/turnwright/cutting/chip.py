@@ -295,7 +295,7 @@ class ChipMap:
         return float(self.x[at]), float(self.y[at])
 
 
-class _Moved(NamedTuple):
+class _TipAxes(NamedTuple):
     """Axes of the tool tip, as the kernel expects them."""
 
     c: Floats
@@ -305,7 +305,7 @@ class _Moved(NamedTuple):
     starts: Ints
 
     @classmethod
-    def of(cls, motion: Motion, tool: Tool, machine: Machine | None) -> _Moved:
+    def of(cls, motion: Motion, tool: Tool, machine: Machine | None) -> _TipAxes:
         machine = machine or motion.machine
         if "Y" in motion.axes and motion.axes["Y"].any():
             raise InputError(
@@ -380,11 +380,11 @@ def chip_map(
     -------
     [Troutman2016]_ ch. 2 takes f sin s. Oracles: dense brute force, circle geometry, removed volume.
     """
-    moved = _Moved.of(motion, tool, machine)
+    moved = _TipAxes.of(motion, tool, machine)
     stock = part.stock if stock is None else float(stock)
     if before is None and not stock > 0:
         raise InputError("stock must be above 0 mm where there is no previous pass, got 0 mm: nothing would be cut")
-    earlier = None if before is None else _Moved.of(before, tool, machine)
+    earlier = None if before is None else _TipAxes.of(before, tool, machine)
     at = np.arange(moved.c.size) if points is None else np.asarray(points, dtype=np.int64)
     if at.size and not (at.min() >= 0 and at.max() < moved.c.size):
         raise InputError(f"points must be 0 to {moved.c.size - 1} (those of the motion), got {at.min()} to {at.max()}")
@@ -454,8 +454,8 @@ class _MaterialTable(NamedTuple):
 
 
 def _fill_rows(
-    moved: _Moved,
-    earlier: _Moved | None,
+    moved: _TipAxes,
+    earlier: _TipAxes | None,
     tool: Tool,
     part: Part,
     stock: float,
@@ -468,7 +468,7 @@ def _fill_rows(
     """Fill ``rows`` with the chip at the given points; windows grow until they hold the chip."""
     edge = tool.cutting_edge()
     empty = only_read(NOTHING)
-    past = earlier or _Moved(empty, empty, empty, 1, np.empty(0, dtype=np.int64))
+    past = earlier or _TipAxes(empty, empty, empty, 1, np.empty(0, dtype=np.int64))
     sides = _initial_windows(moved, tool, stock, at)
 
     def look(start: int, stop: int) -> None:
@@ -497,7 +497,7 @@ def _fill_rows(
     run_chunks(look, at.size, CHUNK_POINTS, progress)
 
 
-def _initial_windows(moved: _Moved, tool: Tool, stock: float, at: Ints) -> tuple[Floats, Floats]:
+def _initial_windows(moved: _TipAxes, tool: Tool, stock: float, at: Ints) -> tuple[Floats, Floats]:
     """Return the initial widths of the windows toward -X and +X of the contact. Each (n,) [mm].
 
     They reach a little beyond the end of the stock on a flat; toward the previous revolution, a few feeds.

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from turnwright._arrays import Floats, frozen
-from turnwright._tables import Stated
-from turnwright._validate import between, check_angle, check_numbers, positive, whole as whole_number
+from turnwright._tables import TableModel
+from turnwright._validate import between, check_angle, check_numbers, positive, whole_number
 from turnwright.cutting.chip import OrthogonalChip, RoundChip
 from turnwright.errors import InputError
 from turnwright.units import Angle, Count, Feed, Length
@@ -211,7 +211,7 @@ ForceColumns = tuple[Floats, Floats, Floats, Floats, Floats]
 """x, y, z, thickness and torque of a `ForceHistory`."""
 
 
-class _InterruptedCut(Stated):
+class _InterruptedCut(TableModel):
     """Cut of a rotating tool, with the forces over its revolutions."""
 
     __slots__ = ()

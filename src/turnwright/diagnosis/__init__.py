@@ -3,9 +3,9 @@
 from turnwright.diagnosis.diagnosing import diagnose, plausible_rms_nm
 from turnwright.diagnosis.error_sources import DEFAULT, ERROR_SOURCES, ErrorSource
 from turnwright.diagnosis.findings import Contribution, Diagnosis, DrawnCut, Draws, Finding
+from turnwright.diagnosis.map_points import FREE
 from turnwright.diagnosis.proof import Proof, prove
 from turnwright.diagnosis.setup import CentreDefect, Move, centre_defect, handbook_offset, moves
-from turnwright.diagnosis.sight import FREE
 
 __all__ = [
     "DEFAULT",

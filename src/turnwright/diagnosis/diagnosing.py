@@ -12,8 +12,8 @@ from turnwright._validate import between, positive
 from turnwright.diagnosis.error_sources import DEFAULT, ERROR_SOURCES, Columns, ErrorSource
 from turnwright.diagnosis.estimate import Estimate
 from turnwright.diagnosis.findings import Diagnosis
+from turnwright.diagnosis.map_points import FREE, add_signatures, prepare_maps
 from turnwright.diagnosis.report import ReportRequest, write_report
-from turnwright.diagnosis.sight import FREE, add_signatures, prepare_maps
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 
@@ -167,9 +167,9 @@ def _set_up_estimate(
     reference: str, free: Sequence[str], powers: Sequence[int], straightness: int, sense: int, feed: float,
     stated: Floats,
 ) -> Estimate:  # fmt: skip
-    sights, reach = prepare_maps(thin, parts, tool, tuple(free), reference, sense, feed)
+    all_points, reach = prepare_maps(thin, parts, tool, tuple(free), reference, sense, feed)
     radius = max(part.radius for part in parts)
-    farthest = max(float(np.nanmax(np.hypot(sight.x, sight.y))) for sight in sights)
+    farthest = max(float(np.nanmax(np.hypot(map_points.x, map_points.y))) for map_points in all_points)
     plausible = {**machine.plausible, **tool.plausible}
     columns = Columns(
         error_sources=tuple(error_sources),
@@ -179,11 +179,11 @@ def _set_up_estimate(
         nose=tool.actual_radius,
         plausible=plausible,
     )
-    for sight in sights:
-        add_signatures(sight, columns)
+    for map_points in all_points:
+        add_signatures(map_points, columns)
     return Estimate(
-        sights=sights, columns=columns, sense=sense, radius=[part.radius for part in parts], kinds=_group_maps(parts),
-        plausible=plausible,
+        all_points=all_points, columns=columns, sense=sense, radius=[part.radius for part in parts],
+        kinds=_group_maps(parts), plausible=plausible,
         values=np.zeros((len(thin), len(columns.all))), scale=np.full(len(thin), np.inf),
         correlated_points=np.ones(len(thin)), stated=stated,
     )  # fmt: skip

@@ -11,9 +11,9 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, robust_scatter
 from turnwright.diagnosis.error_sources import Column, Columns
+from turnwright.diagnosis.map_points import CENTRE_ZONE_MM, MapPoints
 from turnwright.diagnosis.model import Cutting
 from turnwright.diagnosis.posterior import Posterior, Scaled, posterior
-from turnwright.diagnosis.sight import CENTRE_ZONE_MM, Sight
 from turnwright.diagnosis.terms import GROUPS, Group, columns, form_of, lobes_by_angle
 from turnwright.errors import InputError
 
@@ -138,7 +138,7 @@ class _Split(NamedTuple):
 class Estimate:
     """Maps, sources, and the current state of the fit."""
 
-    sights: list[Sight]
+    all_points: list[MapPoints]
     columns: Columns
     sense: int
     radius: Sequence[float]  # of the part of each map [mm]
@@ -164,14 +164,14 @@ class Estimate:
     def __post_init__(self) -> None:
         self.own = np.array([self._find_start_size(group) ** 2 for group in GROUPS])
         self.common = self.own.copy()
-        if self.several:  # otherwise errors that all cuts share may be attributed to each cut separately
+        if self.has_several_maps:  # otherwise errors that all cuts share may be attributed to each cut separately
             self.own *= START_DIFFERENCE_RATIO**2
         self.between = np.array(
             [CHANGE_SIGMA[1 if error_source in TOOL_SOURCES else 0] ** 2 for error_source in self.error_sources]
         )
-        self.terms = [np.zeros(TERMS) for _ in self.sights]
-        self.forms = [np.zeros((0, 0)) for _ in self.sights]
-        self.form_poses = [np.full(sight.pose.size, np.inf) for sight in self.sights]
+        self.terms = [np.zeros(TERMS) for _ in self.all_points]
+        self.forms = [np.zeros((0, 0)) for _ in self.all_points]
+        self.form_poses = [np.full(map_points.pose.size, np.inf) for map_points in self.all_points]
         self.pose_roots = []
         self.seen = np.ones(len(self.names), dtype=np.bool_)
 
@@ -183,7 +183,7 @@ class Estimate:
         return group.least == group.size or group.name in self.plausible
 
     @property
-    def several(self) -> bool:
+    def has_several_maps(self) -> bool:
         """Whether every map is one of several of its part."""
         return all(kind is not None for kind in self.kinds)
 
@@ -209,23 +209,23 @@ class Estimate:
     def solve(self) -> None:
         """Solve for all unknowns, the poses, the noise and the sizes of the terms."""
         for step in range(MAX_STEPS):
-            self.systems = [self._linearise(m) for m in range(len(self.sights))]
+            self.systems = [self._linearise(m) for m in range(len(self.all_points))]
             if step == 0:
                 self.seen = self._find_observable()
                 if not self.seen.all():
-                    self.systems = [self._linearise(m) for m in range(len(self.sights))]
+                    self.systems = [self._linearise(m) for m in range(len(self.all_points))]
                 for m, system in enumerate(self.systems):
                     self.scale[m] = max(
                         START_NOISE_RATIO * float(np.std(system.rows[:, -1])), MODEL_ERROR_MM, self.stated[m]
                     )
-                self.pose_roots = [self._find_pose_prior(m) for m in range(len(self.sights))]
+                self.pose_roots = [self._find_pose_prior(m) for m in range(len(self.all_points))]
             self._find_sizes()
             self._measure_noise()
             if not self._reject_outliers() and self._take_step(1.0 if step < FULL_STEPS else DAMPING) < STEP_TOL:
                 break
         self._enlarge_drift()
         for share in FINAL_STEP_FRACTIONS:  # with all sizes fixed, so that sources, terms and poses are consistent
-            self.systems = [self._linearise(m) for m in range(len(self.sights))]
+            self.systems = [self._linearise(m) for m in range(len(self.all_points))]
             self.posterior = self._solve_posterior()
             self._take_step(share)
 
@@ -236,13 +236,13 @@ class Estimate:
         return float(np.sqrt((system.root[j:, j : j + k] ** 2).sum() / system.rows.shape[0]))
 
     def _linearise(self, m: int) -> LinearSystem:
-        sight, values = self.sights[m], self.values[m]
-        residual, cutting = sight.cut(self.columns.deviations(values))
-        for error_source, mark in sight.added.items():
+        map_points, values = self.all_points[m], self.values[m]
+        residual, cutting = map_points.cut(self.columns.deviations(values))
+        for error_source, mark in map_points.added.items():
             residual = residual - values[self.of_source(error_source)] @ mark
-        good = sight.usable & ~sight.outliers & np.isfinite(residual) & (cutting.tip_radius >= 0)
-        sight.good = good
-        marks, turned, numbers = self.marks(m, sight, cutting, self._update_form(m))
+        good = map_points.usable & ~map_points.outliers & np.isfinite(residual) & (cutting.tip_radius >= 0)
+        map_points.good = good
+        marks, turned, numbers = self.marks(m, map_points, cutting, self._update_form(m))
         if (points := int(np.count_nonzero(good))) < (needed := len(numbers) + self.typical.size + 3):
             raise InputError(
                 f"{points} points of the map can be used, {self.typical.size} numbers and a pose need at least "
@@ -250,18 +250,18 @@ class Estimate:
             )
         rows = np.column_stack([marks, residual])[good]
         counts = np.ones(points)
-        if sight.along_normal is not None:  # the instrument's noise is along the normal
+        if map_points.along_normal is not None:  # the instrument's noise is along the normal
             counts = 1 / np.sqrt(1 + cutting.zx[good] ** 2 + cutting.zy[good] ** 2)
             rows *= counts[:, None]
         return LinearSystem(rows, _reduce_to_triangle(rows), numbers, good, turned[good], counts)
 
     def marks(
-        self, m: int, sight: Sight, cutting: Cutting, form: Floats | None = None
+        self, m: int, map_points: MapPoints, cutting: Cutting, form: Floats | None = None
     ) -> tuple[Floats, Floats, list[int]]:
         """Return the effect of each unknown of a map at some points, see `LinearSystem`: rows, turned and numbers."""
         typical, by_angle = self.typical, lobes_by_angle(cutting, self.terms[m])
-        nuisances, numbers = sight.nuisances(cutting, by_angle)
-        marks = self.columns.slopes(cutting, sight.added, self.sense, sight.cusp) * typical
+        nuisances, numbers = map_points.nuisances(cutting, by_angle)
+        marks = self.columns.slopes(cutting, map_points.added, self.sense, map_points.cusp) * typical
         marks[:, ~self.seen] = 0.0
         turned: Floats = np.zeros(cutting.x.size)
         for k in self.of_source("offset y"):
@@ -276,11 +276,11 @@ class Estimate:
 
     def _update_form(self, m: int) -> Floats:
         """Return the columns of the terms of form at the points of a map. (g, n)."""
-        sight, radius = self.sights[m], self.radius[m]
-        off = np.abs(sight.pose - self.form_poses[m])
+        map_points, radius = self.all_points[m], self.radius[m]
+        off = np.abs(map_points.pose - self.form_poses[m])
         if np.hypot(off[0], off[1]) + off[3] * radius > POSE_TOL_FRACTION * radius:
-            x, y, _ = sight.moved()
-            self.forms[m], self.form_poses[m] = form_of(x / radius, y / radius), sight.pose.copy()
+            x, y, _ = map_points.moved()
+            self.forms[m], self.form_poses[m] = form_of(x / radius, y / radius), map_points.pose.copy()
         return self.forms[m]
 
     def _find_pose_prior(self, m: int) -> Floats:
@@ -302,13 +302,13 @@ class Estimate:
     def split(self, m: int) -> _Split:
         """Return the decomposition of the unknowns of a map, at the current sizes."""
         j, k = self.systems[m].poses, self.typical.size
-        many = len(self.sights) > 1
+        many = len(self.all_points) > 1
         kinds = 1 + max((kind for kind in self.kinds if kind is not None), default=-1)
         map_columns = np.zeros((j + k + TERMS, j + many * k + TERMS))
         map_columns[:j, :j] = self.pose_roots[m]
         if many:
-            map_columns[j : j + k, j : j + k] = np.diag(np.sqrt(self.between_numbers()))
-        map_columns[j + k :, -TERMS:] = np.diag(self._find_term_sigmas(self.own, even=len(self.sights) == 1))
+            map_columns[j : j + k, j : j + k] = np.diag(np.sqrt(self.variance_between_maps()))
+        map_columns[j + k :, -TERMS:] = np.diag(self._find_term_sigmas(self.own, even=len(self.all_points) == 1))
         shared = np.zeros((j + k + TERMS, k + kinds * TERMS))
         shared[j : j + k, :k] = np.eye(k)
         if (kind := self.kinds[m]) is not None:
@@ -327,7 +327,7 @@ class Estimate:
             spread.append(sigmas)
         return np.concatenate(spread)
 
-    def between_numbers(self) -> Floats:
+    def variance_between_maps(self) -> Floats:
         """Return the variance of each unknown from map to map. (k,)."""
         error_sources = self.error_sources
         return self.between[[error_sources.index(column.error_source) for column in self.names]]
@@ -341,7 +341,7 @@ class Estimate:
     def numbers(self, m: int) -> Floats:
         """Return the unknowns of a map's columns. (j + k + g,)."""
         split = self.split(m)
-        return np.asarray(split.own @ self.posterior.own(m) + split.shared @ self.posterior.shared)
+        return np.asarray(split.own @ self.posterior.map_unknowns(m) + split.shared @ self.posterior.shared)
 
     def _solve_posterior(self) -> Posterior:
         scaled, prior_means = [], []
@@ -349,8 +349,8 @@ class Estimate:
             split, columns = self.split(m), system.root[:, :-1] / scale
             scaled.append(Scaled(columns @ split.own, columns @ split.shared, self.target(m) / scale))
             mean = np.zeros(split.own.shape[1])
-            sight = self.sights[m]
-            away = (sight.start_pose - sight.pose)[system.numbers] / POSE_SIGMA[system.numbers]
+            map_points = self.all_points[m]
+            away = (map_points.start_pose - map_points.pose)[system.numbers] / POSE_SIGMA[system.numbers]
             mean[: system.poses] = np.linalg.solve(self.pose_roots[m], away)
             prior_means.append(mean)
         return posterior(scaled, prior_means)
@@ -359,7 +359,7 @@ class Estimate:
         """Find the noise and the sizes of the terms for which the maps are most probable."""
         for _ in range(MAX_SIZE_ITERATIONS):
             self.posterior = self._solve_posterior()
-            variances = [self.posterior.variances(m) for m in range(len(self.sights))]
+            variances = [self.posterior.variances(m) for m in range(len(self.all_points))]
             changes = [*self._update_noise(variances), *self._update_sizes(variances)]
             if max(changes, default=0.0) < SIZE_TOL and not self._pool_sizes():
                 break
@@ -370,7 +370,7 @@ class Estimate:
         The search for the sizes is local. With maps that are decentred by different amounts it may end at a less
         probable solution, in which the terms that all cuts share are attributed to each cut separately.
         """
-        if not self.several:
+        if not self.has_several_maps:
             return False
         pooled = False
         for g, group in enumerate(GROUPS):
@@ -389,7 +389,7 @@ class Estimate:
         for g, group in enumerate(GROUPS):
             if not group.name.startswith("drift") or group.name in self.plausible:
                 continue
-            sizes = self.common if self.several else self.own
+            sizes = self.common if self.has_several_maps else self.own
             current_size, evidence = sizes[g], []
             for size in DRIFT_SIZES_MM:
                 sizes[g] = size**2
@@ -412,28 +412,28 @@ class Estimate:
     def _count_determined(self, variances: Floats) -> float:
         shared = self.posterior.shared.size
         determined = 1 - variances
-        return float(determined[:-shared].sum() + determined[-shared:].sum() / len(self.sights))
+        return float(determined[:-shared].sum() + determined[-shared:].sum() / len(self.all_points))
 
     def _update_sizes(self, variances: Sequence[Floats]) -> list[float]:
         """Set the sizes of the groups to those of the terms; return the changes of their logarithms."""
         changes: list[float] = []
-        map_numbers = [self.posterior.own(m) for m in range(len(self.sights))]
+        map_numbers = [self.posterior.map_unknowns(m) for m in range(len(self.all_points))]
         k = self.typical.size
         for g, (group, place) in enumerate(zip(GROUPS, PLACES, strict=True)):
             limits, most_sigmas = (
                 (group.least**2, group.most**2),
                 MAX_FORM_SIGMA if group.name == "low form" else MAX_TERM_SIGMA,
             )
-            if group.ramp and len(self.sights) == 1:
+            if group.ramp and len(self.all_points) == 1:
                 place = slice(place.start + 1, place.stop)  # noqa: PLW2901 - the ramp has a size of its own
             values = np.stack([one[-TERMS:][place] for one in map_numbers])
             spread = np.stack(
                 [each[: one.size][-TERMS:][place] for each, one in zip(variances, map_numbers, strict=True)]
             )
             # The differences between cuts of one part are always determined, so their size is always fitted.
-            least = MIN_DIFFERENCE_RATIO**2 * group.size**2 if self.several else limits[0]
+            least = MIN_DIFFERENCE_RATIO**2 * group.size**2 if self.has_several_maps else limits[0]
             fixed = self._is_fixed(group)
-            if self.several or not fixed:
+            if self.has_several_maps or not fixed:
                 self.own[g], change = _find_variance(self.own[g], values, spread, (least, limits[1]), most_sigmas)
                 changes.append(change)
             if fixed:
@@ -443,7 +443,7 @@ class Estimate:
                 spread = (self.posterior.root[k:] ** 2).sum(axis=1).reshape(-1, TERMS)[:, place]
                 self.common[g], change = _find_variance(self.common[g], common_terms, spread, limits, most_sigmas)
                 changes.append(change)
-        if len(self.sights) > 1:
+        if len(self.all_points) > 1:
             for c, error_source in enumerate(self.error_sources):
                 if error_source in TOOL_SOURCES:
                     continue
@@ -457,7 +457,7 @@ class Estimate:
                 changes.append(change)
         return changes
 
-    def left(self, m: int) -> Floats:
+    def residual_of(self, m: int) -> Floats:
         """Return the residual at the points of a map. (n,) [mm]."""
         system = self.systems[m]
         j, k = system.poses, self.typical.size
@@ -470,9 +470,13 @@ class Estimate:
         for m, system in enumerate(self.systems):
             split, roots = self.split(m), self.posterior.roots(m)
             spread = np.hstack([split.own, split.shared]) @ roots
-            sight = self.sights[m]
+            map_points = self.all_points[m]
             self.correlated_points[m] = _count_correlated_points(
-                self.left(m), system, spread / self.scale[m], sight.x[system.good], sight.y[system.good]
+                self.residual_of(m),
+                system,
+                spread / self.scale[m],
+                map_points.x[system.good],
+                map_points.y[system.good],
             )
         for kind in {one for one in self.kinds if one is not None}:
             alike = [m for m, one in enumerate(self.kinds) if one == kind]
@@ -485,11 +489,13 @@ class Estimate:
         """Return the mean correlation between the residuals of maps of one part, averaged over cells."""
         means = []
         for m in maps:
-            sight, good = self.sights[m], self.systems[m].good
-            x, y = sight.x[good] / self.radius[m], sight.y[good] / self.radius[m]
+            map_points, good = self.all_points[m], self.systems[m].good
+            x, y = map_points.x[good] / self.radius[m], map_points.y[good] / self.radius[m]
             ring = np.minimum((RINGS * (x * x + y * y)).astype(np.int64), RINGS - 1)
             cell = ring * SECTORS + ((np.arctan2(y, x) / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
-            number, total = (np.bincount(cell, weights=one, minlength=RINGS * SECTORS) for one in (None, self.left(m)))
+            number, total = (
+                np.bincount(cell, weights=one, minlength=RINGS * SECTORS) for one in (None, self.residual_of(m))
+            )
             means.append(np.where(number > 3, total / np.maximum(number, 1), np.nan))
         covered = np.isfinite(means).all(axis=0)
         if np.count_nonzero(covered) < MIN_COMMON_CELLS:
@@ -512,7 +518,7 @@ class Estimate:
             step = share * (every[m] - present)
             numbers = present + step
             moved += float(np.sum((system.root[:, :-1] @ step / self.scale[m]) ** 2))
-            self.sights[m].pose[system.numbers] += POSE_SIGMA[system.numbers] * numbers[:j]
+            self.all_points[m].pose[system.numbers] += POSE_SIGMA[system.numbers] * numbers[:j]
             self.values[m] = numbers[j : j + k] * self.typical
             self.terms[m] = numbers[j + k :]
         return float(np.sqrt(moved))
@@ -521,10 +527,10 @@ class Estimate:
         """Reject outliers; return whether there were new ones."""
         new = False
         for m, system in enumerate(self.systems):
-            off = self.left(m)
+            off = self.residual_of(m)
             off = np.abs(off - np.median(off))
             out = off > OUTLIER_SIGMA * max(robust_scatter(off), MODEL_ERROR_MM)
-            self.sights[m].outliers[np.flatnonzero(system.good)[out]] = True
+            self.all_points[m].outliers[np.flatnonzero(system.good)[out]] = True
             new |= bool(out.any())
         return new
 

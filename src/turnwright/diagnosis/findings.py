@@ -73,7 +73,7 @@ class Finding:
         Whether the maps determine it: its uncertainty is below half of the plausible size.
     verdict
         ``"correct"`` or ``"do not correct"``.
-    why
+    explanation
         The reason, in one sentence.
     repeatable
         Whether it is the same in all maps, within what is worth a correction; ``None`` for a single map.
@@ -93,7 +93,7 @@ class Finding:
     correlated_with: tuple[tuple[str, float], ...]
     determined: bool
     verdict: Literal["correct", "do not correct"] = "do not correct"
-    why: str = ""
+    explanation: str = ""
     repeatable: bool | None = None
     map_values: tuple[float, ...] = ()
 
@@ -115,7 +115,7 @@ class Contribution:
         Most probable effect beyond a change of pose, and its standard deviation.
     common_nm
         The part of it that several maps of one part share; ``None`` for a single map.
-    why
+    explanation
         The effect in one sentence.
     """
 
@@ -123,7 +123,7 @@ class Contribution:
     rms_nm: float
     uncertainty_nm: float
     common_nm: float | None
-    why: str
+    explanation: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -367,8 +367,8 @@ def judge(
     )
     for applies, reason in reasons:
         if applies:
-            return replace(finding, why=reason)
+            return replace(finding, explanation=reason)
     remedy = REMEDY.get(finding.error_source, "remove it at its source").format(
         back=format_value(-finding.value, finding.unit)
     )
-    return replace(finding, verdict="correct", why=f"{made}: {remedy}")
+    return replace(finding, verdict="correct", explanation=f"{made}: {remedy}")

@@ -30,7 +30,7 @@ class Scaled(NamedTuple):
     target: Floats  # (r,)
 
 
-class _Own(NamedTuple):
+class _MapUnknowns(NamedTuple):
     """The unknowns of one map, conditional on the shared ones."""
 
     inverse: Floats  # of R (o, o)
@@ -44,10 +44,10 @@ class Posterior:
 
     shared: Floats  # (s,)
     root: Floats  # (s, s): the covariance is its product with its transpose
-    owns: tuple[_Own, ...]
+    owns: tuple[_MapUnknowns, ...]
     evidence: float  # logarithm of the probability of the maps, up to a constant
 
-    def own(self, m: int) -> Floats:
+    def map_unknowns(self, m: int) -> Floats:
         """Return the unknowns of a map. (o,)."""
         one = self.owns[m]
         return np.asarray(one.inverse @ (one.right - one.by_shared @ self.shared))
@@ -100,7 +100,7 @@ def posterior(maps: Sequence[Scaled], prior_means: Sequence[Floats]) -> Posterio
         r = qr(stack, mode="r", overwrite_a=True, check_finite=False)[0]
         evidence -= float(np.log(np.abs(np.diag(r)[:size])).sum())
         inverse = solve_triangular(r[:size, :size], np.eye(size), check_finite=False)
-        owns.append(_Own(inverse, r[:size, size:-1], r[:size, -1]))
+        owns.append(_MapUnknowns(inverse, r[:size, size:-1], r[:size, -1]))
         below.append(r[size : size + shared_size + 1, size:-1])
         right.append(r[size : size + shared_size + 1, -1])
     q, r = np.linalg.qr(np.vstack(below))

@@ -25,8 +25,8 @@ from turnwright.diagnosis.findings import (
     Finding,
     judge,
 )
+from turnwright.diagnosis.map_points import MapPoints, add_signatures, prepare_maps, select_valid
 from turnwright.diagnosis.model import Deviations, Sweeps, raise_sweep
-from turnwright.diagnosis.sight import Sight, add_signatures, prepare_maps, select_valid
 from turnwright.diagnosis.terms import GROUPS, columns, describe_group, tip_motion
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
@@ -128,12 +128,12 @@ def write_report(
         names=tuple(column.name for column in estimate.names),
         correlation=frozen(numbers.covariance / np.outer(std, std), "correlation", ndim=2),
         residuals=residuals, remainders=remainders, fields=fields,
-        poses=tuple(sight.motion for sight in estimate.sights),
+        poses=tuple(map_points.motion for map_points in estimate.all_points),
         measured_rms_nm=measured, explained_rms_nm=explained, unexplained_rms_nm=unexplained,
         noise_nm=tuple((np.maximum(noise, estimate.stated) * NM).tolist()),
         correlated_points=tuple(estimate.correlated_points.tolist()),
         repeatability_nm=_evaluate_repeatability(estimate),
-        rejected=tuple(int(np.count_nonzero(sight.outliers)) for sight in estimate.sights),
+        rejected=tuple(int(np.count_nonzero(map_points.outliers)) for map_points in estimate.all_points),
         signatures=tuple(_evaluate_signatures(estimate, m, one) for m, one in enumerate(thin)),
         draws=lambda m: _draw_parts(estimate, m, corrected, parts[m], request),
         tool=real_tool, machine=real_machine, likely_tool=likely_tool, likely_machine=likely_machine,
@@ -158,7 +158,7 @@ def _remove_pose(estimate: Estimate, m: int) -> Floats:
 
 
 def _judge_findings(estimate: Estimate, numbers: _Numbers, request: ReportRequest) -> list[Finding]:
-    k, typical, many = estimate.typical.size, estimate.typical, len(estimate.sights)
+    k, typical, many = estimate.typical.size, estimate.typical, len(estimate.all_points)
     half, std = numbers.half(), numbers.std
     marks = [_remove_pose(estimate, m)[:, :k] / typical for m in range(many)]
     pv = _evaluate_pv(estimate, numbers.value)
@@ -232,7 +232,7 @@ def _evaluate_contributions(estimate: Estimate) -> tuple[Contribution, ...]:
             [np.arange(TERMS)[place] for group, place in zip(GROUPS, PLACES, strict=True) if group.name == name]
         )
         squares, several = np.zeros(3), False
-        for m in range(len(estimate.sights)):
+        for m in range(len(estimate.all_points)):
             k = estimate.typical.size
             rows = _remove_pose(estimate, m)[:, k + at]
             split = estimate.split(m)
@@ -243,14 +243,14 @@ def _evaluate_contributions(estimate: Estimate) -> tuple[Contribution, ...]:
                 np.sum((rows @ estimate.numbers(m)[-TERMS:][at]) ** 2), np.sum((rows @ spread) ** 2),
                 np.sum((rows @ common) ** 2),
             ]  # fmt: skip
-        rms, uncertain, common_nm = (np.sqrt(squares / len(estimate.sights)) * NM).tolist()
+        rms, uncertain, common_nm = (np.sqrt(squares / len(estimate.all_points)) * NM).tolist()
         text = describe_group(
-            name, np.mean([estimate.numbers(m)[-TERMS:] for m in range(len(estimate.sights))], axis=0)
+            name, np.mean([estimate.numbers(m)[-TERMS:] for m in range(len(estimate.all_points))], axis=0)
         )
         contributions.append(
             Contribution(
                 name=name, rms_nm=rms, uncertainty_nm=uncertain, common_nm=common_nm if several else None,
-                why=f"{name} causes {rms:.3g} nm rms, known within {uncertain:.2g} nm{text}",
+                explanation=f"{name} causes {rms:.3g} nm rms, known within {uncertain:.2g} nm{text}",
             )
         )  # fmt: skip
     return tuple(sorted(contributions, key=lambda one: -one.rms_nm))
@@ -264,10 +264,12 @@ def _evaluate_rms(estimate: Estimate) -> tuple[float, float, float]:
     """
     sums, count = np.zeros(3), 0
     for m, system in enumerate(estimate.systems):
-        sight = estimate.sights[m]
-        registered = replace(sight, pose=sight.start_pose.copy(), sweeps=Sweeps(*(one.copy() for one in sight.sweeps)))
+        map_points = estimate.all_points[m]
+        registered = replace(
+            map_points, pose=map_points.start_pose.copy(), sweeps=Sweeps(*(one.copy() for one in map_points.sweeps))
+        )
         measured = registered.cut(estimate.columns.deviations(np.zeros(estimate.typical.size)))[0]
-        measured, residual = measured[system.good] * system.counts, estimate.left(m)
+        measured, residual = measured[system.good] * system.counts, estimate.residual_of(m)
         pose = system.rows[:, : system.poses]
         finite = np.isfinite(measured)
         both = np.stack([measured, measured - residual], axis=1)[finite]
@@ -286,7 +288,9 @@ def _evaluate_repeatability(estimate: Estimate) -> float | None:
         alike = [m for m, one in enumerate(estimate.kinds) if one == kind]
         if kind is None or len(alike) < 2:
             continue
-        deviations = [(estimate.split(m).own @ estimate.posterior.own(m))[estimate.systems[m].poses :] for m in alike]
+        deviations = [
+            (estimate.split(m).own @ estimate.posterior.map_unknowns(m))[estimate.systems[m].poses :] for m in alike
+        ]
         mean = np.mean(deviations, axis=0)
         for m, one in zip(alike, deviations, strict=True):
             squares += float(np.sum((_remove_pose(estimate, m)[:, : k + TERMS] @ (one - mean)) ** 2))
@@ -309,14 +313,14 @@ def _evaluate_signatures(estimate: Estimate, m: int, heights: HeightMap) -> Mapp
     for name, one in zip(fields, made.T, strict=True):
         every = np.full(system.good.size, np.nan)
         every[system.good] = one
-        out[name] = _put_on_grid(heights, every, estimate.sights[m])
+        out[name] = _put_on_grid(heights, every, estimate.all_points[m])
     return MappingProxyType(out)
 
 
 class _Places(NamedTuple):
     """Points at which a further part is drawn."""
 
-    sight: Sight
+    map_points: MapPoints
     rows: Floats  # see `LinearSystem` (n, j + k + g) [mm]
     turned: Floats  # (n,) [mm]
     planned: Floats  # heights as planned (n,) [mm]
@@ -324,15 +328,16 @@ class _Places(NamedTuple):
 
     @classmethod
     def of(
-        cls, estimate: Estimate, m: int, sight: Sight, rows: Floats, turned: Floats, found: Floats
+        cls, estimate: Estimate, m: int, map_points: MapPoints, rows: Floats, turned: Floats, found: Floats
     ) -> _Places:  # fmt: skip
         """Return the points that all tools cut."""
         ends = [
-            _simulate_heights(estimate, sight, values) for values in (np.zeros(found.size), found, estimate.values[m])
+            _simulate_heights(estimate, map_points, values)
+            for values in (np.zeros(found.size), found, estimate.values[m])
         ]
         finite = np.flatnonzero(np.isfinite(ends).all(axis=0) & np.isfinite(rows).all(axis=1))
         planned, taken = ends[0][finite], ends[1][finite]
-        return cls(_select_points(sight, finite), rows[finite], turned[finite], planned, taken - planned)
+        return cls(_select_points(map_points, finite), rows[finite], turned[finite], planned, taken - planned)
 
     def off(self, estimate: Estimate, m: int, numbers: Floats) -> Floats:
         """Return cut minus design of draws: motions of the edge exactly, all else linearly. (draws, n) [mm]."""
@@ -342,7 +347,7 @@ class _Places(NamedTuple):
             poses + np.flatnonzero(_made_by_cut(estimate) & ~moving), np.arange(poses + k, len(numbers.T))
         )
         values = numbers[:, poses : poses + k] * np.where(moving, estimate.typical, 0.0)
-        made = np.stack([_simulate_heights(estimate, self.sight, one) for one in values]) - self.planned
+        made = np.stack([_simulate_heights(estimate, self.map_points, one) for one in values]) - self.planned
         for i in estimate.of_source("offset y"):  # the lobes are rotated by the difference from the fit
             turn = numbers[:, poses + i, None] - estimate.values[m][i] / estimate.typical[i]
             made += turn * self.turned
@@ -357,8 +362,8 @@ def _draw_parts(estimate: Estimate, m: int, corrected: Bools, part: Part, reques
     beyond = _find_unmeasured(estimate, m, part, request.tool)
     most = DRAW_POINTS - (0 if beyond is None else beyond.x.size)
     some = np.arange(0, system.rows.shape[0], -(-system.rows.shape[0] // most))
-    sight = _select_points(estimate.sights[m], np.flatnonzero(system.good)[some])
-    shown = _Places.of(estimate, m, sight, system.rows[some, :-1], system.turned[some], corrected_values)
+    map_points = _select_points(estimate.all_points[m], np.flatnonzero(system.good)[some])
+    shown = _Places.of(estimate, m, map_points, system.rows[some, :-1], system.turned[some], corrected_values)
     numbers, lacking, moved = _draw_numbers(estimate, m, shown, random)
     single = estimate.kinds[m] is None
     if single and not request.repeats:  # the next part has another drift and form of the same size
@@ -374,7 +379,7 @@ def _draw_parts(estimate: Estimate, m: int, corrected: Bools, part: Part, reques
     # The tool of a draw may not cut every point.
     before = np.nan_to_num(np.hstack([one.off(estimate, m, numbers) for one in places]))
     before[:, : lacking.shape[1]] += lacking
-    x, y = (np.concatenate(one) for one in zip(*(one.sight.moved()[:2] for one in places), strict=True))
+    x, y = (np.concatenate(one) for one in zip(*(one.map_points.moved()[:2] for one in places), strict=True))
     shift, turn = _split_pose(system, moved)
     return Draws(
         x=x, y=y, before=before, after=before - np.concatenate([one.taken for one in places]), single=single,
@@ -385,24 +390,24 @@ def _draw_parts(estimate: Estimate, m: int, corrected: Bools, part: Part, reques
     )  # fmt: skip
 
 
-def _find_unmeasured(estimate: Estimate, m: int, part: Part, tool: Tool) -> Sight | None:
+def _find_unmeasured(estimate: Estimate, m: int, part: Part, tool: Tool) -> MapPoints | None:
     """Return the points, of `DRAW_POINTS` evenly over a part, that a map does not cover; ``None`` if there are few."""
     from scipy.spatial import KDTree  # noqa: PLC0415 - costly to import
 
-    sight = estimate.sights[m]
-    if sight.sphere is not None:
+    map_points = estimate.all_points[m]
+    if map_points.sphere is not None:
         return None
-    x, y, _ = sight.moved()
+    x, y, _ = map_points.moved()
     places = _sample_design(part, DRAW_POINTS)
-    distance = KDTree(np.stack([x, y], axis=1)[sight.good]).query(np.stack(places.points(), axis=1))[0]
+    distance = KDTree(np.stack([x, y], axis=1)[map_points.good]).query(np.stack(places.points(), axis=1))[0]
     out = distance > UNMEASURED_SPACINGS * part.radius / math.sqrt(DRAW_POINTS)
     if np.count_nonzero(out) < MIN_UNMEASURED_FRACTION * DRAW_POINTS:
         return None
     x, y = (one[out] for one in places.points())
     places = HeightMap(x=x, y=y, z=places.z[out], name=part.name)
     with suppress(InputError):  # where the tool does not cut
-        (beyond,), _ = prepare_maps([places], [part], tool, sight.free, "true form", estimate.sense, 0.0)
-        beyond.cusp = sight.cusp
+        (beyond,), _ = prepare_maps([places], [part], tool, map_points.free, "true form", estimate.sense, 0.0)
+        beyond.cusp = map_points.cusp
         add_signatures(beyond, estimate.columns)
         return beyond
     return None
@@ -478,12 +483,13 @@ def _draw_numbers(
     return _draw_further_cut(estimate, m, map_draws, random) @ split.own.T + shared @ split.shared.T, lacking, moved
 
 
-def _select_points(sight: Sight, some: Ints) -> Sight:
+def _select_points(map_points: MapPoints, some: Ints) -> MapPoints:
     return replace(
-        sight, x=sight.x[some], y=sight.y[some], z=sight.z[some], sweeps=Sweeps(*(one[some] for one in sight.sweeps)),
-        added={error_source: one[:, some] for error_source, one in sight.added.items()}, usable=sight.usable[some],
-        good=sight.good[some], outliers=sight.outliers[some],
-        along_normal=None if sight.along_normal is None else sight.along_normal[some],
+        map_points, x=map_points.x[some], y=map_points.y[some], z=map_points.z[some],
+        sweeps=Sweeps(*(one[some] for one in map_points.sweeps)),
+        added={error_source: one[:, some] for error_source, one in map_points.added.items()},
+        usable=map_points.usable[some], good=map_points.good[some], outliers=map_points.outliers[some],
+        along_normal=None if map_points.along_normal is None else map_points.along_normal[some],
     )  # fmt: skip
 
 
@@ -500,33 +506,33 @@ def _draw_other_part(estimate: Estimate, request: ReportRequest, part: Part) -> 
 
     Error motions of the spindle are included in both.
     """
-    thin, k = estimate.sights[0], estimate.typical.size
-    (sight,), _ = prepare_maps(
+    thin, k = estimate.all_points[0], estimate.typical.size
+    (map_points,), _ = prepare_maps(
         [_sample_design(part, OTHER_PART_POINTS)], [part], request.tool, thin.free, "true form", estimate.sense, 0.0
     )
-    add_signatures(sight, estimate.columns)
+    add_signatures(map_points, estimate.columns)
     best_values = estimate.posterior.shared[:k]
-    _, cutting = sight.cut(estimate.columns.deviations(best_values * estimate.typical))
-    marks = estimate.columns.slopes(cutting, sight.added, estimate.sense, 0.0) * estimate.typical
-    nuisances, _ = sight.nuisances(cutting, np.zeros(cutting.x.size))
-    finite = sight.usable & np.isfinite(marks).all(axis=1) & np.isfinite(nuisances).all(axis=1)
+    _, cutting = map_points.cut(estimate.columns.deviations(best_values * estimate.typical))
+    marks = estimate.columns.slopes(cutting, map_points.added, estimate.sense, 0.0) * estimate.typical
+    nuisances, _ = map_points.nuisances(cutting, np.zeros(cutting.x.size))
+    finite = map_points.usable & np.isfinite(marks).all(axis=1) & np.isfinite(nuisances).all(axis=1)
     marks = marks[finite] * _made_by_cut(estimate)
     random = np.random.default_rng(1)
     shared, owns = estimate.posterior.draws(DRAWS, random)
     values = shared[:, :k]
-    if len(estimate.sights) > 1:
+    if len(estimate.all_points) > 1:
         between = _draw_further_cut(estimate, 0, owns[0], random)[:, estimate.systems[0].poses : -TERMS]
-        values = values + between * np.sqrt(estimate.between_numbers())
+        values = values + between * np.sqrt(estimate.variance_between_maps())
     split = estimate.split(0)
     terms = (owns[0] @ split.own.T + shared @ split.shared.T)[:, -TERMS:]
     lasting = terms[:, LASTING] @ columns(cutting, estimate.radius[0])[np.ix_(finite, LASTING)].T
     ends = (best_values * estimate.typical * _made_by_cut(estimate), np.zeros(k))
-    every, planned = (_simulate_heights(estimate, sight, one)[finite] for one in ends)
+    every, planned = (_simulate_heights(estimate, map_points, one)[finite] for one in ends)
     after = (values - best_values) @ marks.T + lasting
     before = after + every - planned
-    x, y = sight.x[finite], sight.y[finite]
+    x, y = map_points.x[finite], map_points.y[finite]
     return Draws(
-        x=x, y=y, before=before, after=after, single=len(estimate.sights) == 1,
+        x=x, y=y, before=before, after=after, single=len(estimate.all_points) == 1,
         pose=nuisances[finite], places=np.stack([x, y])[None], unmeasured=0.0, cases=(),
     )  # fmt: skip
 
@@ -568,7 +574,7 @@ def _draw_further_cut(estimate: Estimate, m: int, cut_numbers: Floats, random: n
     cut_numbers = cut_numbers.copy()
     cut_numbers[:, : system.poses] = 0.0
     between, terms = cut_numbers[:, system.poses : -TERMS], cut_numbers[:, -TERMS:]
-    between[:] = _draw_student(between.shape, between.shape[1] * (len(estimate.sights) - 1), random)
+    between[:] = _draw_student(between.shape, between.shape[1] * (len(estimate.all_points) - 1), random)
     alike = sum(kind is not None and kind == estimate.kinds[m] for kind in estimate.kinds)
     if alike < 2:
         return cut_numbers
@@ -592,12 +598,12 @@ def _complete_maps(
     estimate: Estimate, m: int, heights: HeightMap, thinned: HeightMap, part: Part, corrected: Bools, repeats: bool
 ) -> tuple[HeightMap, HeightMap, HeightMap]:
     """Return the residual at all points of a map, and the repeatable form error with and without correction."""
-    thin, system, k = estimate.sights[m], estimate.systems[m], estimate.typical.size
-    sight = thin if heights is thinned else _expand_map(thin, thinned, heights, part, estimate)
-    residual, cutting = sight.cut(estimate.columns.deviations(estimate.values[m]))
-    for error_source, one in sight.added.items():
+    thin, system, k = estimate.all_points[m], estimate.systems[m], estimate.typical.size
+    map_points = thin if heights is thinned else _expand_map(thin, thinned, heights, part, estimate)
+    residual, cutting = map_points.cut(estimate.columns.deviations(estimate.values[m]))
+    for error_source, one in map_points.added.items():
         residual = residual - estimate.values[m][estimate.of_source(error_source)] @ one
-    residual[~(sight.good | sight.outliers)] = np.nan
+    residual[~(map_points.good | map_points.outliers)] = np.nan
     terms = columns(cutting, estimate.radius[m])
     numbers = estimate.numbers(m)[system.poses + k :]
     residual_form = residual - terms @ numbers
@@ -609,12 +615,12 @@ def _complete_maps(
     repeated = terms @ np.where(LASTING | steady, common, 0.0) + 0.0 * residual_form
     cut_values = np.where(_made_by_cut(estimate), estimate.posterior.shared[:k] * estimate.typical, 0.0)
     planned, certain, every = (
-        _simulate_heights(estimate, sight, values)
+        _simulate_heights(estimate, map_points, values)
         for values in (np.zeros(k), np.where(corrected, cut_values, 0.0), cut_values)
     )
 
     def shown(z: Floats, name: str) -> HeightMap:
-        return replace(_put_on_grid(heights, z, sight), name=f"{heights.name} {name}".strip())
+        return replace(_put_on_grid(heights, z, map_points), name=f"{heights.name} {name}".strip())
 
     return (
         shown(residual_form, "residual"),
@@ -623,20 +629,20 @@ def _complete_maps(
     )
 
 
-def _simulate_heights(estimate: Estimate, sight: Sight, values: Floats) -> Floats:
+def _simulate_heights(estimate: Estimate, map_points: MapPoints, values: Floats) -> Floats:
     """Return the exact heights at the points of a map for some values of the sources. (n,) [mm]."""
-    along_normal = sight.along_normal
-    _, cutting = sight.cut(estimate.columns.deviations(values))
-    sight.along_normal = along_normal
-    made = cutting.z + sight.cusp * cutting.between
-    for error_source, marks in sight.added.items():
+    along_normal = map_points.along_normal
+    _, cutting = map_points.cut(estimate.columns.deviations(values))
+    map_points.along_normal = along_normal
+    made = cutting.z + map_points.cusp * cutting.between
+    for error_source, marks in map_points.added.items():
         made = made + values[estimate.of_source(error_source)] @ marks
     return np.asarray(made)
 
 
-def _put_on_grid(heights: HeightMap, mark: Floats, sight: Sight) -> HeightMap:
+def _put_on_grid(heights: HeightMap, mark: Floats, map_points: MapPoints) -> HeightMap:
     z = np.full(heights.z.shape, np.nan)
-    z[sight.where] = mark
+    z[map_points.where] = mark
     return replace(heights, z=z)
 
 
@@ -647,10 +653,10 @@ def _grid_axes(heights: HeightMap) -> tuple[Floats, Floats]:
     return rows, columns
 
 
-def _expand_map(thin: Sight, thinned: HeightMap, heights: HeightMap, part: Part, estimate: Estimate) -> Sight:
+def _expand_map(thin: MapPoints, thinned: HeightMap, heights: HeightMap, part: Part, estimate: Estimate) -> MapPoints:
     """Return a map with all its points; each takes the state of the nearest point of the thinned map."""
     where, x, y, z = select_valid(heights, part)
-    sight = replace(
+    map_points = replace(
         thin,
         x=x,
         y=y,
@@ -666,11 +672,11 @@ def _expand_map(thin: Sight, thinned: HeightMap, heights: HeightMap, part: Part,
         held = np.zeros(thin.where.shape, dtype=np.bool_)
         held[thin.where] = thin.good | thin.outliers
         near = [_find_nearest(full, few) for full, few in zip(_grid_axes(heights), _grid_axes(thinned), strict=True)]
-        sight.good = held[np.ix_(*near)][where]
+        map_points.good = held[np.ix_(*near)][where]
     if thin.along_normal is not None:
-        sight.along_normal = z
-    add_signatures(sight, estimate.columns)
-    return sight
+        map_points.along_normal = z
+    add_signatures(map_points, estimate.columns)
+    return map_points
 
 
 def _find_nearest(full: Floats, few: Floats) -> Ints:
@@ -700,7 +706,7 @@ def _apply_deviations(estimate: Estimate, values: Floats, request: ReportRequest
 
 def _make_waviness_table(estimate: Estimate, real: Deviations, tool: Tool) -> WavinessTable:
     """Return the waviness of the planned edge plus the fit, over the whole arc, extrapolated beyond the sweeps used."""
-    used = np.concatenate([sight.sweeps.cut[sight.good] for sight in estimate.sights])
+    used = np.concatenate([map_points.sweeps.cut[map_points.good] for map_points in estimate.all_points])
     low, high = float(np.nanmin(used)), float(np.nanmax(used))
     sweep = np.linspace(*tool.arc, EDGE_POINTS)
     held = np.clip(sweep, low, high)

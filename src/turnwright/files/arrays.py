@@ -19,7 +19,7 @@ from typing import IO, Any
 import numpy as np
 
 from turnwright._arrays import Floats
-from turnwright.errors import MapError, shown
+from turnwright.errors import MapError, quote
 from turnwright.files.base import (
     MAX_POINTS,
     check_inflated_size,
@@ -65,7 +65,7 @@ def read_named(path: Path, data: bytes) -> HeightMap:
         members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
         names = next((pair for pair in AXES if {"z", *pair} <= members.keys()), None)
         if names is None:
-            listed = [shown(name) for name in sorted(members)]
+            listed = [quote(name) for name in sorted(members)]
             more = f" and {len(listed) - MAX_LISTED_NAMES} more" if len(listed) > MAX_LISTED_NAMES else ""
             raise MapError(
                 f"{path} holds the arrays {', '.join(listed[:MAX_LISTED_NAMES])}{more}, it needs z with x and y, or z "

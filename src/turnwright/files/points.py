@@ -9,9 +9,9 @@ axes it has more than eight columns, no names, and its first row at the top of t
 from __future__ import annotations
 
 import re
+import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
-from shlex import quote
 
 import numpy as np
 
@@ -114,7 +114,7 @@ def read(path: Path, text: str, unit: str | None, lateral_unit: str | None) -> H
     options = {"x": (lateral_unit, default_unit), "y": (lateral_unit, default_unit), "z": (unit, None)}
     scales = {axis: _unit(path, column_units, stated, axis, *options[axis]) for axis in chosen}
     columns = _table(path, body, layout, tuple(chosen.values())).T
-    return _as_map(path, dict(zip(chosen, columns, strict=True)), scales, metadata)
+    return _to_map(path, dict(zip(chosen, columns, strict=True)), scales, metadata)
 
 
 def read_slice(
@@ -263,7 +263,7 @@ def _read_with_axes(
     )  # fmt: skip
 
 
-def _as_map(
+def _to_map(
     path: Path, columns: dict[str, Floats], scales: dict[str, float | None], metadata: dict[str, str]
 ) -> HeightMap:
     """Return points as a grid where they lie on one, in mm."""
@@ -444,7 +444,7 @@ def _columns(path: Path, names: list[str] | None, width: int, numeric: list[int]
     if names is not None and places:
         raise MapError(
             f"{path} has the columns {', '.join(names)}, it needs x, y and z (or only x and z): rename them"
-            + _as_profile(names, numeric)
+            + _profile_advice(names, numeric)
         )
     if width == 3:
         return {"x": 0, "y": 1, "z": 2}
@@ -456,13 +456,13 @@ def _columns(path: Path, names: list[str] | None, width: int, numeric: list[int]
     )
 
 
-def _as_profile(names: list[str], numeric: list[int]) -> str:
+def _profile_advice(names: list[str], numeric: list[int]) -> str:
     """Return the advice to read columns as a profile, if one is a distance and another may be a height."""
     distance = [at for at in numeric if ROLES["distance"].fullmatch(_split_cell(names[at])[0])]
     height = [at for at in numeric if at not in distance and _allows(names[at], "height")]
     if not distance or not height:
         return ""
-    return f", or read a profile (show --profile --height {quote(names[height[-1]])}, read_profile in Python)"
+    return f", or read a profile (show --profile --height {shlex.quote(names[height[-1]])}, read_profile in Python)"
 
 
 def _find_stated_units(above: list[str]) -> dict[str, set[str]]:

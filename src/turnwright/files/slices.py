@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from turnwright._arrays import Floats
-from turnwright._validate import whole
+from turnwright._validate import whole_number
 from turnwright.errors import MapError
 from turnwright.files.base import require_heights
 from turnwright.files.lattice import even_places
@@ -98,7 +98,7 @@ def _one_slice(path: Path, at: Floats, z: Floats, number: int | None) -> tuple[F
     count = begins.size + 1
     if number is None and count > 1:
         raise MapError(f"{path} holds {count} slices, a profile is one: give its number (number=1, ...)")
-    chosen = whole(1 if number is None else number, "the number of the slice", 1, count) - 1
+    chosen = whole_number(1 if number is None else number, "the number of the slice", 1, count) - 1
     ends = [0, *begins.tolist(), at.size]
     rows = np.arange(ends[chosen], ends[chosen + 1])[:: -1 if falling else 1]
     return at[rows], z[rows]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from os import PathLike
 from pathlib import Path
 
-from turnwright._io import write_whole
+from turnwright._io import write_atomic
 from turnwright.errors import MapError
 from turnwright.files import arrays, grid_sag, x3p
 from turnwright.heightmap import HeightMap
@@ -45,6 +45,6 @@ def write_map(map: HeightMap, file: str | PathLike[str]) -> None:  # noqa: A002 
         )
     data = writer(map)
     try:
-        write_whole(path, data)
+        write_atomic(path, data)
     except OSError as error:
         raise MapError(f"{path} cannot be written ({error.strerror}): check its folder and permissions") from error

@@ -17,10 +17,10 @@ from turnwright.job.result import Pass, Preview, Result
 from turnwright.job.running import finishing_motion, preview, run
 from turnwright.job.schema import Job, faults
 from turnwright.job.shape import PartShape, part_shape
-from turnwright.job.tables import HeightFile, MachineDeviations, Table, context_of, with_keys
+from turnwright.job.tables import HeightFile, MachineDeviations, Table, context_of, name_keys
 from turnwright.job.template import job_template, reference_tables
 from turnwright.job.testparts import TestPartKind, make_test_part
-from turnwright.job.text import as_tables, edited, written
+from turnwright.job.text import as_tables, edit_text, write_job
 from turnwright.job.time_estimate import (
     steps_of_comparison,
     steps_of_correction,
@@ -31,7 +31,7 @@ from turnwright.job.time_estimate import (
     steps_of_preview,
     steps_of_run,
 )
-from turnwright.job.verdict import Verdict, judge, judge_form, missed, unjudged
+from turnwright.job.verdict import Verdict, any_missed, judge, judge_form, not_evaluated
 
 __all__ = [
     "Candidate",
@@ -56,13 +56,14 @@ __all__ = [
     "TestPartKind",
     "Trial",
     "Verdict",
+    "any_missed",
     "as_tables",
     "break_down_error",
     "compare",
     "context_of",
     "correct",
     "diagnose",
-    "edited",
+    "edit_text",
     "faults",
     "finish",
     "finishing_motion",
@@ -73,7 +74,8 @@ __all__ = [
     "judge_form",
     "make_test_part",
     "measure",
-    "missed",
+    "name_keys",
+    "not_evaluated",
     "part_shape",
     "plan",
     "predict",
@@ -91,8 +93,6 @@ __all__ = [
     "steps_of_prediction",
     "steps_of_preview",
     "steps_of_run",
-    "unjudged",
-    "with_keys",
     "without_servos",
-    "written",
+    "write_job",
 ]

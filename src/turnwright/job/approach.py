@@ -32,7 +32,7 @@ from turnwright.machine import FAST, Axis
 from turnwright.part import Part
 from turnwright.path import Motion
 from turnwright.placing import tip_height
-from turnwright.post import GAP, MOST_CLEARANCE, Approach, approach_to, entry_path, entry_shares
+from turnwright.post import GAP, MOST_CLEARANCE, Approach, entry_path, entry_shares, plan_approach
 from turnwright.tool import Tool
 from turnwright.units import say_length
 
@@ -172,7 +172,7 @@ def _require_above(job: Job, name: str, plunge: Motion, start: float) -> None:
         )
 
 
-def _with_fast_tool(plunge: Motion, turned: Floats, fast: Mapping[str, Floats]) -> Motion:
+def _add_fast_tool(plunge: Motion, turned: Floats, fast: Mapping[str, Floats]) -> Motion:
     """Return the motion of the tip in a plunge: X and Z plus the strokes of the fast tool."""
     if not fast:
         return plunge
@@ -226,11 +226,11 @@ def _plan_entry(job: Job, name: str, motion: Motion, before: Motion | None) -> E
             f"pass {name}: a fast tool with a table by time cannot move in a plunge, so the pass must begin outside "
             'the blank: state part.blank and a longer lead_in, or fast_tool = "position"'
         )
-    approach = approach_to(
+    approach = plan_approach(
         motion.lathe(), clearance=clearance, depth=depth, plunge_feed=job.program.plunge_feed, name=name, heights=z
     )  # fmt: skip
     if approach.plunge is not None and "gouge" not in job.accept:
-        plunge = _with_fast_tool(approach.plunge, turned, fast)
+        plunge = _add_fast_tool(approach.plunge, turned, fast)
         _require_above(job, name, plunge, max(float(heights[0] - path[0]), 0.0))
     first = float(np.interp(np.mod(approach.start["C"], TURN), material.angle, contact, period=TURN))
     gap = min(approach.start["Z"] + float(w[0]) + rest_stroke - first, approach.clear + float(w.min()) - top)

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from turnwright._tables import written
+from turnwright._tables import write_table
 from turnwright.errors import Stopped, TurnwrightError
 from turnwright.job.contributions import ErrorBreakdown, break_down_error
 from turnwright.job.pass_plan import Watch
@@ -65,7 +65,7 @@ class Candidate:
         Size of all files of its program.
     limits
         Speed, acceleration and jerk of the axes against the limits of the machine.
-    shares
+    breakdown
         Error contributions to the form error of the program read back, with interpolation and servos.
     wall_s
         Time to plan, write, read back and simulate. [s]
@@ -77,7 +77,7 @@ class Candidate:
     turns: float = math.nan
     size_bytes: int = 0
     limits: Limits | None = None
-    shares: ErrorBreakdown | None = None
+    breakdown: ErrorBreakdown | None = None
     wall_s: float = math.nan
 
 
@@ -103,11 +103,11 @@ class Comparison:
     def stated(self, candidate: Candidate) -> dict[str, Any]:
         """Return a strategy as the table ``strategy`` of a job file; empty if it could not be set up."""
         if candidate.name == AS_IT_STANDS:
-            return written(self.job.strategy)
+            return write_table(self.job.strategy)
         if candidate.servo is None:
             return {}
         # The motion of the slide under a fast tool is not stated: a job computes it from the limits of that tool.
-        return written(candidate.servo)
+        return write_table(candidate.servo)
 
 
 def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
@@ -133,8 +133,8 @@ def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
         feed, scallop, chord = _targets(stated, job.part.aimed, job.tool, job.machine)
     candidates = []
     for name, set_up in list(_strategies(job, stated, feed, scallop, chord)):
-        with watch.stage(name) as tell:
-            candidates.append(_evaluate(name, set_up, job, tell))
+        with watch.stage(name) as update:
+            candidates.append(_evaluate(name, set_up, job, update))
     return Comparison(job=job, scallop=scallop, chord=chord, candidates=tuple(candidates))
 
 
@@ -236,17 +236,17 @@ def _evaluate(name: str, set_up: Callable[[], Strategy], job: Job, report: Progr
     servo = None
     stages = ("plan", "place", "shares")  # each is a third of the progress bar
 
-    def tell(stage: str, done: int, total: int) -> None:
+    def update(stage: str, done: int, total: int) -> None:
         if stage in stages:
             report(100 * stages.index(stage) + 99 * done // max(total, 1), 300)
 
     try:
         servo = set_up()
-        line = Pipeline(_with_strategy(job, servo), progress=tell)
+        line = Pipeline(_with_strategy(job, servo), progress=update)
         limits = check_limits(line.motion, job.machine)
         return Candidate(
             name=name, servo=servo, turns=line.spiral.turns, size_bytes=line.program.bytes, limits=limits,
-            shares=line.shares, wall_s=time.perf_counter() - start,
+            breakdown=line.breakdown, wall_s=time.perf_counter() - start,
         )  # fmt: skip
     except (Stopped, OSError):  # a full disk fails every strategy
         raise

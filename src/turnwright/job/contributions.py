@@ -12,7 +12,7 @@ from turnwright.errors import InputError
 from turnwright.generation import generate_polar
 from turnwright.heightmap import HeightMap
 from turnwright.job.extremes import find_extremes
-from turnwright.job.interpolation import interpolated
+from turnwright.job.interpolation import interpolate_motion
 from turnwright.machine import Machine
 from turnwright.metrology import area_rms
 from turnwright.part import Part
@@ -153,13 +153,13 @@ def break_down_error(
     exact, cusp_nm = _exact_surface(spiral, part, tool, machine, radius, angle)
     program_motion, ideal = program_motion or motion, without_servos(machine)
     steady = machine.controller.interpolation == "linear"
-    sent = made(motion if steady else interpolated(motion, ideal), 1)
-    planned = sent if nominal is None else made(interpolated(nominal, without_servos(machine, corrected=True)), 2)
-    moved = program_motion if steady else interpolated(program_motion, ideal)
+    sent = made(motion if steady else interpolate_motion(motion, ideal), 1)
+    planned = sent if nominal is None else made(interpolate_motion(nominal, without_servos(machine, corrected=True)), 2)
+    moved = program_motion if steady else interpolate_motion(program_motion, ideal)
     rounded = sent if program_motion is motion else made(moved, 3)
     real = rounded
     if has_servos(machine):
-        moved = interpolated(program_motion, machine)
+        moved = interpolate_motion(program_motion, machine)
         real = made(moved, 4)
     error = real.minus(part.surface)
     report(5, 6)
@@ -309,13 +309,13 @@ def exact_motion(
     inner = (TURN * turns[:, None] + angle).ravel()
     inner = inner[(inner > first + apart) & (inner < last - apart)]
     nodes = np.concatenate(([first], inner, [last]))[:: spiral.sense]
-    far = np.abs(_between(spiral, spiral.radius, spiral.radius_rate, nodes))
+    far = np.abs(_interpolate_plan(spiral, spiral.radius, spiral.radius_rate, nodes))
     parts = np.where(np.minimum(far[:-1], far[1:]) <= dense_to, AXIS_SUBDIVISION, 1)
     start = np.repeat(np.cumsum(parts) - parts, parts)
     within = (np.arange(start.size) - start) / np.repeat(parts, parts)
     nodes = np.append(np.repeat(nodes[:-1], parts) + within * np.repeat(np.diff(nodes), parts), nodes[-1])
-    radius = _between(spiral, spiral.radius, spiral.radius_rate, nodes)
-    y = None if spiral.y is None else _between(spiral, spiral.y, spiral.y_rate, nodes)
+    radius = _interpolate_plan(spiral, spiral.radius, spiral.radius_rate, nodes)
+    y = None if spiral.y is None else _interpolate_plan(spiral, spiral.y, spiral.y_rate, nodes)
     path = place(Spiral(angle=nodes, radius=radius, y=y), part, tool)
     axes = {"C": path.angle, "X": path.radius, "Z": path.z - machine.z_error(path.radius)}
     if path.y is not None:
@@ -323,7 +323,7 @@ def exact_motion(
     return Motion(time=np.abs(nodes - nodes[0]), axes=axes, machine=machine)
 
 
-def _between(spiral: Spiral, values: Floats, rates: Floats | None, nodes: Floats) -> Floats:
+def _interpolate_plan(spiral: Spiral, values: Floats, rates: Floats | None, nodes: Floats) -> Floats:
     """Return values of the plan between its points: linear, or cubic where it states rates."""
     order, nodes_in_order = spiral.sense * spiral.angle, spiral.sense * nodes
     if rates is None:

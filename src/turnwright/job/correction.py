@@ -16,18 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turnwright._arrays import Floats, robust_scatter
-from turnwright._io import write_whole
+from turnwright._io import write_atomic
 from turnwright.diagnosis import Diagnosis, DrawnCut, Draws, Proof, prove
 from turnwright.errors import CorrectionError, InputError
 from turnwright.files import write_map
 from turnwright.generation import generate_points
 from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import pv_nm_of, rms_nm_of
-from turnwright.job.measurement import Measured, beyond_pose, cutoff_of, errors_at_candidates, same_part
-from turnwright.job.pass_plan import Watch, across_feed, cut_by, feed_of, motion_of
+from turnwright.job.measurement import Measured, cutoff_of, errors_at_candidates, same_part, subtract_pose
+from turnwright.job.pass_plan import Watch, across_feed, cut_heights, feed_of, motion_of
 from turnwright.job.schema import Actual, Job
 from turnwright.job.tables import HeightFile
-from turnwright.job.text import edited
+from turnwright.job.text import edit_text
 from turnwright.job.verdict import Verdict, judge_form
 from turnwright.machine import Machine
 from turnwright.metrology import Smooth, form_compensation, sum_tables
@@ -185,9 +185,9 @@ def correct(
     _check_new(job, every, is_same_part)
     _check_sane(diagnosis)
     cached_motion = cache(motion_of)
-    with watch.stage("verify the correction") as tell:
+    with watch.stage("verify the correction") as update:
         plan = _choose_plan(job, diagnosis, is_same_part)
-        tell(1, 2)
+        update(1, 2)
         if any(is_same_part):
             _check_linear(every[plan.map].job, plan.draws, cached_motion)
     text, source_folder = ("", File()) if source is None else (File(source).read_bytes().decode(), File(source).parent)
@@ -195,14 +195,14 @@ def correct(
     planned = [one for one in diagnosis if one.error_source in PLANNED_SOURCES] if plan.sources else []
     names = tuple(one.name for one in planned if one.verdict == "correct" or (plan.likely and one.value))
     file = out / "job.toml"
-    with watch.stage("simulate") as tell:
+    with watch.stage("simulate") as update:
         before, predicted, simulated = _simulate(
             job, diagnosis, plan, every if any(is_same_part) else (), cached_motion
         )
-        tell(1, 2)
+        update(1, 2)
         out.mkdir(parents=True, exist_ok=True)
         better = _write_corrected(job, diagnosis, plan, [(one, _entry(one, names, plan)) for one in every], out)
-        write_whole(file, edited(text, job, better, folder=source_folder, into=out))
+        write_atomic(file, edit_text(text, job, better, folder=source_folder, into=out))
     return Correction(
         job=better, file=file, cutoff=plan.cutoff, measured=before, predicted=predicted, simulated=simulated,
         proof=plan.proof, sources=names,
@@ -237,26 +237,26 @@ def _simulate(
         new = motion_of(better)
         if not every:
             x, y = evenly(job.part, MAX_PREDICTED_POINTS)
-            off = cut_by(new, real, x, y) - job.part.surface.sag(x, y)
-            simulated = HeightMap(x=x, y=y, z=beyond_pose(job, x, y, off), name="simulated error")
+            off = cut_heights(new, real, x, y) - job.part.surface.sag(x, y)
+            simulated = HeightMap(x=x, y=y, z=subtract_pose(job, x, y, off), name="simulated error")
             return None, None, simulated
         _check_simulated(job, better, plan, motion_of)
     old, error, field = motion_of(job), every[plan.map].error, diagnosis.fields[plan.map]
 
     def change(x: Floats, y: Floats) -> Floats:
-        return cut_by(new, real, x, y) - cut_by(old, real, x, y)
+        return cut_heights(new, real, x, y) - cut_heights(old, real, x, y)
 
     step = -(-error.z.size // MAX_PREDICTED_POINTS)
     x, y = (one[::step] for one in error.points())
     before = HeightMap(x=x, y=y, z=error.z[::step], name="measured error")
-    predicted = replace(before, z=beyond_pose(job, x, y, before.z + change(x, y)), name="predicted error")
+    predicted = replace(before, z=subtract_pose(job, x, y, before.z + change(x, y)), name="predicted error")
     x, y = field.points()
     # The field already holds the correction of the job.
-    planned = cut_by(old, job, x, y) - job.part.aimed.surface.sag(x, y)
+    planned = cut_heights(old, job, x, y) - job.part.aimed.surface.sag(x, y)
     off = planned + field.z + change(x, y)
     _check_claim(job, plan, off=(x, y, off), planned=planned)
     _check_candidates(every[plan.map], job, change)
-    simulated = HeightMap(x=x, y=y, z=beyond_pose(job, x, y, off), name="simulated error")
+    simulated = HeightMap(x=x, y=y, z=subtract_pose(job, x, y, off), name="simulated error")
     return before, predicted, simulated
 
 
@@ -333,10 +333,10 @@ def _check_effect(one: Measured) -> None:
     some = slice(None, None, -(-x.size // MAX_EFFECT_POINTS))
     x, y, error = x[some], y[some], one.error.z[some]
     motion = motion_of(plain)
-    by_tool, by_form = cut_by(motion, job, x, y) - cut_by(motion, plain, x, y), -_addition_at(job, x, y)
+    by_tool, by_form = cut_heights(motion, job, x, y) - cut_heights(motion, plain, x, y), -_addition_at(job, x, y)
     valid = np.isfinite(by_tool + by_form + error)
     x, y = x[valid], y[valid]
-    seen, *effects = (beyond_pose(job, x, y, each[valid]) for each in (error, by_tool, by_form))
+    seen, *effects = (subtract_pose(job, x, y, each[valid]) for each in (error, by_tool, by_form))
     corrected = effects[0] + effects[1]
     seen_nm, was_nm = (float(np.sqrt(np.mean(each**2))) * NM for each in (seen, corrected))
     if was_nm <= job.measurement.min_effect * NM:
@@ -345,7 +345,7 @@ def _check_effect(one: Measured) -> None:
         [each for each in effects if np.sqrt(np.mean(each**2)) * NM > MIN_EFFECT_FRACTION * was_nm], axis=1
     )
     shares, covariance = _fit_fractions(columns, seen, _patches(x, y))
-    full_effect_sd, no_effect_sd = (_sigmas_off(shares - value, covariance) for value in (1.0, 0.0))
+    full_effect_sd, no_effect_sd = (_count_sigmas(shares - value, covariance) for value in (1.0, 0.0))
     if full_effect_sd < DIFFERENT_SIGMAS < no_effect_sd:
         share = float(seen @ corrected) / float(corrected @ corrected)
         raise InputError(
@@ -372,7 +372,7 @@ def _fit_fractions(columns: Floats, seen: Floats, patches: NDArray[np.intp]) -> 
     return shares, np.asarray(pulls @ pulls.T, dtype=np.float64)
 
 
-def _sigmas_off(off: Floats, covariance: Floats) -> float:
+def _count_sigmas(off: Floats, covariance: Floats) -> float:
     """Return by how many standard deviations fractions are off, with the repeatability of a cut."""
     both = covariance + REPEAT_SD**2 * np.eye(off.size)
     return float(np.sqrt(off @ np.linalg.solve(both, off)))
@@ -381,7 +381,7 @@ def _sigmas_off(off: Floats, covariance: Floats) -> float:
 def _check_sane(diagnosis: Diagnosis) -> None:
     for one in diagnosis:
         if one.determined and one.implausible:
-            raise CorrectionError(f"nothing is corrected: {one.why}")
+            raise CorrectionError(f"nothing is corrected: {one.explanation}")
     if diagnosis.explained_rms_nm > MAX_EXPLAINED_RATIO * diagnosis.measured_rms_nm + 1.0:
         raise CorrectionError(
             f"nothing is corrected: the diagnosis attributes {diagnosis.explained_rms_nm:.3g} nm rms of a "
@@ -409,8 +409,8 @@ def _plans(job: Job, diagnosis: Diagnosis, is_same_part: Sequence[bool]) -> Iter
         return
     first = list(is_same_part).index(True)
     draws = diagnosis.draws(first)
-    residuals = [_without_outliers(one, cutoff_of(job)) for one in compress(diagnosis.residuals, is_same_part)]
-    beyond = _draw_beyond(job, residuals, draws)
+    residuals = [_remove_outliers(one, cutoff_of(job)) for one in compress(diagnosis.residuals, is_same_part)]
+    beyond = _draw_unattributed(job, residuals, draws)
     # The residual of the diagnosis is smoothed to separate it from noise.
     residual_form = _smooth_addition(job, _join_maps(job, residuals)) if job.measurement.repeats else None
     for sources, maps in ((True, diagnosis.remainders), (False, diagnosis.fields)):
@@ -428,7 +428,7 @@ def _plans(job: Job, diagnosis: Diagnosis, is_same_part: Sequence[bool]) -> Iter
         yield _Plan(likely=False, sources=sources, smooth=smooth, map=first, draws=draws, proof=proof)
 
 
-def _without_outliers(residual: HeightMap, cutoff: float) -> HeightMap:
+def _remove_outliers(residual: HeightMap, cutoff: float) -> HeightMap:
     """Return residuals without outliers, such as dust, and their surroundings. Scattered.
 
     An outlier is no form error that repeats; corrected as one, it would be cut into the next part.
@@ -455,7 +455,7 @@ def _sum_additions(parts: Sequence[Smooth], before: Gridded | None) -> Smooth | 
     return Smooth(table, min(one.cutoff for one in parts if one.cutoff is not None))
 
 
-def _draw_beyond(job: Job, residuals: Sequence[HeightMap], draws: Draws) -> Floats:
+def _draw_unattributed(job: Job, residuals: Sequence[HeightMap], draws: Draws) -> Floats:
     """Return draws of the form error of the next part that the diagnosis does not attribute. (draws, n) [mm].
 
     The mean residual of several maps repeats; the next part scatters about it as the maps do.
@@ -503,7 +503,7 @@ def _refusal(diagnosis: Diagnosis, plan: _Plan, parts: int) -> str:
         remedy = f"measure {more} more" if more > 0 else "find what differs between the cuts"
         return f"{why}. The maps differ by {scatter:.3g} nm rms: {remedy}"
     hidden = next((one for one in diagnosis if one.verdict != "correct" and one.rms_nm > 1), None)
-    return f"{why}. {hidden.why if hidden else 'Measure more points, or more parts'}"
+    return f"{why}. {hidden.explanation if hidden else 'Measure more points, or more parts'}"
 
 
 def _check_linear(job: Job, draws: Draws, motion_of: MotionOf) -> None:
@@ -531,7 +531,7 @@ def _rms_of_draws(draws: Draws, some: NDArray[np.intp], error: Floats) -> float:
 
 
 def _rms_beyond_pose_nm(job: Job, x: Floats, y: Floats, error: Floats) -> float:
-    return float(np.sqrt(np.nanmean(beyond_pose(job, x, y, error) ** 2))) * NM
+    return float(np.sqrt(np.nanmean(subtract_pose(job, x, y, error) ** 2))) * NM
 
 
 def _check_simulated(job: Job, better: Job, plan: _Plan, motion_of: MotionOf) -> None:
@@ -672,7 +672,7 @@ def _join_maps(job: Job, maps: Sequence[HeightMap]) -> HeightMap:
     x, y, z = (np.concatenate(one) for one in zip(*points, strict=True))
     valid = ~np.isnan(z)
     x, y = x[valid], y[valid]
-    return HeightMap(x=x, y=y, z=beyond_pose(job, x, y, z[valid]), name="residual")
+    return HeightMap(x=x, y=y, z=subtract_pose(job, x, y, z[valid]), name="residual")
 
 
 def _smooth_addition(job: Job, residual: HeightMap) -> Smooth:
@@ -711,5 +711,5 @@ def _write_machine(machine: Machine, planned: Machine, out: File) -> Machine:
 
 def _write_columns(file: File, head: str, one: Floats, other: Floats) -> File:
     rows = (f"{a!r},{b!r}" for a, b in zip(one.tolist(), other.tolist(), strict=True))
-    write_whole(file, "\n".join([head, *rows]) + "\n")
+    write_atomic(file, "\n".join([head, *rows]) + "\n")
     return file

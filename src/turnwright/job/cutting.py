@@ -50,7 +50,7 @@ class PassChips:
 
 
 def chips_of(
-    job: Job, motion: Motion, before: Motion | None, allowance: float, tell: Progress
+    job: Job, motion: Motion, before: Motion | None, allowance: float, update: Progress
 ) -> tuple[PassChips, ChipMap] | str:
     """Return the chips of a pass, or the reason why they cannot be computed."""
     material, part = job.part.substance, job.part
@@ -58,7 +58,7 @@ def chips_of(
         return "chip thickness of the first pass needs the stock, the part states none: add part.stock"
     try:
         chips = chip_map(
-            motion, job.tool, part, before=before, material=material, points=_spread(motion), progress=tell
+            motion, job.tool, part, before=before, material=material, points=_spread(motion), progress=update
         )
     except InputError as error:
         return f"chip thickness cannot be computed: {error}"

@@ -74,14 +74,14 @@ def finish(
     if vibration is not None:
         moving = add_vibration(motion, vibration)
         after = generate_polar(moving, tool, radius=radius, angle=angle, machine=machine)
-        terms["vibration"] = _named(after, after.z - made.z, "vibration")
+        terms["vibration"] = _name_map(after, after.z - made.z, "vibration")
         made = after
     if minimum_chip is not None:
         extra = predict_uncut_height(moving, tool, minimum_chip, radius=radius, angle=angle, machine=machine)
-        terms["minimum chip"] = _named(made, extra.z, "minimum chip")
-        made = _named(made, made.z + extra.z, made.name)
-    return Finish(surface=_named(made, made.z, "predicted finish"), terms=MappingProxyType(terms))
+        terms["minimum chip"] = _name_map(made, extra.z, "minimum chip")
+        made = _name_map(made, made.z + extra.z, made.name)
+    return Finish(surface=_name_map(made, made.z, "predicted finish"), terms=MappingProxyType(terms))
 
 
-def _named(like: HeightMap, z: ArrayLike, name: str) -> HeightMap:
+def _name_map(like: HeightMap, z: ArrayLike, name: str) -> HeightMap:
     return HeightMap(z=z, radius=like.radius, angle=like.angle, name=name)  # type: ignore[arg-type] # frozen there

@@ -10,12 +10,12 @@ import numpy as np
 from turnwright._arrays import Floats, is_even
 from turnwright.heightmap import HeightMap
 from turnwright.instrument import Instrument
-from turnwright.job.pass_plan import cut_by, feed_of, motion_of
+from turnwright.job.pass_plan import cut_heights, feed_of, motion_of
 from turnwright.job.schema import Job
 from turnwright.metrology import filter_map
 from turnwright.pose import Pose
 
-__all__ = ["TextureComparison", "design_as_seen", "texture_as_seen"]
+__all__ = ["TextureComparison", "compare_texture", "measured_design"]
 
 MOST_POINTS = 20_000_000
 WINDOW_POINTS = 600_000
@@ -63,7 +63,7 @@ class TextureComparison:
         )
 
 
-def design_as_seen(job: Job, heights: HeightMap, pose: Pose) -> Floats | None:
+def measured_design(job: Job, heights: HeightMap, pose: Pose) -> Floats | None:
     """Return the change of the design by pixel and stylus of the job's instrument. (ny, nx) [mm].
 
     Optics act on the cusps only: their linear filter holds for heights small against the wavelength. On a form of many
@@ -82,12 +82,12 @@ def design_as_seen(job: Job, heights: HeightMap, pose: Pose) -> Floats | None:
     if grid is None:
         return None
     u, v, _ = pose.apply(*np.meshgrid(grid.x, grid.y), 0.0)
-    design = _inspected(job, u, v)
+    design = _ideal_reading(job, u, v)
     seen = instrument.see(HeightMap(x=grid.x, y=grid.y, z=design)).z - design
     return np.nan_to_num(seen[grid.rows, grid.columns])
 
 
-def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> TextureComparison | None:
+def compare_texture(job: Job, error: HeightMap, pose: Pose) -> TextureComparison | None:
     """Return the texture in the middle of a map of the error against the prediction of the job.
 
     ``None`` if the job states no instrument or no feed, or the window holds too few heights.
@@ -112,10 +112,10 @@ def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> TextureComparison
     if grid is None:
         return None
     u, v, _ = pose.apply(*np.meshgrid(grid.x, grid.y), 0.0)
-    design = _inspected(job, u, v)
+    design = _ideal_reading(job, u, v)
     inside = np.isfinite(design) & (np.hypot(u, v) <= job.part.radius)
     made = np.full(u.shape, np.nan)
-    made[inside] = cut_by(motion_of(job), job, u[inside], v[inside])
+    made[inside] = cut_heights(motion_of(job), job, u[inside], v[inside])
     surface = np.where(np.isfinite(made), design, np.nan)
     through = (instrument.see(HeightMap(x=grid.x, y=grid.y, z=one)).z for one in (made, surface))
     seen = next(through) - next(through)
@@ -166,7 +166,7 @@ def _grid(x: Floats, y: Floats, limit: float, reach: float) -> _Grid | None:
     return _Grid(x=axes[0], y=axes[1], rows=places[1], columns=places[0])
 
 
-def _inspected(job: Job, u: Floats, v: Floats) -> Floats:
+def _ideal_reading(job: Job, u: Floats, v: Floats) -> Floats:
     """Return the reading of an ideal instrument on the design: height, or departure from the reference. [mm]."""
     surfaces = [job.part.surface]
     if job.measurement.quantity != "height":

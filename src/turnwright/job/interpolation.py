@@ -9,7 +9,7 @@ from turnwright.path import Motion
 from turnwright.progress import Progress
 from turnwright.tracking import track
 
-__all__ = ["CHORD_TOL", "chord_error", "interpolated"]
+__all__ = ["CHORD_TOL", "chord_error", "interpolate_motion"]
 
 CHORD_TOL = 1e-8
 """Distance between linear segments and the controller's curves that does not show in a map. [mm]"""
@@ -21,7 +21,7 @@ MAX_SEGMENTS = 5_000_000
 """Segments up to which `CHORD_TOL` is used: 160 MB for the time and three axes."""
 
 
-def interpolated(motion: Motion, machine: Machine, progress: Progress | None = None) -> Motion:
+def interpolate_motion(motion: Motion, machine: Machine, progress: Progress | None = None) -> Motion:
     """Return the real axes in linear segments within 0.01 nm of the controller's curves, or as close as memory allows.
 
     With linear interpolation the segments of `track` are sufficient.

@@ -19,10 +19,10 @@ from turnwright.files import read_map
 from turnwright.heightmap import HeightMap
 from turnwright.job.advice import open_questions
 from turnwright.job.contributions import pv_nm_of
-from turnwright.job.instrument_effect import TextureComparison, design_as_seen, texture_as_seen
-from turnwright.job.pass_plan import Watch, across_feed, cut_by, feed_of, motion_of
+from turnwright.job.instrument_effect import TextureComparison, compare_texture, measured_design
+from turnwright.job.pass_plan import Watch, across_feed, cut_heights, feed_of, motion_of
 from turnwright.job.schema import Job
-from turnwright.job.tables import with_keys
+from turnwright.job.tables import name_keys
 from turnwright.job.verdict import Verdict, judge_form
 from turnwright.machine import Machine
 from turnwright.metrology import (
@@ -51,7 +51,7 @@ from turnwright.progress import StageProgress
 from turnwright.surface import Surface
 from turnwright.tool import Tool
 
-__all__ = ["Measured", "beyond_pose", "cutoff_of", "diagnose", "measure", "read_measurement", "same_part"]
+__all__ = ["Measured", "cutoff_of", "diagnose", "measure", "read_measurement", "same_part", "subtract_pose"]
 
 MAX_START_POINTS = 100_000
 NM = 1e6
@@ -214,7 +214,7 @@ def read_measurement(job: Job, file: str | PathLike[str], *, unit: str | None = 
     try:
         return read_map(file, unit=unit or settings.sag_units, lateral_unit=settings.units or "")
     except MapError as error:
-        raise MapError(with_keys(str(error), "[measurement]")) from error
+        raise MapError(name_keys(str(error), "[measurement]")) from error
 
 
 def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = None) -> Measured:
@@ -241,14 +241,14 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     pieces, free = part.surface.in_pieces, _free_dofs(job)
     with watch.stage("register"):
         raw = _apply_mask(heights, job)
-        heights, start = _with_reference(_orient(raw, job), job)
+        heights, start = _add_reference(_orient(raw, job), job)
         first = register(
             heights.thinned(MAX_START_POINTS), part, loss=settings.loss or ("huber" if pieces else "tukey"),
             start=start, reach=settings.reach, clocking=settings.clocking if "rotation" in free else 0.0,
-            **_registered_by(job),
+            **_registration_options(job),
         )  # fmt: skip
     with watch.stage("clean"):
-        heights, instrument_effect_nm = _without_seen_design(job, heights, first.pose)
+        heights, instrument_effect_nm = _subtract_measured_design(job, heights, first.pose)
         outliers = 0
         if settings.outliers != "none":
             # The form error has no edges of the design, so only outliers stand out.
@@ -270,9 +270,9 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
             axis = turning_centre(registration.error, feed=feed_of(job) or None, near=_origin(registration.pose))
         if axis is not None:
             free_dofs = [name for name in free if name not in registration.held]
-            registration = _register_at(job, heights, _about_axis(registration, axis), free=free_dofs)
+            registration = _register_at(job, heights, _pose_on_axis(registration, axis), free=free_dofs)
     with watch.stage("judge"):
-        placed, error = _on_part(heights, registration)
+        placed, error = _to_part_frame(heights, registration)
         inside = crop_to_aperture(error, part.radius * (1 + EDGE))
         zernike = _terms(inside, part.radius)
         rough = None
@@ -287,7 +287,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
             lenslets=lenslets(heights, part, pose=registration.pose) if has_lenslets(part.surface) else None,
             fingerprint=_fingerprint(error.z), axis=axis,
             instrument_effect_nm=instrument_effect_nm,
-            texture=texture_as_seen(job, registration.error, registration.pose),
+            texture=compare_texture(job, registration.error, registration.pose),
         )  # fmt: skip
         return replace(measured, mismatch=_explain_mismatch(measured, raw))
 
@@ -298,7 +298,7 @@ def _free_dofs(job: Job) -> tuple[str, ...]:
     return tuple(name for name in job.measurement.free if name not in fixed_dofs)
 
 
-def _registered_by(job: Job) -> dict[str, Any]:
+def _registration_options(job: Job) -> dict[str, Any]:
     settings, part = job.measurement, job.part
     terms: tuple[Surface, ...] = settings.terms
     form_error = settings.form_error
@@ -314,7 +314,7 @@ def _registered_by(job: Job) -> dict[str, Any]:
 def _register_at(job: Job, heights: HeightMap, pose: Pose, **changes: Any) -> Registration:
     """Register all points of a map close to a known pose; displaced lenslets do not pull."""
     loss = job.measurement.loss or ("huber" if job.part.surface.in_pieces else "linear")
-    stated = _registered_by(job) | changes
+    stated = _registration_options(job) | changes
     return register(heights, job.part, loss=loss, start=pose, reach=0.0, clocking=0.0, **stated)
 
 
@@ -322,7 +322,7 @@ def errors_at_candidates(measured: Measured) -> Iterator[tuple[Pose, HeightMap]]
     """Yield the other poses that fit a map as well or nearly so, and the form error there. Scattered. [mm]."""
     for one in measured.registration.candidates:
         there = _register_at(measured.job, measured.heights, one.pose)
-        yield there.pose, _on_part(measured.heights, there)[1]
+        yield there.pose, _to_part_frame(measured.heights, there)[1]
 
 
 def _explain_mismatch(measured: Measured, raw: HeightMap) -> str | None:
@@ -341,7 +341,7 @@ def _explain_mismatch(measured: Measured, raw: HeightMap) -> str | None:
     x, y = x[inside], y[inside]
     design = job.part.surface.sag(x, y)
     departures_nm = [
-        float(np.sqrt(np.mean(beyond_pose(job, x, y, design, sphere=one) ** 2))) * NM for one in (True, False)
+        float(np.sqrt(np.mean(subtract_pose(job, x, y, design, sphere=one) ** 2))) * NM for one in (True, False)
     ]
     shapes = ("best-fit sphere", "best-fit plane")
     better = None
@@ -426,7 +426,7 @@ def _better_orientation(job: Job, raw: HeightMap) -> str | None:
 
 def _fit_nm(job: Job, raw: HeightMap) -> float:
     """Return the rms form error of the points of a map without the largest. [nm]."""
-    heights, start = _with_reference(_orient(raw, job), job)
+    heights, start = _add_reference(_orient(raw, job), job)
     settings = job.measurement
     free = _free_dofs(job)
     registration = register(
@@ -437,7 +437,7 @@ def _fit_nm(job: Job, raw: HeightMap) -> float:
     return float(np.sqrt(np.mean(squares[: int(np.ceil(INLIER_FRACTION * squares.size))]))) * NM
 
 
-def beyond_pose(job: Job, x: Floats, y: Floats, z: Floats, *, sphere: bool = False) -> Floats:
+def subtract_pose(job: Job, x: Floats, y: Floats, z: Floats, *, sphere: bool = False) -> Floats:
     """Return errors without a change of pose in the free degrees of freedom, and without a sphere. (n,) [mm]."""
     zx, zy = job.part.surface.gradient(x, y)
     one, free = np.ones_like(x), _free_dofs(job)
@@ -452,9 +452,9 @@ def beyond_pose(job: Job, x: Floats, y: Floats, z: Floats, *, sphere: bool = Fal
     return np.asarray(z - rows @ np.linalg.lstsq(rows[seen], z[seen], rcond=RANK_TOL)[0])
 
 
-def _without_seen_design(job: Job, heights: HeightMap, pose: Pose) -> tuple[HeightMap, float | None]:
+def _subtract_measured_design(job: Job, heights: HeightMap, pose: Pose) -> tuple[HeightMap, float | None]:
     """Return heights without the change of the design by the job's instrument, and its rms. [nm]."""
-    added = design_as_seen(job, heights, pose)
+    added = measured_design(job, heights, pose)
     if added is None:
         return heights, None
     return replace(heights, z=heights.z - added), float(np.std(added[~np.isnan(heights.z)])) * NM
@@ -474,7 +474,7 @@ def _origin(pose: Pose) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def _about_axis(registration: Registration, axis: TurningCentre) -> Pose:
+def _pose_on_axis(registration: Registration, axis: TurningCentre) -> Pose:
     """Return the pose with the axis of turning on the part axis, along the fixed degrees of freedom."""
     pose = registration.pose
     x, y, _ = pose.apply(axis.x, axis.y, 0.0)
@@ -540,7 +540,7 @@ def _diagnose_all(every: Sequence[Measured]) -> Diagnosis:
         raise InputError("a diagnosis needs at least 1 measured part, got 0")
     first = every[0].job
     for one in every[1:]:
-        if not same_part(one.job, first) and _planned_with(one.job) != _planned_with(first):
+        if not same_part(one.job, first) and _nominal_equipment(one.job) != _nominal_equipment(first):
             raise InputError(
                 f"{one.job.part.name!r} and {first.part.name!r} were planned with different tools or machines, a "
                 "diagnosis allows 1 of each: diagnose them separately"
@@ -572,7 +572,7 @@ def _free_terms(job: Job) -> list[str]:
     return [one for one in FREE if one not in job.measurement.fixed]
 
 
-def _planned_with(job: Job) -> tuple[Tool, Machine]:
+def _nominal_equipment(job: Job) -> tuple[Tool, Machine]:
     """Return tool and machine without their plausible errors."""
     return replace(job.tool, plausible={}), replace(job.machine, plausible={})
 
@@ -626,7 +626,7 @@ def _average_over_cells(measured: Measured, job: Job) -> _Means:
     real = job if same_part(measured.job, job) else measured.job
     across = across_feed(measured.job, x, y)
     flat = [one.ravel() for one in across]
-    planned = cut_by(motion_of(measured.job), real, *flat) - real.part.aimed.surface.sag(*flat)
+    planned = cut_heights(motion_of(measured.job), real, *flat) - real.part.aimed.surface.sag(*flat)
     error -= planned.reshape(across[0].shape).mean(axis=1)
     heights = HeightMap(x=x, y=y, z=part.surface.sag(x, y) + error, name=measured.heights.name)
     return _Means(heights, noise * NM, averaged * NM)
@@ -680,7 +680,7 @@ def _orient(heights: HeightMap, job: Job) -> HeightMap:
     return heights
 
 
-def _with_reference(heights: HeightMap, job: Job) -> tuple[HeightMap, Pose | None]:
+def _add_reference(heights: HeightMap, job: Job) -> tuple[HeightMap, Pose | None]:
     """Return heights instead of departures, and the approximate pose of the map.
 
     The reference is fixed to the instrument: its axis is at the stated pose of the map, or at the origin of the map, or
@@ -724,7 +724,7 @@ def _error_at(heights: HeightMap, part: Part, pose: Pose) -> HeightMap:
     return replace(heights, z=error_map)
 
 
-def _on_part(heights: HeightMap, registration: Registration) -> tuple[HeightMap, HeightMap]:
+def _to_part_frame(heights: HeightMap, registration: Registration) -> tuple[HeightMap, HeightMap]:
     """Return the heights and their errors in the frame of the part, scattered."""
     x, y = heights.points()
     used = ~np.isnan(registration.error.z)

@@ -21,7 +21,7 @@ from turnwright.progress import Progress, StageProgress
 from turnwright.strategy import Strategy
 from turnwright.tracking import precorrect
 
-__all__ = ["PassPlan", "Watch", "across_feed", "cut_by", "feed_of", "motion_of"]
+__all__ = ["PassPlan", "Watch", "across_feed", "cut_heights", "feed_of", "motion_of"]
 
 PLACES_PER_FEED = 8
 """Points across a feed; the error of their mean is at most 0.4/64 of the cusp height."""
@@ -38,15 +38,15 @@ class Watch:
     def stage(self, name: str) -> Iterator[Progress]:
         """Time a stage and yield the function that reports its progress."""
 
-        def tell(done: int, total: int) -> None:
+        def update(done: int, total: int) -> None:
             if self.progress is not None:
                 self.progress(name, done, total)
 
-        tell(0, 1)
+        update(0, 1)
         start = time.perf_counter()
-        yield tell
+        yield update
         self.timings[name] = self.timings.get(name, 0.0) + time.perf_counter() - start
-        tell(1, 1)
+        update(1, 1)
 
 
 class PassPlan:
@@ -64,8 +64,8 @@ class PassPlan:
     @cached_property
     def spiral(self) -> Spiral:
         """The spiral of the tool tip in plan view."""
-        with self._watch.stage("plan") as tell:
-            spiral = self.servo.spiral(self.job.part.aimed, self.job.tool, progress=tell)
+        with self._watch.stage("plan") as update:
+            spiral = self.servo.spiral(self.job.part.aimed, self.job.tool, progress=update)
         if self.job.machine.controller.interpolation == "hermite":
             return spiral
         return replace(spiral, radius_rate=None, y_rate=None)  # only Hermite blocks use rates
@@ -88,8 +88,8 @@ class PassPlan:
     def path(self) -> Path:
         """The path of the tool tip in contact with the part."""
         spiral = self.spiral
-        with self._watch.stage("place") as tell:
-            return place(spiral, self.job.part.aimed, self.job.tool, along=self.servo.along, progress=tell)
+        with self._watch.stage("place") as update:
+            return place(spiral, self.job.part.aimed, self.job.tool, along=self.servo.along, progress=update)
 
     @cached_property
     def planned(self) -> Motion:
@@ -104,8 +104,8 @@ class PassPlan:
         planned = self.planned
         if not self.job.program.precorrect:
             return planned
-        with self._watch.stage("drive") as tell:
-            return precorrect(planned, progress=tell)
+        with self._watch.stage("drive") as update:
+            return precorrect(planned, progress=update)
 
     def forget(self, *stages: str) -> None:
         """Free the results of some stages; the next access computes them again."""
@@ -128,7 +128,7 @@ def motion_of(job: Job) -> Motion:
     return PassPlan(job).planned
 
 
-def cut_by(motion: Motion, real: Job, x: Floats, y: Floats) -> Floats:
+def cut_heights(motion: Motion, real: Job, x: Floats, y: Floats) -> Floats:
     """Return the heights after a motion with the tool and machine of a job. (n,) [mm]."""
     return generate_points(motion, real.tool, x=x, y=y, machine=real.machine)
 

@@ -20,7 +20,7 @@ from turnwright.job.cutting import PassChips, chips_of
 from turnwright.job.pass_plan import PassPlan, Watch
 from turnwright.job.predicting import predict
 from turnwright.job.prediction import Prediction
-from turnwright.job.programs import read_back, written
+from turnwright.job.programs import read_back, write_programs
 from turnwright.job.result import Pass
 from turnwright.job.schema import Job, PassTable
 from turnwright.job.verdict import WHOLE
@@ -61,8 +61,8 @@ class Cut:
     @cached_property
     def chips(self) -> tuple[PassChips, ChipMap] | str:
         """Uncut chip thickness along the cut, or the reason why it is not computed."""
-        with self.watch.stage("chips") as tell:
-            return chips_of(self.plan.job, self.motion, self.before, self.allowance, tell)
+        with self.watch.stage("chips") as update:
+            return chips_of(self.plan.job, self.motion, self.before, self.allowance, update)
 
     def as_pass(self, chips: PassChips | None = None) -> Pass:
         """Return the cut as an entry of `Result.passes`."""
@@ -118,10 +118,10 @@ class Pipeline:
     def access(self) -> Access:
         """Whether the tool reaches the part."""
         part, tool, sense = self.job.part.aimed, self.job.tool, self.job.strategy.sense
-        with self.watch.stage("access") as tell:
+        with self.watch.stage("access") as update:
             if self.watch.progress is None:
                 return _check_access(part, tool, sense=sense)
-            return check_access(part, tool, sense=sense, progress=tell)
+            return check_access(part, tool, sense=sense, progress=update)
 
     @cached_property
     def depths(self) -> tuple[AccessFinding, ...]:
@@ -130,10 +130,10 @@ class Pipeline:
         for cut in job.passes:
             depths[cut.name] = (stock - cut.allowance) / cut.repeats(stock)
             stock = cut.allowance
-        with self.watch.stage("depth of cut") as tell:
+        with self.watch.stage("depth of cut") as update:
             return check_depths(
                 job.part.aimed, job.tool, depths, inside_out=job.strategy.inside_out, sense=job.strategy.sense,
-                progress=tell,
+                progress=update,
             )  # fmt: skip
 
     @cached_property
@@ -220,9 +220,9 @@ class Pipeline:
         if self._out is None:
             self._out = File(tempfile.mkdtemp(prefix="turnwright-"))
             weakref.finalize(self, shutil.rmtree, self._out, ignore_errors=True)
-        with self.watch.stage("write program") as tell:
+        with self.watch.stage("write program") as update:
             self._out.mkdir(parents=True, exist_ok=True)
-            self.program = written(self.job, motions, self._out, tell, entries)
+            self.program = write_programs(self.job, motions, self._out, update, entries)
         return self.program
 
     @cached_property
@@ -234,8 +234,8 @@ class Pipeline:
     def program_motion(self) -> Motion:
         """The motion of the finishing pass, read back from the program on disk."""
         file, name = self.program.files[0], self.job.passes[-1].names(self._stock)[-1]
-        with self.watch.stage("read program") as tell:
-            return read_back(self.job, file, name, tell)
+        with self.watch.stage("read program") as update:
+            return read_back(self.job, file, name, update)
 
     @property
     def _stock(self) -> float:
@@ -248,13 +248,13 @@ class Pipeline:
         return predict(self.job, self.program_motion, nominal=self.finishing.nominal, watch=self.watch)
 
     @cached_property
-    def shares(self) -> ErrorBreakdown:
+    def breakdown(self) -> ErrorBreakdown:
         """Error contributions to the form error of the program read back."""
         part, tool, plan = self.job.part.aimed, self.job.tool, self.finishing
-        with self.watch.stage("shares") as tell:
+        with self.watch.stage("shares") as update:
             return break_down_error(
                 part, tool, plan.spiral, plan.commanded, program_motion=self.program_motion, nominal=plan.nominal,
-                progress=tell,
+                progress=update,
             )  # fmt: skip
 
     def prediction(self, name: str) -> Prediction:

@@ -21,14 +21,14 @@ from turnwright.job.contributions import (
     max_difference_nm,
     without_servos,
 )
-from turnwright.job.interpolation import interpolated
+from turnwright.job.interpolation import interpolate_motion
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.predicting import predict
-from turnwright.job.programs import read_back, written
+from turnwright.job.programs import read_back, write_programs
 from turnwright.job.schema import Job
 from turnwright.job.speed import NEAR, ROUNDS, Servos, at_speed, few_lines, guess, largest, round_down
 from turnwright.job.tables import with_interpolation
-from turnwright.job.verdict import Verdict, judge, missed
+from turnwright.job.verdict import Verdict, any_missed, judge
 from turnwright.motion import Limits, check_limits, drive
 from turnwright.path import Motion
 from turnwright.progress import StageProgress
@@ -117,7 +117,7 @@ class Plan:
     ----------
     job
         The job with its strategy filled in.
-    shares
+    breakdown
         Error contributions to the form error of the program read back, with interpolation and servos.
     verdicts
         Verdict on each tolerance, as in a run.
@@ -128,7 +128,7 @@ class Plan:
     """
 
     job: Job
-    shares: ErrorBreakdown
+    breakdown: ErrorBreakdown
     verdicts: tuple[Verdict, ...]
     limits: Limits
     tried: tuple[Trial, ...]
@@ -208,16 +208,16 @@ def _plan_interpolation(job: Job, form: float, sq: float, report: StageProgress)
     """Return the fastest plan that meets the tolerances [mm], with the interpolation of the job."""
     stage = stage_of(job.machine.controller.interpolation)
 
-    def tell(share: float) -> None:
+    def update(share: float) -> None:
         report(stage, round(share * PROGRESS_STEPS), PROGRESS_STEPS)
 
     target = {"form_pv": form, "sq": sq}
-    tell(0.0)
+    update(0.0)
     for number in range(MAX_TARGETS):
         span = 1 - RETRY_FRACTION**number, 1 - RETRY_FRACTION ** (number + 1)
-        best = _plan_target(job, target["form_pv"], target["sq"], _between(tell, *span))
-        if not missed(best.verdicts):
-            tell(1.0)
+        best = _plan_target(job, target["form_pv"], target["sq"], _report_range(update, *span))
+        if not any_missed(best.verdicts):
+            update(1.0)
             return best
         # A patch may be rougher than the rings that the feed is chosen by.
         for name in target:
@@ -225,19 +225,19 @@ def _plan_interpolation(job: Job, form: float, sq: float, report: StageProgress)
             target[name] *= MARGIN / max(over) if max(over) > 1 else 1.0
     raise LimitError(
         f"the plan misses a tolerance: {'; '.join(one.sentence for one in best.verdicts if not one.is_kept)}; form "
-        f"error of {best.shares.sentence}: relax the tolerance, or change tool or machine"
+        f"error of {best.breakdown.sentence}: relax the tolerance, or change tool or machine"
     )
 
 
-def _between(tell: ReportFraction, first: float, last: float) -> ReportFraction:
+def _report_range(update: ReportFraction, first: float, last: float) -> ReportFraction:
     """Return a function that reports the progress of a part of the work, from one fraction to another."""
-    return lambda share: tell(first + (last - first) * share)
+    return lambda share: update(first + (last - first) * share)
 
 
-def _plan_target(job: Job, form: float, sq: float, tell: ReportFraction) -> Plan:
+def _plan_target(job: Job, form: float, sq: float, update: ReportFraction) -> Plan:
     """Return the fastest plan for a target of form error and finish [mm]; it may miss the tolerances."""
     across, cusp = _largest_feed(job, form, sq)
-    tell(CUSP_FRACTION)
+    update(CUSP_FRACTION)
     # Errors of points and servos have both signs.
     residual = (MARGIN * form - cusp - DECIMALS_MM) / 2
     if residual <= 0:
@@ -251,8 +251,8 @@ def _plan_target(job: Job, form: float, sq: float, tell: ReportFraction) -> Plan
     for number in range(MAX_PROOFS):
         # About half of the simulated plans are followed by another.
         span = (1 - (1 - CUSP_FRACTION) * 0.5**one for one in (number, number + 1))
-        simulated = search.simulate(residual, _between(tell, *span))
-        if missed(simulated.verdicts):
+        simulated = search.simulate(residual, _report_range(update, *span))
+        if any_missed(simulated.verdicts):
             if best is None:
                 return simulated
             beyond = residual
@@ -261,7 +261,10 @@ def _plan_target(job: Job, form: float, sq: float, tell: ReportFraction) -> Plan
                 best = min(best, simulated, key=lambda one: one.limits.cycle_time_s)
                 break
             best, within = simulated, residual
-        more = min((MARGIN * form * NM - best.shares.cusp_nm) / max(best.shares.pv_nm - best.shares.cusp_nm, 1e-3), 3.0)
+        more = min(
+            (MARGIN * form * NM - best.breakdown.cusp_nm) / max(best.breakdown.pv_nm - best.breakdown.cusp_nm, 1e-3),
+            3.0,
+        )
         if more < 1 / NEAR or beyond < within / NEAR:
             break
         residual = min(within * more, math.sqrt(within * beyond))
@@ -291,15 +294,15 @@ class _Search:
         self.evenly &= not job.strategy.moves_fast_tool
         self.spacings: list[tuple[float, float]] = []  # (chord or arc length, measured error of the points) [mm]
 
-    def simulate(self, residual: float, tell: ReportFraction) -> Plan:
+    def simulate(self, residual: float, update: ReportFraction) -> Plan:
         """Return the fastest plan whose points and servos share the residual [mm], simulated from its program."""
         best: tuple[_Points, Motion, float] | None = None
-        tell(0.0)
+        update(0.0)
         splits = POINT_SHARES if self.simulates_servos else (1.0,)
         for share in sorted({min(split * residual, self.roughest) for split in splits}, reverse=True):
             points = self._points(share)
             motion, tracking = points.plan.planned, residual - share
-            tell(0.3)
+            update(0.3)
             if self.simulates_servos:
                 self.servos = self.servos or Servos(
                     self.part, self.tool, self.machine, spiral=points.plan.spiral, corrected=self.corrected
@@ -309,7 +312,7 @@ class _Search:
                 break
             best = points, motion, tracking
         assert best is not None  # noqa: S101 - there is at least one split
-        tell(0.5)
+        update(0.5)
         points, nominal, tracking = best
         speed: float | SpeedProfile | None = None
         if self.simulates_servos or not self.varies:
@@ -324,18 +327,20 @@ class _Search:
             if variable is not None and variable[1].time[-1] < nominal.time[-1]:
                 speed, nominal = variable
         motion = nominal if self.servos is None else self.servos.commanded(nominal)
-        tell(0.6)
+        update(0.6)
         filled = points.filled
         with TemporaryDirectory(prefix="turnwright-") as folder:
-            program_motion = read_back(filled, written(filled, {"finish": motion}, File(folder)).files[0], "finish")
-        tell(0.7)
+            program_motion = read_back(
+                filled, write_programs(filled, {"finish": motion}, File(folder)).files[0], "finish"
+            )
+        update(0.7)
         final = _fill_in(filled, self.across, points.ways, speed)
         reference = nominal if self.corrected else None
         predictions = predict(final, program_motion, nominal=reference)
-        tell(0.9)
+        update(0.9)
         return Plan(
             job=final,
-            shares=break_down_error(
+            breakdown=break_down_error(
                 self.part, self.tool, points.plan.spiral, motion, program_motion=program_motion, nominal=reference,
                 pv_nm=predictions[0].pv_nm,
             ),
@@ -381,7 +386,7 @@ class _Search:
         """Return the difference between the surfaces of the exact and of the interpolated path. [mm]."""
         radius, angle = few_lines(self.part, points.plan.spiral.feed, points.plan.spiral.angle)
         exact = exact_motion(points.plan.spiral, self.part, self.tool, self.machine, angle)
-        real = interpolated(points.plan.planned, without_servos(self.machine, corrected=self.corrected))
+        real = interpolate_motion(points.plan.planned, without_servos(self.machine, corrected=self.corrected))
         maps = [generate_polar(one, self.tool, radius=radius, angle=angle) for one in (exact, real)]
         return max_difference_nm(*maps) / NM
 

@@ -13,7 +13,7 @@ from turnwright.generation import generate, generate_polar
 from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import finish_nm, lines, require_servos, without_servos
 from turnwright.job.extremes import find_extremes
-from turnwright.job.interpolation import chord_error, interpolated
+from turnwright.job.interpolation import chord_error, interpolate_motion
 from turnwright.job.pass_plan import Watch
 from turnwright.job.prediction import Prediction
 from turnwright.job.schema import Job
@@ -22,7 +22,7 @@ from turnwright.metrology import roughness
 from turnwright.path import Motion
 from turnwright.progress import Progress, StageProgress
 
-__all__ = ["followed", "predict"]
+__all__ = ["follow_motion", "predict"]
 
 
 def predict(
@@ -64,17 +64,17 @@ def predict(
     """
     watch = watch or Watch(progress)
     part, tool, machine = job.part, job.actual_tool, job.actual_machine
-    motion, real = followed(job, motion, job.simulation.tracking if tracking is None else tracking, nominal, watch)
+    motion, real = follow_motion(job, motion, job.simulation.tracking if tracking is None else tracking, nominal, watch)
     straight = machine.controller.interpolation == "linear"
     off = 0.0 if straight else max(chord_error(one) for one in (motion, real) if one is not None)
 
     def make(name: str, form: int | str, simulate: Callable[[Motion, Progress], HeightMap]) -> Prediction:
-        with watch.stage(f"simulate {name}") as tell:
-            error = replace(simulate(motion, tell).minus(part.surface), name=name)
+        with watch.stage(f"simulate {name}") as update:
+            error = replace(simulate(motion, update).minus(part.surface), name=name)
         added = None
         if real is not None:
-            with watch.stage(f"simulate {name} with servos") as tell:
-                planned, error = error, replace(simulate(real, tell).minus(part.surface), name=name)
+            with watch.stage(f"simulate {name} with servos") as update:
+                planned, error = error, replace(simulate(real, update).minus(part.surface), name=name)
             added = replace(error, z=error.z - planned.z, name=f"{name}: servos")
         if np.isnan(error.z).all():
             raise InputError(
@@ -89,8 +89,8 @@ def predict(
     grid = job.simulation.whole_part
     radius, angle = np.linspace(0, part.radius, grid.radii), np.linspace(0, 2 * np.pi, grid.angles, endpoint=False)
 
-    def whole_part(one: Motion, tell: Progress) -> HeightMap:
-        return generate_polar(one, tool, radius=radius, angle=angle, machine=machine, progress=tell)
+    def whole_part(one: Motion, update: Progress) -> HeightMap:
+        return generate_polar(one, tool, radius=radius, angle=angle, machine=machine, progress=update)
 
     def is_requested(name: str) -> bool:
         return only is None or name in only
@@ -100,8 +100,8 @@ def predict(
         predictions = [_with_extremes(job, predictions[0], real or motion, watch)]
     for patch in filter(lambda one: is_requested(one.name), job.simulation.patches):
 
-        def rectangle(one: Motion, tell: Progress, axes: tuple[Floats, Floats] = patch.axes) -> HeightMap:
-            return generate(one, tool, x=axes[0], y=axes[1], machine=machine, progress=tell)
+        def rectangle(one: Motion, update: Progress, axes: tuple[Floats, Floats] = patch.axes) -> HeightMap:
+            return generate(one, tool, x=axes[0], y=axes[1], machine=machine, progress=update)
 
         predictions.append(make(patch.name, job.roughness.form, rectangle))
     return tuple(predictions)
@@ -110,8 +110,8 @@ def predict(
 def _with_extremes(job: Job, whole: Prediction, motion: Motion, watch: Watch) -> Prediction:
     """Return the whole part with its highest and lowest point, and with the finish of a job without patches."""
     tool, part, machine = job.actual_tool, job.part, job.actual_machine
-    with watch.stage("highest and lowest point") as tell:
-        form = find_extremes(motion, tool, part, machine=machine, known=whole.error, progress=tell)
+    with watch.stage("highest and lowest point") as update:
+        form = find_extremes(motion, tool, part, machine=machine, known=whole.error, progress=update)
     ring = None
     if job.tolerances.sq is not None and not job.simulation.patches:
         with watch.stage("roughest ring"):
@@ -121,7 +121,7 @@ def _with_extremes(job: Job, whole: Prediction, motion: Motion, watch: Watch) ->
     return replace(whole, form=form, finish_nm=ring)
 
 
-def followed(
+def follow_motion(
     job: Job, motion: Motion, tracking: bool, nominal: Motion | None, watch: Watch
 ) -> tuple[Motion, Motion | None]:
     """Return a motion as the controller interpolates it, and as the servos follow it, ``None`` without tracking."""
@@ -129,11 +129,11 @@ def followed(
     real = None
     if tracking:
         require_servos(machine)
-        with watch.stage("track") as tell:
-            real = interpolated(motion, machine, tell)
+        with watch.stage("track") as update:
+            real = interpolate_motion(motion, machine, update)
         motion = nominal or motion
     ideal = without_servos(machine, corrected=nominal is not None)
     if ideal.controller.interpolation != "linear":
-        with watch.stage("interpolate") as tell:
-            motion = interpolated(motion, ideal, tell)
+        with watch.stage("interpolate") as update:
+            motion = interpolate_motion(motion, ideal, update)
     return motion, real

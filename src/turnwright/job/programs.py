@@ -14,20 +14,20 @@ from turnwright.generation import generate_polar
 from turnwright.job.approach import Entry, entries_of
 from turnwright.job.contributions import ErrorBreakdown, break_down_error, clear_azimuths
 from turnwright.job.pass_plan import PassPlan, Watch
-from turnwright.job.predicting import followed
+from turnwright.job.predicting import follow_motion
 from turnwright.job.schema import Job
 from turnwright.path import Motion
 from turnwright.post import ProgramFiles, ProgramHeader, dialect_of, read_fast_tool, read_nc, write_fast_tool, write_nc
 from turnwright.progress import Progress, StageProgress
 
-__all__ = ["predicted_motion", "program_shares", "read_back", "rounding", "written"]
+__all__ = ["predicted_motion", "program_shares", "read_back", "rounding_effect", "write_programs"]
 
 
-def written(
+def write_programs(
     job: Job,
     motions: dict[str, Motion],
     out: File,
-    tell: Progress | None = None,
+    update: Progress | None = None,
     entries: Mapping[str, Entry] | None = None,
 ) -> ProgramFiles:
     """Write the program of all passes, and the table of a fast tool if there is one."""
@@ -37,7 +37,7 @@ def written(
     notes = f"material {stated}" if stated else ""
     header = ProgramHeader(design=part.name, tool=job.tool.name, notes=notes)
     shared: dict[str, Any] = {
-        "header": header, "clearance": max(one.clearance for one in entries.values()), "progress": tell,
+        "header": header, "clearance": max(one.clearance for one in entries.values()), "progress": update,
         "depth": {name: one.depth for name, one in entries.items()}, "plunge_feed": job.program.plunge_feed,
         "entry_heights": {name: one.heights for name, one in entries.items()},
     }  # fmt: skip
@@ -52,20 +52,20 @@ def written(
     return replace(both.program, files=(*both.program.files, both.table), bytes=size)
 
 
-def read_back(job: Job, file: File, name: str, tell: Progress | None = None) -> Motion:
+def read_back(job: Job, file: File, name: str, update: Progress | None = None) -> Motion:
     """Read the finishing pass of a program, and the table of a fast tool if there is one."""
     machine = job.machine
     if job.program.fast_tool is not None:
-        return read_fast_tool(file, machine, progress=tell)
-    return read_nc(file, machine, name=name, progress=tell)
+        return read_fast_tool(file, machine, progress=update)
+    return read_nc(file, machine, name=name, progress=update)
 
 
 def predicted_motion(job: Job, file: File, name: str, *, progress: StageProgress | None = None) -> Motion:
     """Return the motion of the finishing pass of a program on disk, from which its surface is predicted."""
     watch = Watch(progress)
-    with watch.stage("read program") as tell:
-        motion = read_back(job, file, name, tell)
-    ideal, real = followed(job, motion, job.simulation.tracking, None, watch)
+    with watch.stage("read program") as update:
+        motion = read_back(job, file, name, update)
+    ideal, real = follow_motion(job, motion, job.simulation.tracking, None, watch)
     return real or ideal
 
 
@@ -82,7 +82,7 @@ def program_shares(job: Job, file: File, name: str) -> ErrorBreakdown:
     return break_down_error(part, tool, plan.spiral, plan.commanded, program_motion=motion, nominal=plan.nominal)
 
 
-def rounding(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:
+def rounding_effect(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:
     """Return the largest difference between the surfaces of the motion and of the program read back, and its limit.
 
     Both are in nm. The numbers of a program have errors of up to half of their last decimal. An error of Z appears on

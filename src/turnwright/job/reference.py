@@ -9,7 +9,7 @@ import inspect
 import re
 from typing import Any
 
-from turnwright._tables import Stated, adapter, merged
+from turnwright._tables import TableModel, adapter, merged_fields
 from turnwright.job.schema import Job
 from turnwright.units import write
 
@@ -46,22 +46,22 @@ def job_schema() -> dict[str, Any]:
     the one used in job files; quantities are text such as "8 um/rev".
     """
     schema = adapter(Job).json_schema()
-    tables = {table.__name__: table for table in _below(Stated)}
+    tables = {table.__name__: table for table in _nested_tables(TableModel)}
     for name, definition in [*schema["$defs"].items(), ("Job", schema)]:
         if "properties" in definition:
             _explain(tables.get(name), definition)
     return schema
 
 
-def _below(table: type[Any]) -> list[type[Any]]:
-    return [one for child in table.__subclasses__() for one in (child, *_below(child))]
+def _nested_tables(table: type[Any]) -> list[type[Any]]:
+    return [one for child in table.__subclasses__() for one in (child, *_nested_tables(child))]
 
 
 def _explain(table: type[Any] | None, definition: dict[str, Any]) -> None:
     texts = {} if table is None else texts_of(table)
     definition["description"] = _clean(inspect.getdoc(table) or "").split("\n\n")[0].replace("\n", " ")
     for name, entry in definition["properties"].items():
-        field = dict(_without_null(entry))
+        field = dict(_drop_null(entry))
         entry.clear()
         entry.update(field)
         entry["title"] = name.replace("_", " ")
@@ -76,7 +76,7 @@ def _explain(table: type[Any] | None, definition: dict[str, Any]) -> None:
             entry.pop("default", None)  # a table has the defaults of its own fields
 
 
-def _without_null(field: dict[str, Any]) -> dict[str, Any]:
+def _drop_null(field: dict[str, Any]) -> dict[str, Any]:
     """Return the schema of an optional field without the alternative "null"."""
     kinds = [one for one in field.get("anyOf", []) if one != {"type": "null"}]
     if not kinds or len(kinds) == len(field["anyOf"]):
@@ -104,12 +104,12 @@ def _add_units(field: dict[str, Any], name: str) -> None:
         field["default"] = [write(float(one), item["unit"]) if "unit" in item else one for one, item in pairs]
 
 
-def texts_of(table: type[Stated]) -> dict[str, str]:
+def texts_of(table: type[TableModel]) -> dict[str, str]:
     """Return the help text of each key of a table of a job file."""
     texts: dict[str, str] = {}
     for owner in reversed(inspect.getmro(table)):
         texts |= _parameters(vars(owner).get("like")) | _parameters(owner)
-    for inner in merged(table).values():
+    for inner in merged_fields(table).values():
         texts = texts_of(inner) | texts
     return texts | {key: texts[name] for name, key in table.key_names.items() if name in texts}
 

@@ -12,8 +12,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from turnwright._faults import sentences, suggestion
-from turnwright._tables import Keyed, Stated, adapter, merged, types_of
-from turnwright.errors import InputError, JobError, shown
+from turnwright._tables import Keyed, TableModel, adapter, merged_fields, types_of
+from turnwright.errors import InputError, JobError, quote
 from turnwright.job.tables import context_of, with_interpolation
 from turnwright.machine import Machine
 from turnwright.pose import Pose
@@ -24,7 +24,7 @@ from turnwright.units import Number, Text
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-__all__ = ["replaced"]
+__all__ = ["replace_field"]
 
 Owner = TypeVar("Owner", bound="DataclassInstance")
 
@@ -32,7 +32,7 @@ _STEP = re.compile(r"([^.\[\]]+)((?:\[[0-9]{1,9}\])*)")
 """A key, and the indices of entries in the lists that it holds."""
 
 
-def replaced(job: Owner, name: str, value: Any) -> Owner:
+def replace_field(job: Owner, name: str, value: Any) -> Owner:
     """Return the job with one field changed. See `turnwright.job.Job.replace`."""
     change = _Change(name, value)
     step, *steps = _steps(name)
@@ -41,14 +41,14 @@ def replaced(job: Owner, name: str, value: Any) -> Owner:
     except InputError as error:
         raise JobError(str(error) if str(error).startswith(name) else f"{name}: {error}") from error
     except (TypeError, ValueError, AttributeError) as error:  # from arrays and series, which no job file states
-        raise JobError(f"{name} cannot be {shown(value)} ({error}): give another value") from error
+        raise JobError(f"{name} cannot be {quote(value)} ({error}): give another value") from error
     return replace(job, **{field: new})
 
 
 def _steps(name: str) -> list[str]:
     parts = [_STEP.fullmatch(part) for part in name.split(".")]
     if None in parts:
-        raise JobError(f"a field is named like strategy.feed or passes[1].feed, got {shown(name)}")
+        raise JobError(f"a field is named like strategy.feed or passes[1].feed, got {quote(name)}")
     return [step for part in parts if part for step in (part[1], *re.findall(r"\[[0-9]+\]", part[2]))]
 
 
@@ -80,7 +80,7 @@ class _Change:
             return inner.placed(shift=pose.shift, rotation=pose.rotation, tilt=pose.tilt)
         if isinstance(held, Surface | Strategy) and step in ("family", "kind"):
             raise JobError(f"{self.name} cannot change alone: replace the whole {self.name.removesuffix('.' + step)}")
-        for name, inner in merged(type(held)).items() if isinstance(held, Stated) else ():
+        for name, inner in merged_fields(type(held)).items() if isinstance(held, TableModel) else ():
             if step in inner.table_keys() and step not in types_of(type(held)):
                 return replace(held, **{name: self._changed(getattr(held, name), step, rest)})
         if isinstance(held, Placed):
@@ -90,7 +90,7 @@ class _Change:
 
     def field(self, owner: Any, step: str, rest: list[str]) -> tuple[str, Any]:
         """Return the name of a field of an object by its key, and its new value."""
-        if not isinstance(owner, Stated):
+        if not isinstance(owner, TableModel):
             raise JobError(f"{self.name} is not a field of this job: the value before {step} has no fields")
         kinds = {name: kind for name, kind in types_of(type(owner)).items() if name not in owner.hidden}
         names = {owner.key_names.get(name, name): name for name in kinds}

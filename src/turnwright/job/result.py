@@ -12,7 +12,7 @@ from turnwright.job.cutting import PassChips
 from turnwright.job.prediction import Prediction
 from turnwright.job.schema import Job
 from turnwright.job.shape import PartShape
-from turnwright.job.verdict import Verdict, judge, missed
+from turnwright.job.verdict import Verdict, any_missed, judge
 from turnwright.machine import Machine
 from turnwright.motion import Limits
 from turnwright.part import Part
@@ -171,4 +171,4 @@ class Result:
     @property
     def keeps_tolerances(self) -> bool:
         """Whether no stated tolerance is missed."""
-        return not missed(self.verdicts)
+        return not any_missed(self.verdicts)

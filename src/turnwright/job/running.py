@@ -21,7 +21,7 @@ from turnwright.job.cutting import PassChips, predicted_chips
 from turnwright.job.gouge import find_gouge
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.pipeline import Cut, Pipeline, describe_gouge
-from turnwright.job.programs import predicted_motion, rounding
+from turnwright.job.programs import predicted_motion, rounding_effect
 from turnwright.job.result import Pass, Preview, Result
 from turnwright.job.schema import Job
 from turnwright.job.shape import part_shape
@@ -66,7 +66,9 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
             result = run(job, progress=progress, out=folder)
         return replace(result, program=replace(result.program, files=()))
     line = Pipeline(job, progress=progress, out=out)
-    warnings = _accepted(job, GougeError, ((one.name, one.sentence) for one in line.access.findings if not one.ok))
+    warnings = _accept_findings(
+        job, GougeError, ((one.name, one.sentence) for one in line.access.findings if not one.ok)
+    )
     warnings += odd_sizes(job.part.aimed, job.tool)
     for finding in line.depths:
         if not finding.ok:  # no job can accept that
@@ -75,9 +77,9 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     passes: list[Pass] = []
     chips: dict[str, ChipMap] = {}
     for cut in line.cuts():
-        warnings += _accepted(job, GougeError, [("gouge", describe_gouge(job, cut.plan.path))])
+        warnings += _accept_findings(job, GougeError, [("gouge", describe_gouge(job, cut.plan.path))])
         exceeded = [("limits", f"pass {cut.name}: {one}") for one in cut.limits.findings[:1]]
-        warnings += _accepted(job, LimitError, exceeded)
+        warnings += _accept_findings(job, LimitError, exceeded)
         motions[cut.name] = cut.motion
         passes.append(cut.as_pass(_check_chips(cut, chips, warnings)))
     plotted_path, least = _thin(line.path), float(line.path.clearance.min())
@@ -85,12 +87,12 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     del cut
     line.finishing.forget("spiral", "path")
     entries = line.entries(motions)
-    warnings += _accepted(job, LimitError, (("limits", one.beyond_travel) for one in entries.values()))
+    warnings += _accept_findings(job, LimitError, (("limits", one.beyond_travel) for one in entries.values()))
     program = line.write(motions, entries)
     motions.clear()
     program_motion = line.program_motion
     with line.watch.stage("compare"):
-        difference, limit = rounding(job, line.motion, program_motion)
+        difference, limit = rounding_effect(job, line.motion, program_motion)
     if not job.program.precorrect:
         line.finishing.forget("commanded", "planned")
     predictions = line.predictions
@@ -171,9 +173,9 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
     # over walls would take too many points.
     for cut in () if refused else job.passes:
         servo = job.servo(cut)
-        with watch.stage("plan") as tell:
+        with watch.stage("plan") as update:
             # A job is checked while it is typed, so points are counted without computing all of them.
-            size, spiral = servo.extent(part, tool, progress=tell)
+            size, spiral = servo.extent(part, tool, progress=update)
             if _widens(servo):
                 PassPlan(job, cut).require_steps()
             place(spiral, part, tool, along=job.strategy.along)  # raises where the surface ends
@@ -215,7 +217,7 @@ def finishing_motion(job: Job, *, progress: StageProgress | None = None) -> tupl
     return motion, result
 
 
-def _accepted(job: Job, kind: type[InputError], findings: Iterable[tuple[str, str]]) -> list[str]:
+def _accept_findings(job: Job, kind: type[InputError], findings: Iterable[tuple[str, str]]) -> list[str]:
     """Return the sentences of findings that a job accepts by name; raise the first that it does not accept."""
     sentences = [(what, sentence) for what, sentence in findings if sentence]
     for what, sentence in sentences:
@@ -236,7 +238,7 @@ def _accepted_program(line: Pipeline, limit: float) -> list[str]:
     if "gouge" not in line.job.accept:
         for file in line.program.files:
             file.unlink()
-    return _accepted(line.job, GougeError, [("gouge", gouge.sentence)])
+    return _accept_findings(line.job, GougeError, [("gouge", gouge.sentence)])
 
 
 def _widens(servo: Strategy) -> bool:

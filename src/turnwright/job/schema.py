@@ -17,12 +17,12 @@ from pydantic import Field, PlainValidator, Strict, ValidationError
 
 from turnwright._arrays import Floats
 from turnwright._faults import faults as faults_of, sentences
-from turnwright._io import bytes_of, read_toml, write_whole
-from turnwright._tables import adapter, read_by, types_of, written
+from turnwright._io import bytes_of, read_toml, write_atomic
+from turnwright._tables import adapter, read_by, types_of, write_table
 from turnwright._validate import check_numbers
 from turnwright.diagnosis import ERROR_SOURCES
 from turnwright.errors import InputError, JobError
-from turnwright.job.replacing import replaced
+from turnwright.job.replacing import replace_field
 from turnwright.job.tables import AnyInstrument, AnyMachine, ExistingFile, MachineDeviations, Table, context_of
 from turnwright.machine import Machine
 from turnwright.motion import require_variable
@@ -700,11 +700,11 @@ class Job(Table):
         JobError
             If there is no such field, or the job is invalid with this value.
         """
-        return replaced(self, name, value)
+        return replace_field(self, name, value)
 
     def table(self, *, whole: bool = False) -> dict[str, Any]:
         """Return the job as the table of a TOML file: only values other than the defaults, or all of them."""
-        return written(self, whole=whole)
+        return write_table(self, whole=whole)
 
     def to_toml(self) -> str:
         """Return the job as TOML text that `load` reads back to an equal job; names of files become absolute paths."""
@@ -712,7 +712,7 @@ class Job(Table):
 
     def dump(self, path: str | PathLike[str]) -> None:
         """Write the job to a file in one step, so that no incomplete file is ever seen. See `to_toml`."""
-        write_whole(File(path), self.to_toml())
+        write_atomic(File(path), self.to_toml())
 
 
 def faults(error: ValidationError) -> list[tuple[str, str]]:

@@ -17,9 +17,9 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from turnwright._arrays import Floats, Value, same
-from turnwright._tables import ByName, Stated, types_of, written
+from turnwright._tables import ByName, TableModel, types_of, write_table
 from turnwright._validate import check_numbers, key_of
-from turnwright.errors import InputError, JobError, MapError, UnitError, shown
+from turnwright.errors import InputError, JobError, MapError, UnitError, quote
 from turnwright.files import read_map
 from turnwright.instrument import Instrument
 from turnwright.machine import PLAUSIBLE, ErrorSizes, Machine
@@ -40,12 +40,12 @@ __all__ = [
     "MachineDeviations",
     "Table",
     "context_of",
+    "name_keys",
     "with_interpolation",
-    "with_keys",
 ]  # fmt: skip
 
 
-class Table(Stated, Value):
+class Table(TableModel, Value):
     """Base class of the tables of a job file that only hold values."""
 
     __slots__ = ()
@@ -89,7 +89,7 @@ def read_columns(file: File, columns: Mapping[str, str]) -> Iterator[Floats]:
         yield values
 
 
-def existing(text: str, folder: str | PathLike[str]) -> File:
+def existing_file(text: str, folder: str | PathLike[str]) -> File:
     """Return the absolute path of a file, relative to the folder of the job file."""
     file = File(folder) / text
     if not os.path.isfile(file):  # noqa: PTH113 - also false for an invalid path
@@ -101,17 +101,17 @@ def existing(text: str, folder: str | PathLike[str]) -> File:
     return file.resolve()
 
 
-def _existing(text: object, info: ValidationInfo) -> object:
-    return existing(str(text), (info.context or {}).get("folder", ".")) if isinstance(text, str | File) else text
+def _check_existing(text: object, info: ValidationInfo) -> object:
+    return existing_file(str(text), (info.context or {}).get("folder", ".")) if isinstance(text, str | File) else text
 
 
-ExistingFile: TypeAlias = Annotated[File, BeforeValidator(_existing)]
+ExistingFile: TypeAlias = Annotated[File, BeforeValidator(_check_existing)]
 
 
 def _dialect(name: object, info: ValidationInfo) -> object:
     """Return the name of a dialect unchanged, or the absolute path of its file."""
     is_file = isinstance(name, str) and name.endswith(".toml")
-    return str(_existing(name, info)) if is_file else name
+    return str(_check_existing(name, info)) if is_file else name
 
 
 DialectName: TypeAlias = Annotated[Text, BeforeValidator(_dialect)]
@@ -123,7 +123,7 @@ def context_of(folder: str | PathLike[str]) -> dict[str, Any]:
 
 
 def _correction(text: str, folder: str) -> Gridded:
-    file = existing(text, folder)
+    file = existing_file(text, folder)
     heights = read_map(file)
     if heights.x is None or heights.y is None or heights.scattered or np.isnan(heights.z).any():
         raise JobError(
@@ -138,18 +138,18 @@ def _material(text: str, folder: str) -> str:
     if not text.endswith(".toml"):
         if text and Material.named(text) is None:
             raise JobError(
-                f"{shown(text)} is not a known material: {Material.suggest(text)}; give a .toml file of "
+                f"{quote(text)} is not a known material: {Material.suggest(text)}; give a .toml file of "
                 "your own material, or state a material without cutting data as material_note"
             )
         return text
-    file = str(existing(text, folder))
+    file = str(existing_file(text, folder))
     Material.load(file)
     return file
 
 
 def _waviness(text: str, folder: str) -> WavinessTable:
     """Return the waviness of an edge from its certificate: columns sweep and deviation with units in the header."""
-    file = existing(text, folder)
+    file = existing_file(text, folder)
     sweep, deviation = read_columns(file, {"sweep": "rad", "deviation": "mm"})
     return WavinessTable(sweep=sweep, deviation=deviation, file=str(file))
 
@@ -191,22 +191,22 @@ class HeightFile(Family):
     def heights(self) -> Gridded | Scattered:
         """The surface through the heights, read again when the file has changed."""
         stamp = self.file.stat()
-        return _tabulated(self, (stamp.st_mtime_ns, stamp.st_size))
+        return _load_heights(self, (stamp.st_mtime_ns, stamp.st_size))
 
 
-def with_keys(message: str, where: str) -> str:
+def name_keys(message: str, where: str) -> str:
     """Return a message on a missing unit with the keys of the job that state it, and their table."""
     message = re.sub("unit='mm', or as a column '([xy]) ", rf"units = 'mm' in {where}, or as a column '\1 ", message)
     return message.replace("unit='mm', or", f"sag_units = 'mm' in {where}, or")
 
 
 @lru_cache(maxsize=4)
-def _tabulated(stated: HeightFile, _stamp: tuple[int, int]) -> Gridded | Scattered:
+def _load_heights(stated: HeightFile, _stamp: tuple[int, int]) -> Gridded | Scattered:
     file = stated.file
     try:
         heights = read_map(file, unit=stated.sag_units, lateral_unit=stated.units or "", pixel_size=stated.pixel_size)
     except MapError as error:
-        raise JobError(with_keys(str(error).replace(str(file), file.name), "the job")) from error
+        raise JobError(name_keys(str(error).replace(str(file), file.name), "the job")) from error
     if not heights.calibrated:
         raise JobError(f"{file.name} counts pixels and does not state their size: state pixel_size")
     z = -heights.z if stated.inverted else heights.z
@@ -365,7 +365,7 @@ class InstrumentTable(Table):
             raise JobError("the instrument needs either name or file, got both")
         if self.name is not None and self.name not in Instrument.known():
             raise JobError(
-                f"the instrument is {shown(self.name)}, the known ones are {', '.join(Instrument.known())}: choose "
+                f"the instrument is {quote(self.name)}, the known ones are {', '.join(Instrument.known())}: choose "
                 "one, name a .toml file, or state its pixel and resolution"
             )
         source = self.file or self.name
@@ -381,7 +381,7 @@ class InstrumentTable(Table):
         """Return the table of an instrument in a job: its name or file, and the differences from it."""
         source, base = instrument.loaded or ("", Instrument())
         table: dict[str, Any] = {"file" if source.endswith(".toml") else "name": source} if source else {}
-        stated = written(instrument, base=base)
+        stated = write_table(instrument, base=base)
         return table | {key: stated[key] for key in types_of(cls) if key in stated and key != "name"}
 
 

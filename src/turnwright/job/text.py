@@ -17,7 +17,7 @@ from turnwright.errors import TurnwrightError, UnitError
 from turnwright.job.schema import Job
 from turnwright.units import parse
 
-__all__ = ["as_tables", "edited", "written"]
+__all__ = ["as_tables", "edit_text", "write_job"]
 
 _LONE_END = re.compile(r"(?<!\r)\n")
 
@@ -47,21 +47,21 @@ def as_tables(value: Any, depth: int = 0) -> Any:
     return table
 
 
-def written(data: Mapping[str, Any], before: str = "") -> str:
+def write_job(data: Mapping[str, Any], before: str = "") -> str:
     """Return a job as TOML. Comments, order and layout of ``before``, its text before the change, are preserved."""
-    wanted = as_tables(_without_none(data))
+    wanted = as_tables(_drop_none(data))
     # Some notations cannot be changed in place: then the tables that differ are rewritten.
     for rewrite in (False, True) if 0 < len(before) <= MAX_CHARACTERS else ():
         from tomlkit.exceptions import TOMLKitError  # noqa: PLC0415 - only a text that is changed needs it
 
         with suppress(TOMLKitError, ValueError, TypeError, LookupError, AttributeError, RecursionError):
             text = _change(before, wanted, rewrite=rewrite)
-            if _same(as_tables(tomllib.loads(text)), wanted):
+            if _equal(as_tables(tomllib.loads(text)), wanted):
                 return text
     return tomli_w.dumps(wanted)
 
 
-def edited(before: str, old: Job, new: Job, *, folder: Path, into: Path) -> str:
+def edit_text(before: str, old: Job, new: Job, *, folder: Path, into: Path) -> str:
     """Return the text of a job file after a change of the job: only changed keys are set.
 
     A quantity keeps the unit that it was written in, where that gives the same number. Names of files stay as they are
@@ -76,8 +76,8 @@ def edited(before: str, old: Job, new: Job, *, folder: Path, into: Path) -> str:
         _replace_texts(one.table(), lambda text: Path(text).name if Path(text).parent == into else text)
         for one in (old, new)
     )
-    for convert in (_in_old_unit, lambda _value, new: new) if table else ():
-        text = written(_merge_changes(table, was, now, convert), before)
+    for convert in (_keep_unit, lambda _value, new: new) if table else ():
+        text = write_job(_merge_changes(table, was, now, convert), before)
         with suppress(TurnwrightError, tomllib.TOMLDecodeError):
             if Job.read(tomllib.loads(text), folder=into) == new:
                 return MARK * before.startswith(MARK) + text
@@ -116,7 +116,7 @@ def _merge_changes(value: Any, was: Any, now: Any, convert: Callable[[Any, Any],
     return convert(value, now)
 
 
-def _in_old_unit(value: Any, now: Any) -> Any:
+def _keep_unit(value: Any, now: Any) -> Any:
     """Return a new quantity in the unit of the old one, if that gives the same number."""
     if not isinstance(value, str) or not isinstance(now, str):
         return now
@@ -135,7 +135,7 @@ def _change(before: str, wanted: dict[str, Any], *, rewrite: bool) -> str:
     document = tomlkit.parse(before.removeprefix(MARK))
     has = tomllib.loads(document.as_string())
     if rewrite:
-        for key in [key for key in has if key in wanted and not _same(as_tables(has[key]), wanted[key])]:
+        for key in [key for key in has if key in wanted and not _equal(as_tables(has[key]), wanted[key])]:
             del document[key], has[key]
     _merge(document, has, wanted)
     text = document.as_string()
@@ -149,7 +149,7 @@ def _merge(place: Any, has: dict[str, Any], wanted: dict[str, Any]) -> None:
     for key, value in wanted.items():
         if key not in has:
             place[key] = value
-        elif not _same(_expand(has, key), value):
+        elif not _equal(_expand(has, key), value):
             _replace(place, key, has[key], value)
 
 
@@ -183,7 +183,7 @@ def _change_list(place: Any, has: list[Any], wanted: list[Any]) -> None:
     last = _count_common(old[first:][::-1], wanted[first:][::-1])
     between, new = has[first : len(has) - last], wanted[first : len(wanted) - last]
     for number, (was, value) in enumerate(zip(between, new, strict=False), first):
-        if not _same(as_tables(was), value):
+        if not _equal(as_tables(was), value):
             _replace(place, number, was, value)
     for number in reversed(range(first + len(new), first + len(between))):
         del place[number]
@@ -192,22 +192,22 @@ def _change_list(place: Any, has: list[Any], wanted: list[Any]) -> None:
 
 
 def _count_common(old: list[Any], new: list[Any]) -> int:
-    return sum(1 for _ in takewhile(lambda pair: _same(*pair), zip(old, new, strict=False)))
+    return sum(1 for _ in takewhile(lambda pair: _equal(*pair), zip(old, new, strict=False)))
 
 
-def _without_none(value: Any) -> Any:
+def _drop_none(value: Any) -> Any:
     """Return data without values of ``None``, which TOML cannot write."""
     if isinstance(value, dict):
-        return {key: _without_none(one) for key, one in value.items() if one is not None}
+        return {key: _drop_none(one) for key, one in value.items() if one is not None}
     if isinstance(value, list):
-        return [_without_none(one) for one in value if one is not None]
+        return [_drop_none(one) for one in value if one is not None]
     return value
 
 
-def _same(one: Any, other: Any) -> bool:
+def _equal(one: Any, other: Any) -> bool:
     """Whether two values are equal; 1 equals 1.0, since JavaScript does not distinguish them, but true is not 1."""
     if isinstance(one, dict) and isinstance(other, dict):
-        return one.keys() == other.keys() and all(_same(value, other[key]) for key, value in one.items())
+        return one.keys() == other.keys() and all(_equal(value, other[key]) for key, value in one.items())
     if isinstance(one, list) and isinstance(other, list):
-        return len(one) == len(other) and all(map(_same, one, other))
+        return len(one) == len(other) and all(map(_equal, one, other))
     return isinstance(one, bool) == isinstance(other, bool) and bool(one == other)

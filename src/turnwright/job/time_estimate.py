@@ -51,7 +51,7 @@ def steps_of_run(job: Job) -> tuple[Step, ...]:
     program_points = 0.0
     for cut in job.passes:
         points, times = _points(job, cut), len(cut.names(stock))
-        steps += _placed(job, points)
+        steps += _motion_steps(job, points)
         for _ in range(times):
             steps.append(Step(stage="limits", work=LIMITS_S * points))
             if material is not None:
@@ -100,7 +100,7 @@ def steps_of_preview(job: Job) -> tuple[Step, ...]:
 def steps_of_plan(job: Job) -> tuple[Step, ...]:
     """Return the steps of `plan`: one for each interpolation that it tries."""
     points = _points(job, job.passes[-1])
-    one = sum(step.work for step in _placed(job, points)) + (WRITE_S + READ_S + EXTREMES_S) * points
+    one = sum(step.work for step in _motion_steps(job, points)) + (WRITE_S + READ_S + EXTREMES_S) * points
     work = PROOFS * (one + sum(step.work for step in steps_of_prediction(job, tracking=has_servos(job.actual_machine))))
     controller = job.machine.controller
     tried = (controller.interpolation, *controller.other_interpolations)
@@ -110,7 +110,7 @@ def steps_of_plan(job: Job) -> tuple[Step, ...]:
 def steps_of_comparison(job: Job) -> tuple[Step, ...]:
     """Return the steps of `compare`, and of its report."""
     points = _points(job, job.passes[-1])
-    one = sum(step.work for step in _placed(job, points)) + (WRITE_S + READ_S + SERVOS_S) * points + 1.0
+    one = sum(step.work for step in _motion_steps(job, points)) + (WRITE_S + READ_S + SERVOS_S) * points + 1.0
     return (
         Step(stage="what the job asks for", work=one / 2),
         *(Step(stage=name, work=one) for name in strategies_of(job)),
@@ -140,7 +140,7 @@ def steps_of_correction(heights: Sequence[float]) -> tuple[Step, ...]:
     return (*steps, Step(stage="verify the correction", work=8.0), Step(stage="simulate", work=3.0), report)
 
 
-def _placed(job: Job, points: float) -> Iterator[Step]:
+def _motion_steps(job: Job, points: float) -> Iterator[Step]:
     """Yield the steps that make the motion of a pass of so many million points."""
     place = PLACE_PIECES_S if job.part.aimed.surface.in_pieces else PLACE_S
     for stage, work in (("plan", PLAN_S), ("place", place), ("drive", DRIVE_S)):
@@ -156,10 +156,10 @@ def _points(job: Job, cut: PassTable) -> float:
         return USUAL_POINTS * part.radius / 0.01 / MILLION
     spiral: Any = servo.spiral_strategy
     feed = getattr(spiral, "feed", None) or math.sqrt(8 * tool.actual_radius * spiral.scallop)
-    return part.radius / feed * _per_rev(spiral, part) / MILLION
+    return part.radius / feed * _points_per_rev(spiral, part) / MILLION
 
 
-def _per_rev(spiral: object, part: Part) -> float:
+def _points_per_rev(spiral: object, part: Part) -> float:
     """Return the approximate number of points per revolution, averaged over the radius."""
     count, arc, chord = (getattr(spiral, name, None) for name in ("points_per_rev", "arc_length", "chord"))
     if count is not None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from turnwright.job.prediction import Prediction
 from turnwright.job.schema import Job
 
-__all__ = ["WHOLE", "Verdict", "judge", "judge_form", "missed", "tolerances_of", "unjudged"]
+__all__ = ["WHOLE", "Verdict", "any_missed", "judge", "judge_form", "not_evaluated", "tolerances_of"]
 
 NM = 1e6
 TOLERANCE_NAMES = {"form_pv": "form error PV", "sq": "Sq"}
@@ -78,7 +78,7 @@ def judge(job: Job, predictions: Iterable[Prediction]) -> tuple[Verdict, ...]:
     ring of the whole part. A patch or a part with points that no pass cuts misses every tolerance.
     """
     by_name = {one.name: one for one in predictions}
-    return tuple(_judge_place(one, by_name.get(one.place)) for one in unjudged(job, ""))
+    return tuple(_judge_place(one, by_name.get(one.place)) for one in not_evaluated(job, ""))
 
 
 def _judge_place(verdict: Verdict, prediction: Prediction | None) -> Verdict:
@@ -98,11 +98,11 @@ def judge_form(job: Job, pv_nm: float, *, sq_reason: str) -> tuple[Verdict, ...]
     """Return verdicts where only the form error PV of the whole part is known, and why the finish is not evaluated."""
     return tuple(
         replace(one, value_nm=pv_nm, is_kept=pv_nm <= one.limit_nm, reason="") if one.tolerance == "form_pv" else one
-        for one in unjudged(job, sq_reason)
+        for one in not_evaluated(job, sq_reason)
     )
 
 
-def unjudged(job: Job, reason: str) -> tuple[Verdict, ...]:
+def not_evaluated(job: Job, reason: str) -> tuple[Verdict, ...]:
     """Return every stated tolerance as not evaluated, for a reason."""
     verdicts = []
     for name, limit in tolerances_of(job).items():
@@ -111,6 +111,6 @@ def unjudged(job: Job, reason: str) -> tuple[Verdict, ...]:
     return tuple(verdicts)
 
 
-def missed(verdicts: Iterable[Verdict]) -> bool:
+def any_missed(verdicts: Iterable[Verdict]) -> bool:
     """Return whether any tolerance is missed; one that was not evaluated does not count."""
     return any(one.is_kept is False for one in verdicts)

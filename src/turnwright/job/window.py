@@ -105,7 +105,7 @@ def predict_window(job: Job, name: str) -> Prediction | None:
         reach = edge.reach(height)
         if reach is None:
             return None
-        keep = _azimuths(job, spiral, reach) if patch is None else _around(patch, part.radius, spiral, reach)
+        keep = _azimuths(job, spiral, reach) if patch is None else _points_near(patch, part.radius, spiral, reach)
         if not 2 <= keep.size <= MAX_POINT_FRACTION * spiral.angle.size:
             return None
         motion = _motion(job, servo, spiral, keep)
@@ -152,7 +152,7 @@ def _edge(job: Job, spiral: Spiral) -> _Edge:
     )  # fmt: skip
 
 
-def _around(patch: Patch, rim: float, spiral: Spiral, reach: float) -> Ints:
+def _points_near(patch: Patch, rim: float, spiral: Spiral, reach: float) -> Ints:
     """Return the numbers of the points of a spiral that may affect a patch. (n,)."""
     (x0, x1), (y0, y1) = (axis[[0, -1]] for axis in patch.axes)
     corners = np.array([(x, y) for x in (x0, x1) for y in (y0, y1)])
@@ -164,10 +164,10 @@ def _around(patch: Patch, rim: float, spiral: Spiral, reach: float) -> Ints:
         return _band(spiral, -far, far)
     # At its azimuth a pass is at its radius, at the opposite azimuth at minus its radius.
     middle = math.atan2(y0 + y1, x0 + x1)
-    half = float(np.abs(_turned(np.arctan2(corners[:, 1], corners[:, 0]), middle)).max())
+    half = float(np.abs(_relative_angle(np.arctan2(corners[:, 1], corners[:, 0]), middle)).max())
     numbers = []
     for band, azimuth in ((_band(spiral, near, far), middle), (_band(spiral, -far, -near), middle + math.pi)):
-        within = np.abs(_turned(spiral.angle[band], azimuth)) <= half
+        within = np.abs(_relative_angle(spiral.angle[band], azimuth)) <= half
         within[1:] |= within[:-1].copy()  # the motion between two points is a straight line
         within[:-1] |= within[1:].copy()
         numbers.append(band[within])
@@ -199,6 +199,6 @@ def _azimuths(job: Job, spiral: Spiral, reach: float) -> Ints:
     return np.flatnonzero(keep)
 
 
-def _turned(angle: Floats, middle: float) -> Floats:
+def _relative_angle(angle: Floats, middle: float) -> Floats:
     """Return angles relative to a middle, within half a revolution on either side."""
     return np.mod(angle - middle + math.pi, TURN) - math.pi

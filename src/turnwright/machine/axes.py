@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Floats
-from turnwright._tables import Stated, refuse
+from turnwright._tables import TableModel, refuse
 from turnwright._validate import between, check_numbers, positive
 from turnwright.errors import InputError, UnitError
 from turnwright.machine.responses import AnyResponse, Response
@@ -42,7 +42,7 @@ MAX_DEAD_TIME_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Axis(Stated):
+class Axis(TableModel):
     """Limits of one axis; ``None`` where a limit is not known.
 
     Parameters

@@ -8,8 +8,8 @@ from types import MappingProxyType
 from typing import Annotated, TypeAlias
 
 from turnwright._arrays import Value
-from turnwright._tables import Stated
-from turnwright._validate import check_angle, check_numbers, whole as whole_number
+from turnwright._tables import TableModel
+from turnwright._validate import check_angle, check_numbers, whole_number
 from turnwright.errors import InputError
 from turnwright.units import Angle, Flag, Text, plain
 
@@ -22,7 +22,7 @@ INTERPOLATIONS = ("linear", "hermite", "quadratic spline", "cubic spline")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Controller(Stated, Value):
+class Controller(TableModel, Value):
     """Interpolation of the points of a program by the controller.
 
     Parameters
@@ -64,7 +64,7 @@ class Controller(Stated, Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Convention(Stated):
+class Convention(TableModel):
     """Signs and zero of the controller's axes relative to Turnwright's.
 
     Parameters

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 from turnwright._arrays import Floats, Value, frozen
 from turnwright._faults import read_table
 from turnwright._io import bytes_of, read_toml
-from turnwright._tables import Columns, Loaded, Plausible, Sources, Stated, flat
+from turnwright._tables import Columns, Loaded, Plausible, Sources, TableModel, flat
 from turnwright._validate import check_angle, check_numbers, plausible_sizes, positive
-from turnwright.errors import InputError, shown
+from turnwright.errors import InputError, quote
 from turnwright.machine.axes import Axes, Axis
 from turnwright.machine.controller import Controller, Convention
 from turnwright.units import Number, Slope, Text
@@ -47,7 +47,7 @@ MAX_SQUARENESS_RAD = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Machine(Stated, Value):
+class Machine(TableModel, Value):
     """A lathe with a C axis.
 
     Parameters
@@ -219,7 +219,7 @@ def _read(name: str | Path, above: tuple[str | Path, ...]) -> dict[str, Any]:
     if base is None:
         return table
     if not isinstance(base, str) or not base:
-        raise InputError(f"machine file {str(name)!r}: base is {shown(base)}, it must be a name or a file: correct it")
+        raise InputError(f"machine file {str(name)!r}: base is {quote(base)}, it must be a name or a file: correct it")
     if len(above) == MAX_BASES:
         raise InputError(
             f"machine file {str(name)!r}: base leads to a chain of more than {MAX_BASES} files, or to a circle: remove "
@@ -234,12 +234,12 @@ def _place_dialects(table: dict[str, Any], folder: Path) -> None:
     controller = table.get("controller")
     others = controller.get("other_interpolations") if isinstance(controller, dict) else None
     if isinstance(others, dict):
-        others |= {key: _placed(name, folder) for key, name in others.items()}
+        others |= {key: _resolve_dialect(name, folder) for key, name in others.items()}
     if "dialect" in table:
-        table["dialect"] = _placed(table["dialect"], folder)
+        table["dialect"] = _resolve_dialect(table["dialect"], folder)
 
 
-def _placed(name: Any, folder: Path) -> Any:
+def _resolve_dialect(name: Any, folder: Path) -> Any:
     """Return the name of a dialect unchanged, or the path of its file."""
     return str(folder / name) if isinstance(name, str) and name.endswith(".toml") else name
 

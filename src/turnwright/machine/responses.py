@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from turnwright._arrays import Floats, Value, frozen
-from turnwright._tables import Numbers, Stated, adapter
+from turnwright._tables import Numbers, TableModel, adapter
 from turnwright._validate import between, check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.units import Frequency, Number
@@ -62,7 +62,7 @@ class RationalResponse(Response, Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SecondOrder(Stated):
+class SecondOrder(TableModel):
     r"""A servo axis as a mass on a damped spring, with feed-forward.
 
     .. math:: H(s) = \frac{a s^2 + 2 v \zeta \omega s + \omega^2}{s^2 + 2 \zeta \omega s + \omega^2}
@@ -124,7 +124,7 @@ class SecondOrder(Stated):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TransferFunction(Stated, Value):
+class TransferFunction(TableModel, Value):
     """A stable ratio of polynomials in s.
 
     Parameters

@@ -28,7 +28,7 @@ class Alignment:
         Scale factor of all distances, minus one. [1]
     residual
         Residual dislocations. (n, 2) [mm]
-    share
+    explained_fraction
         Share of the sum of squares of the dislocations, their mean removed, that rotation and scale explain. [1]
     """
 
@@ -39,7 +39,7 @@ class Alignment:
     scale: float
     scale_std: float
     residual: Floats
-    share: float
+    explained_fraction: float
 
     @classmethod
     def of(cls, design: ArrayLike, centres: ArrayLike) -> Alignment:
@@ -52,7 +52,7 @@ class Alignment:
 
         >>> corners = np.array([[1.0, 1], [-1, 1], [-1, -1], [1, -1]])
         >>> turned = Alignment.of(corners, corners @ [[1, 0.002], [-0.002, 1]])
-        >>> round(turned.rotation, 6), round(turned.share, 6)
+        >>> round(turned.rotation, 6), round(turned.explained_fraction, 6)
         (0.002, 1.0)
         """
         from_, to = frozen(design, "design centres", ndim=2), frozen(centres, "centres", ndim=2)
@@ -83,5 +83,5 @@ class Alignment:
             scale=float(np.hypot(along, across)) - 1,
             scale_std=scatter / float(np.sqrt(spread)),
             residual=frozen(residual, "residual", ndim=2),
-            share=1 - float(np.sum(residual**2)) / dislocated if dislocated > 0 else float("nan"),
+            explained_fraction=1 - float(np.sum(residual**2)) / dislocated if dislocated > 0 else float("nan"),
         )

@@ -125,10 +125,10 @@ def best_fit(
         )
     along_normal = distance == "normal"
     if form == "plane":
-        return _fitted(heights, _Plane(along_normal=along_normal), free, distance)
+        return _fit_model(heights, _Plane(along_normal=along_normal), free, distance)
     sphere = free is None or set(free) == {"x", "y", "z", "radius"}
     if sphere and (form == "sphere" or isinstance(form, Sphere)):
-        return _fitted(heights, _FreeSphere.of(heights, along_normal=along_normal), None, distance)
+        return _fit_model(heights, _FreeSphere.of(heights, along_normal=along_normal), None, distance)
     if isinstance(form, str):
         start = best_fit(heights, "sphere")
         if not np.isfinite(start.parameters["radius"]):
@@ -142,7 +142,7 @@ def best_fit(
     else:
         initial = form
         vertex = [0.0, 0.0, float(np.nanmedian(heights.z - _sag(form, heights)))]
-    return _fitted(heights, _Revolved(initial, vertex, along_normal=along_normal), free, distance)
+    return _fit_model(heights, _ConicOfRevolution(initial, vertex, along_normal=along_normal), free, distance)
 
 
 def interferogram(heights: HeightMap, *, radius: float | None = None) -> BestFit:
@@ -168,7 +168,7 @@ def interferogram(heights: HeightMap, *, radius: float | None = None) -> BestFit
     return best_fit(heights, Sphere(radius=radius), distance="normal", free=("x", "y", "z"))
 
 
-def without_sphere(heights: HeightMap) -> HeightMap:
+def subtract_sphere(heights: HeightMap) -> HeightMap:
     """Return a map minus the best-fit sphere in z; for points on one line, minus the flattest of these."""
     model = _FreeSphere.of(heights, along_normal=False)
     residual = np.full(heights.z.shape, np.nan)
@@ -313,7 +313,7 @@ class _FreeSphere(_Model):
         return bool((1 - 2 * k * (k / 2 * (u * u + v * v) + p * u + q * v)).min() <= MIN_COS_SQUARED)
 
 
-class _Revolved(_Model):
+class _ConicOfRevolution(_Model):
     """A conic with even terms and free vertex and axis; internally the curvature replaces the radius."""
 
     def __init__(self, given: Sphere | Conic | EvenAsphere, vertex: Sequence[float], *, along_normal: bool) -> None:
@@ -428,7 +428,7 @@ def _sag(form: Surface, heights: HeightMap) -> Floats:
     return z if inside is None else np.where(inside, z, np.nan)
 
 
-def _chosen(model: _Model, free: Sequence[str] | None) -> list[int]:
+def _select_parameters(model: _Model, free: Sequence[str] | None) -> list[int]:
     names = model.default if free is None else tuple(free)
     unknown = [name for name in names if name not in model.names]
     if unknown or not names:
@@ -439,9 +439,9 @@ def _chosen(model: _Model, free: Sequence[str] | None) -> list[int]:
     return [at for at, name in enumerate(model.names) if name in names]
 
 
-def _fitted(heights: HeightMap, model: _Model, free: Sequence[str] | None, distance: Distance) -> BestFit:
+def _fit_model(heights: HeightMap, model: _Model, free: Sequence[str] | None, distance: Distance) -> BestFit:
     """Fit a model by Gauss-Newton: first to some of the points, then to all."""
-    chosen = _chosen(model, free)
+    chosen = _select_parameters(model, free)
     valid = valid_points(heights, len(chosen), model.what)
     cloud = Cloud.of(heights, valid)
     names = [model.names[at] for at in chosen]

@@ -193,13 +193,13 @@ def _robust(
         gone = high[chosen]
         outliers.flat[gone] = True
         z.flat[gone] = amount.flat[gone] = np.nan
-        index = _around(gone, z, closed=closed)
+        index = _neighbours(gone, z, closed=closed)
     alone = np.isnan(amount) & ~np.isnan(z)
-    lost = alone & _left_alone(z, outliers, closed=closed)
+    lost = alone & _isolated_points(z, outliers, closed=closed)
     return outliers | lost, (scale,), alone & ~lost
 
 
-def _around(places: Ints, z: Floats, *, closed: bool) -> Ints:
+def _neighbours(places: Ints, z: Floats, *, closed: bool) -> Ints:
     """Return the flat indices of the valid points within two steps of some points."""
     m, n = z.shape
     offsets = np.arange(-2, 3)
@@ -211,7 +211,7 @@ def _around(places: Ints, z: Floats, *, closed: bool) -> Ints:
     return cells[~np.isnan(z.flat[cells])]
 
 
-def _left_alone(z: Floats, outliers: Bools, *, closed: bool) -> Bools:
+def _isolated_points(z: Floats, outliers: Bools, *, closed: bool) -> Bools:
     """Return the points without valid neighbours and next to an outlier: the middle of a broad outlier."""
     from scipy import ndimage  # noqa: PLC0415 - only this needs it
 
@@ -278,7 +278,7 @@ def _distance(heights: HeightMap, targets: Bools) -> Floats:
     from scipy.spatial import cKDTree  # noqa: PLC0415
 
     grid = measure(heights)
-    axes = [_one_more(axis) for axis in (grid.columns, grid.rows)]
+    axes = [_extend_axis(axis) for axis in (grid.columns, grid.rows)]
     steps = [np.diff(axis) for axis in axes]
     if not heights.polar and all(is_even(axis) for axis in axes):
         sampling = float(steps[1].mean()), float(steps[0].mean())
@@ -298,7 +298,7 @@ def _distance(heights: HeightMap, targets: Bools) -> Floats:
     return np.where(targets[1:-1, 1:-1], 0.0, distances.reshape(heights.z.shape))
 
 
-def _one_more(axis: Floats) -> Floats:
+def _extend_axis(axis: Floats) -> Floats:
     """Return an axis extended by one step at either end."""
     if axis.size == 1:
         return np.array([axis[0] - 1, axis[0], axis[0] + 1])

@@ -282,7 +282,7 @@ def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | Non
     >>> round(found.feed, 6), round(found.scallop_median_nm, 1)
     (0.01, 25.0)
     """
-    searched = _prepared(profile)
+    searched = _prepare(profile)
     cusps = _search(searched, feed, axis)
     parts, gaps = [cusps], _gaps(cusps.lines, profile.distance) if feed is None else []
     while gaps:
@@ -297,7 +297,7 @@ def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | Non
             continue
         parts.append(other)
         gaps += _gaps(other.lines, inside.distance)
-    joined = _joined(parts)
+    joined = _join(parts)
     return _summed_up(joined, axis, sorted(_gaps(joined.lines, profile.distance)))
 
 
@@ -323,7 +323,7 @@ class _Crests(NamedTuple):
         return [line for line in runs if line.size >= MIN_CUSPS]
 
 
-def _joined(parts: list[_Crests]) -> _Crests:
+def _join(parts: list[_Crests]) -> _Crests:
     parts = [part.counted() for part in parts]
     offset = np.cumsum([0, *(int(part.run.max()) + 1 for part in parts[:-1])])
     runs = np.concatenate([part.run + first for part, first in zip(parts, offset, strict=True)])
@@ -347,10 +347,10 @@ def _gaps(lines: list[Floats], distance: Floats) -> list[tuple[float, float]]:
     return gaps
 
 
-def _prepared(profile: Profile) -> Profile:
+def _prepare(profile: Profile) -> Profile:
     profile.step  # noqa: B018 - refuses uneven distances
     valid, z = _bridged(profile)
-    if np.std(_without_form(profile.distance, z)) <= ROUNDING_TOL * np.abs(z).max():
+    if np.std(_remove_form(profile.distance, z)) <= ROUNDING_TOL * np.abs(z).max():
         raise InputError("the profile is flat, it shows no cusps: give one across the lay")
     return replace(profile, z=np.where(valid & ~spikes(z), profile.z, np.nan))
 
@@ -387,7 +387,7 @@ def _search(profile: Profile, feed: float | None, axis: float | None) -> _Crests
             f"{guess * 1e3:.3g} um: give another first guess, or measure with smaller pixels"
         )
     # Where crests and valleys stand is looked for without form and waviness; how high they are is not.
-    z = _without_form(profile.distance, z)
+    z = _remove_form(profile.distance, z)
     level = z - ndimage.gaussian_filter1d(z, HIGH_PASS_SIGMA * guess / step)
     flat = ndimage.gaussian_filter1d(level, LOW_PASS_SIGMA * guess / step)
     least = MIN_PROMINENCE * float(np.ptp(np.percentile(flat, (5, 95))))
@@ -402,7 +402,7 @@ def _search(profile: Profile, feed: float | None, axis: float | None) -> _Crests
             "guess, or a profile across the lay"
         )
     scallops = _scallops(profile.distance[valid], level[valid], (z - level)[valid], crest, run, half)
-    if feed is None and _alternating(scallops):
+    if feed is None and _alternates(scallops):
         if 2 * guess * MIN_PERIODS > np.ptp(profile.distance):
             raise InputError(
                 f"every second crest is lower, so the feed would be {2e3 * guess:.3g} um, too long for {MIN_PERIODS} "
@@ -421,7 +421,7 @@ def _bridge(at: Floats, valid: Bools) -> Floats:
     return np.where(ends, np.inf, at[np.minimum(after, at.size - 1)] - at[np.maximum(before, 0)])
 
 
-def _without_form(at: Floats, z: Floats) -> Floats:
+def _remove_form(at: Floats, z: Floats) -> Floats:
     return np.asarray(z - np.polynomial.Legendre.fit(at, z, min(FORM_DEGREE, z.size // 8))(at))
 
 
@@ -439,12 +439,12 @@ def _runs(crest: Floats, guess: float, axis: float | None, *, given: bool) -> In
         )
     relative = spacing / feed
     apart = np.zeros(spacing.size, dtype=bool) if axis is None else (crest[:-1] < axis) & (crest[1:] >= axis)
-    even = _even(relative, apart, guess, given=given)
+    even = _regular_spacings(relative, apart, guess, given=given)
     broken = apart | ~even | (np.abs(relative - 1) > SPACING_TOL)
     return np.concatenate([[0], np.cumsum(broken)]).astype(np.int64)[: crest.size]
 
 
-def _even(relative: Floats, apart: Bools, guess: float, *, given: bool) -> Bools:
+def _regular_spacings(relative: Floats, apart: Bools, guess: float, *, given: bool) -> Bools:
     """Return which spacings lie where they are more even than those of noise. (n,)."""
     from scipy import ndimage, stats  # noqa: PLC0415 - costly to import
 
@@ -478,7 +478,7 @@ def _even(relative: Floats, apart: Bools, guess: float, *, given: bool) -> Bools
     return even
 
 
-def _alternating(found: _Crests) -> bool:
+def _alternates(found: _Crests) -> bool:
     """Return whether every second crest of the longest run is much lower: a wave of the edge within each cusp."""
     longest = found.crest[found.run == np.argmax(np.bincount(found.run))]
     inside = found.height_nm[(found.height_at >= longest[0]) & (found.height_at <= longest[-1])]
@@ -556,9 +556,11 @@ def _scallops(at: Floats, level: Floats, form: Floats, crest: Floats, run: Ints,
     if refined.is_round and refined.misfit < fit.misfit:
         place, fit = crossed, refined
     low_at, low = fit.lowest()
-    curved = _over_valleys(place, fit.tops(place), low_at, low + np.interp(low_at, at, form), at, form)
+    curved = _heights_over_valleys(place, fit.tops(place), low_at, low + np.interp(low_at, at, form), at, form)
     nearest = _extremes(at, level, place, half)
-    extreme = _over_valleys(place, nearest[0], nearest[1], nearest[2] + np.interp(nearest[1], at, form), at, form)
+    extreme = _heights_over_valleys(
+        place, nearest[0], nearest[1], nearest[2] + np.interp(nearest[1], at, form), at, form
+    )
     heights = curved if fit.is_round else extreme
     chosen = np.isfinite(curved) & np.isfinite(extreme)
     bias = 0.0
@@ -577,7 +579,7 @@ def _shared_error(fit: _ValleyCurves, count: int, height: float) -> float:
     return float(np.hypot(shape, CREST_ERROR_FACTOR * noise**2 / (max(height, noise) * max(points, 1.0))))
 
 
-def _over_valleys(crest: Floats, top: Floats, low_at: Floats, low: Floats, at: Floats, form: Floats) -> Floats:
+def _heights_over_valleys(crest: Floats, top: Floats, low_at: Floats, low: Floats, at: Floats, form: Floats) -> Floats:
     """Return how high each inner crest is above the line between the valleys. (n - 2,) [nm]."""
     line = low[:-1] + (low[1:] - low[:-1]) * (crest[1:-1] - low_at[:-1]) / (low_at[1:] - low_at[:-1])
     return np.asarray((top + np.interp(crest, at, form))[1:-1] - line) * NM
@@ -800,12 +802,12 @@ def inflation(before: Floats, after: Floats, square: float) -> float:
 
 def _stretches(line: Floats, scatter: float) -> list[Stretch]:
     """Part a run where its feed changes, by more than its crests scatter about the lines of its parts."""
-    parts = _parted(line, scatter)
+    parts = _split_run(line, scatter)
     # Crests that share a valley err together, which neighbours do not show: of noise, the parts are then too many.
     square = sum(_slope([part])[2] for part in parts)
     freedom = line.size - 2 * len(parts)
     if len(parts) > 1 and freedom > 0:
-        parts = _parted(line, max(scatter, float(np.sqrt(square / freedom))))
+        parts = _split_run(line, max(scatter, float(np.sqrt(square / freedom))))
     slopes = [_slope([part]) for part in parts]
     return [
         Stretch(start=float(part[0]), end=float(part[-1]), feed=feed, feed_std=feed_std, count=int(part.size))
@@ -813,7 +815,7 @@ def _stretches(line: Floats, scatter: float) -> list[Stretch]:
     ]
 
 
-def _parted(line: Floats, scatter: float) -> list[Floats]:
+def _split_run(line: Floats, scatter: float) -> list[Floats]:
     """Return the cheapest parting of a run, each part with a line and a price of its own."""
     size = line.size
     price = STRETCH_PENALTY * np.log(size)

@@ -195,7 +195,7 @@ def _summits(z: Floats, valid: Bools, least: float, *, border: bool) -> tuple[In
     order = inside[np.argsort(z.ravel()[inside], kind="stable")]
     summit = np.zeros(count + 1, dtype=np.int64)
     summit[flat[order]] = order  # the last one written is the highest
-    hill = _pruned(z.ravel()[summit], _saddles(z, label, count), count, least)
+    hill = _prune_hills(z.ravel()[summit], _saddles(z, label, count), count, least)
     alive = np.flatnonzero(hill == np.arange(count + 1))[1:]
     # A merged hill may have had the higher peak.
     best = summit.copy()
@@ -278,7 +278,7 @@ def _saddles(z: Floats, label: Ints, count: int) -> tuple[Ints, Ints, Floats]:
     return key[chosen] // (count + 1), key[chosen] % (count + 1), height[chosen]
 
 
-def _pruned(peak: Floats, saddles: tuple[Ints, Ints, Floats], count: int, least: float) -> Ints:
+def _prune_hills(peak: Floats, saddles: tuple[Ints, Ints, Floats], count: int, least: float) -> Ints:
     """Return the significant hill that each hill belongs to."""
     joined = list(range(count + 1))  # sets of hills connected above the saddle
     hill = list(range(count + 1))

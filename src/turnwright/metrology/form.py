@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
 
 from turnwright.errors import InputError
-from turnwright.metrology.best_fits import without_sphere
+from turnwright.metrology.best_fits import subtract_sphere
 from turnwright.metrology.grid import measure, valid_points
 from turnwright.metrology.separable import subtract_polynomial
 
@@ -52,7 +52,7 @@ def remove_form(heights: HeightMap, form: Form) -> HeightMap:
     if form == "none":
         return heights
     if degree == "sphere":
-        return without_sphere(heights)
+        return subtract_sphere(heights)
     if isinstance(degree, bool) or not isinstance(degree, int) or not 0 <= degree <= MAX_DEGREE:
         raise InputError(
             f'form is {form!r}, it must be "none", "mean", "plane", "sphere" or the degree of a polynomial from 0 to '

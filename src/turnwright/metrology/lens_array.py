@@ -32,9 +32,9 @@ from turnwright.metrology.lenslet_fit import (
     MIN_POINTS,
     BaseForm,
     Design,
-    Found,
-    arrays_in,
+    FittedLenslet,
     errors_of_base,
+    find_arrays,
     find_roughly,
     fit_lenslet,
     fit_smooth,
@@ -43,8 +43,8 @@ from turnwright.metrology.lenslet_fit import (
     place_points,
     points_of_base,
     size_nm,
-    take_apart,
-    without_form,
+    split_design,
+    subtract_form,
 )
 from turnwright.metrology.registration import register, sample
 from turnwright.metrology.undetermined import rim_forms
@@ -344,11 +344,11 @@ def lenslets(
             f"base_degree must be 0 or 2 to {MAX_BASE_DEGREE} (degree 1 is part of the pose), got {base_degree!r}"
         )
     degree = base_degree if level else 0
-    design = take_apart(part, form, aperture, degree)
+    design = split_design(part, form, aperture, degree)
     free = free_parameters(design, inner, radius=radius or form == "sphere", tilt=tilt)
     heights.require_calibrated()
     valid_points(heights, 1, "a fit of lenslets")
-    pose, rotation_std, doubt = _registered(heights, part, degree) if pose is None else (pose, float("inf"), "")
+    pose, rotation_std, doubt = _register_map(heights, part, degree) if pose is None else (pose, float("inf"), "")
     pose = design.outer.inverse.after(pose)
     points = place_points(heights, pose, design)
     starts = np.zeros((design.centres.shape[0], 6))
@@ -373,8 +373,8 @@ def lenslets(
         points = place_points(heights, pose, design)
         starts[:, 0], starts[:, 1], _ = correction.apply(starts[:, 0], starts[:, 1], 0.0)
         base = points_of_base(points, design, starts, outer)
-    formless = without_form(points, design, base_form)
-    lenslets: dict[int, Found] = {}
+    formless = subtract_form(points, design, base_form)
+    lenslets: dict[int, FittedLenslet] = {}
 
     def fit(start: int, stop: int) -> None:
         for k in range(start, stop):
@@ -418,14 +418,18 @@ def base_forms(part: Part, degree: int = DEFAULT_BASE_DEGREE) -> tuple[Zernike, 
     degree
         Highest degree of the Zernike terms, which start at the second.
     """
-    return tuple(rim_forms(take_apart(part, "design", None, degree).terms, part.radius))
+    return tuple(rim_forms(split_design(part, "design", None, degree).terms, part.radius))
 
 
-def _registered(heights: HeightMap, part: Part, degree: int) -> tuple[Pose, float, str]:
+def _register_map(heights: HeightMap, part: Part, degree: int) -> tuple[Pose, float, str]:
     """Return the part pose, the standard deviation of its rotation [rad], and a warning if it is ambiguous."""
     # A robust loss, so that displaced lenslets do not rotate the others.
     registration = register(
-        _thinned(heights, MAX_REGISTRATION_POINTS), part, loss="huber", terms=base_forms(part, degree), form_error=0.0
+        _sample_points(heights, MAX_REGISTRATION_POINTS),
+        part,
+        loss="huber",
+        terms=base_forms(part, degree),
+        form_error=0.0,
     )
     others, doubt = len(registration.candidates), ""
     if others:
@@ -435,10 +439,10 @@ def _registered(heights: HeightMap, part: Part, degree: int) -> tuple[Pose, floa
 
 def has_lenslets(surface: Surface) -> bool:
     """Return whether a surface contains exactly one lens array, as `lenslets` needs."""
-    return len(arrays_in(surface)) == 1
+    return len(find_arrays(surface)) == 1
 
 
-def _lenslet(k: int, found: Found, design: Design) -> Lenslet:
+def _lenslet(k: int, found: FittedLenslet, design: Design) -> Lenslet:
     def place(at: Floats, height: float) -> tuple[float, float]:
         x, y = at[:1].copy(), at[1:2].copy()
         base = float(design.base.evaluate(x, y, 0)[0][0]) if design.base is not None else 0.0
@@ -479,7 +483,7 @@ def _lenslet(k: int, found: Found, design: Design) -> Lenslet:
     )
 
 
-def _thinned(heights: HeightMap, most: int) -> HeightMap:
+def _sample_points(heights: HeightMap, most: int) -> HeightMap:
     """Return a random sample of the valid points of a map."""
     valid = np.flatnonzero(~np.isnan(heights.z).ravel())
     valid = valid[sample(valid.size, most)]

@@ -13,7 +13,7 @@ from turnwright.heightmap import HeightMap
 from turnwright.metrology.alignment import Alignment
 from turnwright.metrology.grid import disc_points, point_areas, polynomial_terms
 from turnwright.metrology.least_squares import clustered_covariance
-from turnwright.metrology.rigid import about
+from turnwright.metrology.rigid import rotation_about
 from turnwright.metrology.undetermined import rim_form_heights
 from turnwright.pose import Pose
 from turnwright.surface import LensArray, Placed, Plane, Sphere, Sum, Surface, Zernike
@@ -110,7 +110,7 @@ class Design(NamedTuple):
     terms: tuple[int, ...]  # ANSI numbers of the Zernike terms of the base's form
 
 
-class Free(NamedTuple):
+class FreeParameters(NamedTuple):
     """Fitted parameters, and those of the fit for the radius; None if the form does not determine it."""
 
     columns: list[int]
@@ -147,7 +147,7 @@ class BaseForm(NamedTuple):
         )  # fmt: skip
 
 
-class Found(NamedTuple):
+class FittedLenslet(NamedTuple):
     """Result of the fit of one lenslet, in the frame of the base."""
 
     parameters: Floats | None  # None where it was not fitted
@@ -163,12 +163,12 @@ class Found(NamedTuple):
     finding: str
 
 
-def arrays_in(surface: Surface) -> list[Surface]:
+def find_arrays(surface: Surface) -> list[Surface]:
     """Return the terms of a surface that hold a lens array."""
     while isinstance(surface, Placed):
         surface = surface.surface
     if isinstance(surface, Sum):
-        return [term for term in surface.terms if arrays_in(term)]
+        return [term for term in surface.terms if find_arrays(term)]
     return [surface] if isinstance(surface, LensArray) else []
 
 
@@ -177,13 +177,13 @@ def shapes_at(design: Design, x: Floats, y: Floats) -> Floats:
     return rim_form_heights(design.terms, design.reach, x, y)
 
 
-def take_apart(part: Part, form: str, aperture: float | None, degree: int) -> Design:
+def split_design(part: Part, form: str, aperture: float | None, degree: int) -> Design:
     """Split a part into base and array, their poses, and the form error terms of the base up to a degree."""
     outer, surface = Pose(), part.surface
     while isinstance(surface, Placed):
         outer, surface = outer.after(surface.pose), surface.surface
     terms = surface.terms if isinstance(surface, Sum) else (surface,)
-    arrays = [term for term in terms if arrays_in(term)]
+    arrays = [term for term in terms if find_arrays(term)]
     if len(arrays) != 1:
         raise InputError(
             f"the surface of the part, a {type(part.surface).__name__}, has {len(arrays)} lens arrays, it must have "
@@ -245,7 +245,7 @@ def _lens_radii(centres: Floats, aperture: float | None, reach: float) -> Floats
     return np.asarray(distance)[:, 1] / 2
 
 
-def free_parameters(design: Design, inner: float, *, radius: bool, tilt: bool) -> Free:
+def free_parameters(design: Design, inner: float, *, radius: bool, tilt: bool) -> FreeParameters:
     """Return the fitted parameters, and raise if the form does not determine them."""
     free = [0, 1, 2, *([3] if radius else []), *([4, 5] if tilt else [])]
     reach = inner * float(design.radii.min())
@@ -275,7 +275,7 @@ def free_parameters(design: Design, inner: float, *, radius: bool, tilt: bool) -
                 + ("leave the tilt fixed" if tilt else "fit a form with more curvature, or a larger aperture")
             )
     is_separable = np.isfinite(design.radius) and min(alone(sorted({*free, 3})).values()) >= MIN_INDEPENDENT_SHARE
-    return Free(columns=free, with_radius=sorted({*free, 3}) if is_separable else None)
+    return FreeParameters(columns=free, with_radius=sorted({*free, 3}) if is_separable else None)
 
 
 def model(design: Design, parameters: Floats, x: Floats, y: Floats, free: list[int]) -> tuple[Floats, Floats]:
@@ -322,7 +322,7 @@ def place_points(heights: HeightMap, pose: Pose, design: Design) -> Points:
     return Points(x, y, z, z - base, weight, low, step, count, first)
 
 
-def without_form(points: Points, design: Design, form: BaseForm) -> Points:
+def subtract_form(points: Points, design: Design, form: BaseForm) -> Points:
     """Return the points with the form error of the base subtracted."""
     if not form.amplitudes.size:
         return points
@@ -403,19 +403,19 @@ def size_nm(error: Floats, weight: Floats) -> tuple[float, float]:
     return float(np.sqrt(np.average(error**2, weights=weight))) * NM, float(np.ptp(error)) * NM
 
 
-def missing(parameters: Floats, count: int, coverage: float, finding: str) -> Found:
+def failed_fit(parameters: Floats, count: int, coverage: float, finding: str) -> FittedLenslet:
     """Return the result for a lenslet that could not be fitted."""
     empty = np.empty(0)
     nan = float("nan")
-    return Found(
+    return FittedLenslet(
         None, np.full((6, 6), nan), (nan, nan), parameters[:2], HeightMap(x=empty, y=empty, z=empty), (nan, nan), nan,
         count, 0, coverage, finding,
     )  # fmt: skip
 
 
 def fit_lenslet(
-    points: Points, design: Design, k: int, starts: Floats, free: Free, inner: float, base: BaseForm
-) -> Found:  # fmt: skip
+    points: Points, design: Design, k: int, starts: Floats, free: FreeParameters, inner: float, base: BaseForm
+) -> FittedLenslet:  # fmt: skip
     """Fit one lenslet to the points around its measured centre."""
     parameters, reach = starts[k].copy(), inner * float(design.radii[k])
     apart = np.hypot(*(starts[:, :2] - starts[k, :2]).T)
@@ -429,7 +429,7 @@ def fit_lenslet(
             chosen = chosen[distance_squared <= (x - rival[0]) ** 2 + (y - rival[1]) ** 2]
         if chosen.size < MIN_POINTS:
             words = f"{chosen.size} points within {inner:g} lens radii, a fit needs {MIN_POINTS}: measure more of it"
-            return missing(parameters, chosen.size, 0.0, words)
+            return failed_fit(parameters, chosen.size, 0.0, words)
         x, y, departure, weight = (part[chosen] for part in (points.x, points.y, points.departure, points.weight))
         before = parameters[:2].copy()
         value, _ = model(design, parameters, x, y, free.columns)
@@ -442,14 +442,14 @@ def fit_lenslet(
             words = (
                 f"its form is defined at {np.count_nonzero(valid)} points, a fit needs {MIN_POINTS}: check the design"
             )
-            return missing(parameters, chosen.size, 0.0, words)
+            return failed_fit(parameters, chosen.size, 0.0, words)
         x, y, u, v, departure, weight = (part[valid] for part in (x, y, u, v, departure, weight))
         smooth = fit_smooth(u, v, error[valid])
         x, y, u, v, departure, weight = (part[smooth.keep] for part in (x, y, u, v, departure, weight))
         gauss_newton(design, parameters, x, y, departure, weight, free.columns)
         if not np.hypot(*(parameters[:2] - design.centres[k])) < design.radii[k]:
             words = f"no lenslet found within its radius of {design.radii[k]:g} mm: check the pose and the design"
-            return missing(starts[k], x.size, 0.0, words)
+            return failed_fit(starts[k], x.size, 0.0, words)
         if np.hypot(*(parameters[:2] - before)) < CENTRE_TOL * reach:
             break
     return judge(design, free, parameters, (x, y, u, v, departure, weight), smooth, base)
@@ -473,8 +473,8 @@ def gauss_newton(
 
 
 def judge(
-    design: Design, free: Free, parameters: Floats, data: tuple[Floats, ...], smooth: Smooth, base: BaseForm
-) -> Found:  # fmt: skip
+    design: Design, free: FreeParameters, parameters: Floats, data: tuple[Floats, ...], smooth: Smooth, base: BaseForm
+) -> FittedLenslet:  # fmt: skip
     """Return the result of a fit with its uncertainty, or why there is none."""
     x, y, u, v, departure, weight = data
     value, slopes = model(design, parameters, x, y, free.columns)
@@ -483,7 +483,7 @@ def judge(
     outliers = smooth.keep.size - x.size
     if coverage < MIN_COVERAGE:
         words = f"{coverage:.0%} of its aperture is measured, a fit needs {MIN_COVERAGE:.0%}: measure more of it"
-        return missing(parameters, x.size, coverage, words)
+        return failed_fit(parameters, x.size, coverage, words)
     spread = float(np.average((departure - np.average(departure, weights=weight)) ** 2, weights=weight))
     mean_square = float(np.average(error**2, weights=weight))
     if mean_square > spread / 2:
@@ -491,7 +491,7 @@ def judge(
             f"the residual is {np.sqrt(mean_square) * NM:.0f} nm rms of {np.sqrt(spread) * NM:.0f} nm, no lenslet of "
             "this form: check the pose and the design"
         )
-        return missing(parameters, x.size, coverage, words)
+        return failed_fit(parameters, x.size, coverage, words)
     residual = error - fit_smooth(u, v, error).form
     covariance = np.full((6, 6), np.nan)
     covariance[np.ix_(free.columns, free.columns)] = clustered_covariance(
@@ -508,7 +508,7 @@ def judge(
         place = free.with_radius.index(3)
         variance = clustered_covariance(slopes, residual, weight, blocks, smooth.terms)[place, place]
         growth = float(other[3]), float(np.sqrt(variance))
-    return Found(
+    return FittedLenslet(
         parameters=parameters,
         covariance=covariance,
         growth=growth,
@@ -585,7 +585,7 @@ def level_on_base(
     residual = error + slopes @ chosen[:-1] + turned * chosen[-1]
     spread = fit_smooth(u, v, residual)
     covariance = clustered_covariance(slopes, residual, weight, blocks, spread.terms)[3:, 3:]
-    matrix = about([chosen[0], chosen[1], chosen[-1]])
+    matrix = rotation_about([chosen[0], chosen[1], chosen[-1]])
     within = f" within {unsure * 1e6:.2g} urad" if np.isfinite(unsure) else ""
     words = (
         "the part's frame: tilt and height by the base, shift by the pose, rotation by the "

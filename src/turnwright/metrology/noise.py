@@ -74,11 +74,13 @@ def map_noise(problem: Problem, some: Problem, state: Floats, heights: HeightMap
 
     ``some`` is the sample for the correlation; ``which`` is the index of each point in the map.
     """
-    scatter = _in_cells(problem, state) if heights.scattered else _in_runs(problem, state, heights, which)
-    return _correlated(some, state, max(scatter, MIN_SCATTER_MM), problem.points.shape[1])
+    scatter = (
+        _scatter_in_cells(problem, state) if heights.scattered else _scatter_along_cut(problem, state, heights, which)
+    )
+    return _add_correlated_noise(some, state, max(scatter, MIN_SCATTER_MM), problem.points.shape[1])
 
 
-def _in_runs(problem: Problem, state: Floats, heights: HeightMap, which: Ints) -> float:
+def _scatter_along_cut(problem: Problem, state: Floats, heights: HeightMap, which: Ints) -> float:
     """Return the scatter of third differences over a grid, along the cutting direction if possible. [mm]."""
     measured = np.zeros(heights.z.shape, dtype=np.bool_)
     measured.ravel()[which] = True
@@ -86,7 +88,7 @@ def _in_runs(problem: Problem, state: Floats, heights: HeightMap, which: Ints) -
     random = np.random.default_rng(0)
     run_lengths: list[Ints] = []
     for axis in (0, 1):
-        begin = _begins(measured, axis)
+        begin = _run_starts(measured, axis)
         if begin.size > MAX_RUNS:
             begin = np.sort(random.choice(begin, MAX_RUNS, replace=False))
         stride = heights.z.shape[1] if axis == 0 else 1
@@ -116,7 +118,7 @@ def _lateral(problem: Problem, state: Floats) -> Floats:
     return np.asarray(turns(state)[0][:2] @ problem.points + state[:2, None])
 
 
-def _begins(known: Bools, axis: int) -> Ints:
+def _run_starts(known: Bools, axis: int) -> Ints:
     """Return the flat index of the first of every run of valid neighbours along an axis."""
     if known.shape[axis] < RUN_LENGTH:
         return np.empty(0, dtype=np.int64)
@@ -129,7 +131,7 @@ def _scatter(size: Floats) -> float:
     return robust_scatter(size) or (float(np.sqrt(np.mean(size**2))) if size.size else 0.0)
 
 
-def _in_cells(problem: Problem, state: Floats) -> float:
+def _scatter_in_cells(problem: Problem, state: Floats) -> float:
     """Return the scatter of scattered points about the planes of their neighbours. [mm]."""
     at = _lateral(problem, state)
     low, high = at.min(axis=1), at.max(axis=1)
@@ -160,7 +162,7 @@ def _in_cells(problem: Problem, state: Floats) -> float:
     return float(np.sqrt(np.median(square) / CHI2_3_MEDIAN)) or float(np.sqrt(np.mean(square) / (PLANE_POINTS - 3)))
 
 
-def _correlated(some: Problem, state: Floats, white: float, count: int) -> MapNoise:
+def _add_correlated_noise(some: Problem, state: Floats, white: float, count: int) -> MapNoise:
     """Add the correlated noise: its variance, and its power at long wavelengths from means over cells."""
     sample = rows(some, state, slice(0, some.points.shape[1]))
     if sample.residual.size < MIN_CORRELATION_POINTS:

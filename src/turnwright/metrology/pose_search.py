@@ -10,7 +10,17 @@ import numpy as np
 from turnwright._arrays import Bools, Floats
 from turnwright._kernels.registration import misfit, settle
 from turnwright.errors import InputError
-from turnwright.metrology.rigid import Fit, Problem, about, fit, placed_at, residuals, rows, turns, wrapped
+from turnwright.metrology.rigid import (
+    Fit,
+    Problem,
+    fit,
+    place_pivot,
+    residuals,
+    rotation_about,
+    rows,
+    turns,
+    wrap_angle,
+)
 from turnwright.progress import run_chunks
 from turnwright.surface import LensArray, Placed, Sum, Surface
 from turnwright.units import say_length
@@ -72,7 +82,7 @@ RIM_TOL = 0.01
 """Distance beyond the rim, relative to the radius, at which a point still costs nothing."""
 
 
-class _Tabled(NamedTuple):
+class _TabledProblem(NamedTuple):
     """Levelled points (3, n), and the square table of the part that they are laid on. [mm]."""
 
     points: Floats
@@ -160,7 +170,7 @@ def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach
     pattern = lattice_of(problem.surface)
     start = level(problem, state, free, size)
     lateral = [k for k in (0, 1, 3) if k in free]
-    points = _levelled(problem, start) if lateral and (reach > 0 or clocking > 0) else None
+    points = _level_points(problem, start) if lateral and (reach > 0 or clocking > 0) else None
     if points is None:
         return [fit(problem, start, free, size, close=1e-9)]
     a = min(1 / size[3], problem.within)
@@ -168,7 +178,7 @@ def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach
     if 3 not in free:
         clocking = 0.0
     moves = np.array([k in free for k in (0, 1, 2, 4, 5, 3)])
-    tabled = _Tabled(points, start, *_table(problem.surface, problem.within, step), moves)
+    tabled = _TabledProblem(points, start, *_table(problem.surface, problem.within, step), moves)
     # A turn about the middle of the map moves the frame that the reach is stated in.
     reach += 2 * np.sin(min(clocking, np.pi) / 2) * min(float(np.hypot(*state[:2])), a) if reach > 0 else 0.0
     turn_step = min(step / a * 1.5, 0.35)
@@ -184,13 +194,13 @@ def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach
     for width in (np.inf, ROBUST_MEDIANS):
         # A robust loss too, so that surfaces off the part, such as a flange beyond its rim, have no effect.
         states = [start, *_valleys(tabled, begin, step, problem, free, width)]
-        refined = (_refined(problem, each, free, size, calm=width < np.inf) for each in states)
+        refined = (_refine_fit(problem, each, free, size, calm=width < np.inf) for each in states)
         fits += [one for one in refined if one is not None]
     if pattern.steps is not None and fits:
         fits += _repeats(problem, fits, pattern.steps, state, reach, free, size, tabled)
     if fits:
-        fits += _twins(problem, ranked(problem, fits)[0], state, free, size, clocking)
-    fits = ranked(problem, fits)
+        fits += _twins(problem, rank_fits(problem, fits)[0], state, free, size, clocking)
+    fits = rank_fits(problem, fits)
     # Those that leave more of the map beyond the part than the best one do not count.
     fits = [one for one in fits if one.used >= MIN_COVER_SHARE * fits[0].used]
     near = [one for one in fits if np.abs(one.state[:2] - state[:2]).max() <= reach + step / 2]
@@ -218,7 +228,7 @@ def costs(problem: Problem, fits: list[Fit]) -> Floats:
     return np.array([np.nanmean(np.minimum(off, limit) ** 2) for off in sizes])
 
 
-def ranked(problem: Problem, fits: list[Fit]) -> list[Fit]:
+def rank_fits(problem: Problem, fits: list[Fit]) -> list[Fit]:
     """Return the fits, the one that costs least first."""
     return [fits[k] for k in np.argsort(costs(problem, fits), kind="stable")]
 
@@ -235,7 +245,7 @@ def _twins(problem: Problem, best: Fit, state: Floats, free: list[int], size: Fl
             twin = best.state.copy()
             c, s = np.cos(turn), np.sin(turn)
             twin[:2] = c * twin[0] - s * twin[1], s * twin[0] + c * twin[1]
-            twin[3] = state[3] + wrapped(twin[3] + turn - state[3])
+            twin[3] = state[3] + wrap_angle(twin[3] + turn - state[3])
             if abs(twin[3] - state[3]) > clocking:
                 continue
             residual = residuals(problem, twin)
@@ -263,7 +273,7 @@ def level(problem: Problem, state: Floats, free: list[int], size: Floats) -> Flo
     return state
 
 
-def _levelled(problem: Problem, state: Floats) -> Floats | None:
+def _level_points(problem: Problem, state: Floats) -> Floats | None:
     """Return the points (3, n) as the state turns them, about the pivot, without gross outliers."""
     sample = rows(problem, state, slice(0, problem.points.shape[1]))
     if sample.which.size < 10:
@@ -348,7 +358,7 @@ def _table(surface: Surface, within: float, step: float) -> tuple[Floats, float,
     return table, -within, float(axis[1] - axis[0])
 
 
-def _scores(tabled: _Tabled, places: Floats, *, share: float = MIN_ON_PART_SHARE) -> Floats:
+def _scores(tabled: _TabledProblem, places: Floats, *, share: float = MIN_ON_PART_SHARE) -> Floats:
     """Return the misfit at each place, inf where too few points lie on the part, and what levels it there. (4, m)."""
     count = tabled.points.shape[1]
     keep = max(MAX_LOOKUPS // (LEVELLING_PASSES * max(places.shape[0], 1)), MIN_POINTS)
@@ -365,10 +375,10 @@ def _scores(tabled: _Tabled, places: Floats, *, share: float = MIN_ON_PART_SHARE
         out[:, start:stop] = part
 
     run_chunks(work, places.shape[0], CHUNK_PLACES)
-    return np.concatenate([_covered(out[0], out[1], share)[None], out[2:]])
+    return np.concatenate([_penalise_coverage(out[0], out[1], share)[None], out[2:]])
 
 
-def _covered(count: Floats, square: Floats, share: float) -> Floats:
+def _penalise_coverage(count: Floats, square: Floats, share: float) -> Floats:
     """Return mean squares with a price for points off the part, inf where too few of the points lie on it.
 
     A flat valley is the same everywhere: there the more of the map lies on the part, the better.
@@ -387,13 +397,13 @@ def _peaks(places: Floats, score: Floats, apart: float, turn_apart: float, most:
         first = int(np.argmax(open_))
         chosen.append(int(order[first]))
         best = sorted_places[first]
-        turn = np.abs(wrapped(sorted_places[:, 2] - best[2]))
+        turn = np.abs(wrap_angle(sorted_places[:, 2] - best[2]))
         open_ &= (np.hypot(sorted_places[:, 0] - best[0], sorted_places[:, 1] - best[1]) > apart) | (turn > turn_apart)
     return chosen
 
 
 def _valleys(
-    tabled: _Tabled, begin: Floats, step: float, problem: Problem, free: list[int], width: float
+    tabled: _TabledProblem, begin: Floats, step: float, problem: Problem, free: list[int], width: float
 ) -> list[Floats]:  # fmt: skip
     """Return the states of the best valleys that these places slide into, each once."""
     x, y, z = (np.ascontiguousarray(row) for row in tabled.points)
@@ -409,20 +419,20 @@ def _valleys(
         out[start:stop] = part
 
     run_chunks(work, begin.shape[0], 2)
-    cost = _covered(out[:, 0], out[:, 1], MIN_ON_PART_SHARE)
+    cost = _penalise_coverage(out[:, 0], out[:, 1], MIN_ON_PART_SHARE)
     levelled = turns(tabled.start)[0]
     states: list[Floats] = []
     for k in np.argsort(cost):
         if not np.isfinite(cost[k]) or len(states) >= MAX_REFINED:
             break
-        state = placed_at(tabled.start, free, out[k, 2:5], out[k, 5:].reshape(3, 3) @ levelled)
+        state = place_pivot(tabled.start, free, out[k, 2:5], out[k, 5:].reshape(3, 3) @ levelled)
         gaps = [np.abs(state[:6] - other[:6]) for other in states]
         if all(max(gap[:2].max(), problem.within * gap[3:].max()) > step / 20 for gap in gaps):
             states.append(state)
     return states
 
 
-def _refined(problem: Problem, state: Floats, free: list[int], size: Floats, *, calm: bool = False) -> Fit | None:
+def _refine_fit(problem: Problem, state: Floats, free: list[int], size: Floats, *, calm: bool = False) -> Fit | None:
     """Fit from a valley of the table; calm, by Tukey's loss first."""
     pose = [k for k in free if k < 6]
     if calm:
@@ -442,11 +452,11 @@ def _most_repeats(steps: Floats, reach: float) -> int:
 
 def _repeats(
     problem: Problem, fits: list[Fit], steps: Floats, state: Floats, reach: float, free: list[int], size: Floats,
-    tabled: _Tabled,
+    tabled: _TabledProblem,
 ) -> list[Fit]:  # fmt: skip
     """Return fits from every repeat of the pattern within reach of the best that was found."""
     start = tabled.start
-    base = ranked(problem, fits)[0]
+    base = rank_fits(problem, fits)[0]
     most = _most_repeats(steps, reach)
     i, j = np.meshgrid(np.arange(-most, most + 1), np.arange(-most, most + 1))
     at = base.state[:2] + np.stack([i.ravel(), j.ravel()], axis=-1) @ steps
@@ -460,7 +470,7 @@ def _repeats(
     repeats = []
     for k in chosen:
         # Where a repeat is another cell of the pattern, the tilt that goes with its place is another.
-        turn = about((*scores[2:, k], 0.0)) @ about((0.0, 0.0, places[k, 2])) @ turns(start)[0]
-        moved = placed_at(start, free, np.array([*places[k, :2], scores[1, k]]), turn)
-        repeats.append(_refined(problem, moved, free, size))
+        turn = rotation_about((*scores[2:, k], 0.0)) @ rotation_about((0.0, 0.0, places[k, 2])) @ turns(start)[0]
+        moved = place_pivot(start, free, np.array([*places[k, :2], scores[1, k]]), turn)
+        repeats.append(_refine_fit(problem, moved, free, size))
     return [one for one in repeats if one is not None]

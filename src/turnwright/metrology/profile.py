@@ -95,7 +95,7 @@ def line_profile(
     positive(step, "the step of a profile", "mm")
     distance, way = _distances(heights, start, end, angle, step)
     x, y = start[0] + distance * way[0], start[1] + distance * way[1]
-    z = _interpolated(heights, grid, x, y, nodes)
+    z = _interpolate_map(heights, grid, x, y, nodes)
     return Profile(distance=distance, z=z, x=x, y=y, name=f"{heights.name} profile".strip())
 
 
@@ -147,7 +147,7 @@ def _borders(heights: HeightMap, origin: Floats, way: Floats) -> tuple[float, fl
     return first, last
 
 
-def _interpolated(heights: HeightMap, grid: Grid, x: Floats, y: Floats, nodes: int) -> Floats:
+def _interpolate_map(heights: HeightMap, grid: Grid, x: Floats, y: Floats, nodes: int) -> Floats:
     """Return heights at points by the polynomial through the nearest nodes each way; nan outside the map."""
     z, columns, rows, across, along = heights.z, grid.columns, grid.rows, x, y
     if heights.polar:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Floats
-from turnwright._validate import positive, whole
+from turnwright._validate import positive, whole_number
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology.filters import filter_map
@@ -118,7 +118,7 @@ def profile_roughness(
     step = profile.step
     length = float(np.ptp(profile.distance)) + step
     fit = int(length / cutoff * (1 + 1e-9))
-    wanted = min(DEFAULT_SECTIONS, fit) if sections is None else whole(sections, "the sections", 1)
+    wanted = min(DEFAULT_SECTIONS, fit) if sections is None else whole_number(sections, "the sections", 1)
     if fit < max(wanted, 1):
         raise InputError(
             f"the profile is {length:.4g} mm long, {max(wanted, 1)} sections of {cutoff:g} mm need more: "

@@ -14,7 +14,7 @@ from turnwright._validate import between, check_angle, one_of, positive
 from turnwright.errors import InputError
 from turnwright.metrology.grid import disc_points, point_areas, valid_points
 from turnwright.metrology.noise import MapNoise, map_noise
-from turnwright.metrology.pose_search import MIN_COVER_SHARE, axisymmetric, costs, level, ranked, search
+from turnwright.metrology.pose_search import MIN_COVER_SHARE, axisymmetric, costs, level, rank_fits, search
 from turnwright.metrology.rigid import (
     FULL_SHARE,
     LOSS_WIDTHS,
@@ -31,9 +31,9 @@ from turnwright.metrology.rigid import (
     state_of,
     turns,
     weights,
-    wrapped,
+    wrap_angle,
 )
-from turnwright.metrology.undetermined import UNDETERMINED_STD_MM, Doubt, doubt, held
+from turnwright.metrology.undetermined import UNDETERMINED_STD_MM, Doubt, doubt, undetermined_directions
 from turnwright.pose import Pose
 from turnwright.surface import Surface
 from turnwright.units import say_length
@@ -399,7 +399,7 @@ def register(
     alike = not task.problem.terms and axisymmetric(part.surface, task.problem.within)
     sought = [k for k in task.free if k != ROTATION_INDEX or not alike]
     on_part = [one for one in search(few, task.start, sought, task.size, reach, clocking) if _enough(one)]
-    on_part = _on_the_part(few, on_part, sought, task.size)
+    on_part = _restart_within_part(few, on_part, sought, task.size)
     if not on_part:
         raise InputError(
             f"fewer than {len(task.free) + 2} of the {task.which.size} heights of the map lie within "
@@ -518,7 +518,7 @@ def _enough(one: Fit) -> bool:
     return one.used > one.state.size + 1
 
 
-def _on_the_part(few: Problem, found: list[Fit], free: list[int], size: Floats) -> list[Fit]:
+def _restart_within_part(few: Problem, found: list[Fit], free: list[int], size: Floats) -> list[Fit]:
     """Add fits started from within the edge of the part for those that have left it, and return the best first.
 
     A form error that acts like a shift leads a fit off the part; the edge of the map limits the shift.
@@ -528,12 +528,12 @@ def _on_the_part(few: Problem, found: list[Fit], free: list[int], size: Floats) 
     for one in found[:MAX_RESTARTS]:
         if lateral and one.used < few.points.shape[1]:
             state = one.state.copy()
-            state[:2] = _within_edge(few, state, state[:2], lateral)
+            state[:2] = _shift_within_edge(few, state, state[:2], lateral)
             within.append(fit(few, level(few, state, free, size), free, size, close=1e-9, least=MIN_COVER_SHARE))
-    return ranked(few, [*found, *filter(_enough, within)])
+    return rank_fits(few, [*found, *filter(_enough, within)])
 
 
-def _within_edge(problem: Problem, state: Floats, at: Floats, lateral: Sequence[int]) -> Floats:
+def _shift_within_edge(problem: Problem, state: Floats, at: Floats, lateral: Sequence[int]) -> Floats:
     """Return a lateral position that brings more of the map within the edge of the part. (2,) [mm]."""
     arm = turns(state)[0][:2] @ problem.points
     at = at.copy()
@@ -575,8 +575,8 @@ def _decide(
     count = int(task.which.size * best.used / some.points.shape[1])
     unsure = _doubt(task, some, best, task.free, count)
     parts = Doubt(*(one[: len(pose), : len(pose)] for one in unsure))
-    vectors, pivots = held(parts.total, MAX_RIM_STD_MM)
-    directions = tuple(_undetermined(task, pose, vector, parts) for vector in vectors.T)
+    vectors, pivots = undetermined_directions(parts.total, MAX_RIM_STD_MM)
+    directions = tuple(_describe_undetermined(task, pose, vector, parts) for vector in vectors.T)
     if directions and undetermined == "raise":
         raise InputError(
             " ".join(one.words for one in directions)[:-1]
@@ -593,7 +593,7 @@ def _decide(
         return [k for k in task.free if k not in lateral], {k: float(task.start[k]) for k in lateral}, directions
     # Directions undetermined by noise are always fixed; those confused with form only if requested.
     if undetermined == "fit":
-        pivots = held(parts.noise, MAX_RIM_STD_MM)[1]
+        pivots = undetermined_directions(parts.noise, MAX_RIM_STD_MM)[1]
     wanted = [pose[k] for k in pivots]
     allowed = EQUAL_CHI_SQUARE * _noise(task) ** 2 / max(count, 1) * best.used
     if undetermined == "hold":
@@ -613,15 +613,15 @@ def _decide(
                 ):
                     return free, dict(zip(fixed, where.tolist(), strict=True)), directions
     # The start contradicts the heights: directions undetermined by the surface are fixed where the search ended.
-    fixed_there = _where_it_ended(some, best, wanted[: sum(one.reason == "surface" for one in directions)])
+    fixed_there = _final_values(some, best, wanted[: sum(one.reason == "surface" for one in directions)])
     return [k for k in task.free if k not in fixed_there], fixed_there, directions
 
 
-def _where_it_ended(some: Problem, best: Fit, numbers: list[int]) -> dict[int, float]:
+def _final_values(some: Problem, best: Fit, numbers: list[int]) -> dict[int, float]:
     """Return the values at the end of the search, with the map within the edge of the part."""
     state = best.state.copy()
     if lateral := [k for k in numbers if k < 2]:
-        state[:2] = _within_edge(some, state, state[:2], lateral)
+        state[:2] = _shift_within_edge(some, state, state[:2], lateral)
     return {k: float(state[k]) for k in numbers}
 
 
@@ -636,13 +636,13 @@ def _places(task: _Task, some: Problem, best: Fit, fixed: tuple[int, ...]) -> li
         return [start]
     at = best.state[:2].copy()
     at[lateral] = task.start[lateral]
-    at = _within_edge(some, best.state, at, lateral)
+    at = _shift_within_edge(some, best.state, at, lateral)
     moved = start.copy()
     moved[[fixed.index(k) for k in lateral]] = at[lateral]
     return [start] if np.array_equal(moved, start) else [start, moved]
 
 
-def _undetermined(task: _Task, pose: list[int], vector: Floats, covariances: Doubt) -> Undetermined:
+def _describe_undetermined(task: _Task, pose: list[int], vector: Floats, covariances: Doubt) -> Undetermined:
     """Return an undetermined direction, which moves the pose along a vector (k,), with its sentence."""
     by_noise, by_form = (float(vector @ one @ vector) / float(vector @ vector) for one in covariances)
     std = float(np.sqrt(by_noise + by_form))
@@ -677,7 +677,7 @@ def _distinct(
             moved = fit(few, state, kept, task.size, close=1e-9)
             if not _enough(moved):
                 continue
-        if all(_apart(task, moved.state, other.state) > 0.02 for other in distinct):
+        if all(_rim_distance(task, moved.state, other.state) > 0.02 for other in distinct):
             distinct.append(moved)
     pose = [k for k in kept if k < 6]
     if len(pose) < len(kept):
@@ -689,10 +689,10 @@ def _distinct(
             distinct.append(fit(some, 2 * middle - one.state, kept, task.size, close=1e-9))
     if not distinct:
         return [best]
-    return ranked(few, distinct)[:MAX_CANDIDATES]
+    return rank_fits(few, distinct)[:MAX_CANDIDATES]
 
 
-def _apart(task: _Task, one: Floats, other: Floats) -> float:
+def _rim_distance(task: _Task, one: Floats, other: Floats) -> float:
     """Return the distance of two poses as movement of the rim. [mm]."""
     return float(np.abs(_gap(one, other)[:6] / task.size[:6]).max())
 
@@ -707,15 +707,15 @@ def _candidates(
     close = [
         fit(some, one.state, kept, task.size, steps=25, close=1e-9, least=MIN_COVER_SHARE, seen=seen) for one in fits
     ]
-    for one in ranked(some, close):
-        if not any(_one_valley(some, one, other) for other in fine):
+    for one in rank_fits(some, close):
+        if not any(_share_minimum(some, one, other) for other in fine):
             fine.append(one)
     fine = [one for one in fine if one.used >= MIN_COVER_SHARE * fine[0].used]
     cost = costs(some, fine)
     fit_costs = np.array([one.cost for one in fine])
     noise = max(fit_costs[0], MIN_SCATTER_MM**2) if task.noise is None else task.noise**2
     even = np.flatnonzero((cost - cost[0]) * fine[0].used <= EQUAL_CHI_SQUARE * noise)
-    near = even[np.argmin([_apart(task, fine[k].state, task.start) for k in even])]
+    near = even[np.argmin([_rim_distance(task, fine[k].state, task.start) for k in even])]
     ratio = (fit_costs + MIN_COMPARED_RMS_MM**2) / (fit_costs[near] + MIN_COMPARED_RMS_MM**2)
     # Poses within their uncertainty are the same.
     unsure = _doubt(task, some, fine[near], kept, some.points.shape[1])
@@ -729,7 +729,7 @@ def _candidates(
     return fine[near], others
 
 
-def _one_valley(some: Problem, one: Fit, other: Fit) -> bool:
+def _share_minimum(some: Problem, one: Fit, other: Fit) -> bool:
     """Return whether two fits share a minimum: the cost halfway between them is no higher than at the higher one."""
     middle = other.state + _gap(one.state, other.state) / 2
     scale = max(one.scale, other.scale)
@@ -747,7 +747,7 @@ def _one_valley(some: Problem, one: Fit, other: Fit) -> bool:
 def _gap(one: Floats, other: Floats) -> Floats:
     """Return the difference of two states, with angles in [-π, π)."""
     gap = one - other
-    gap[3:6] = wrapped(gap[3:6])
+    gap[3:6] = wrap_angle(gap[3:6])
     return gap
 
 
@@ -801,8 +801,8 @@ def _answer(
         form_error=task.form,
         amplitudes=final.state[6:],
         amplitudes_std=np.sqrt(np.diag(noise)[size:]),
-        residual=_filled(heights, task.which, residual, "residual"),
-        error=_filled(heights, task.which, residual + _terms(problem, final.state), "error"),
+        residual=_fill_map(heights, task.which, residual, "residual"),
+        error=_fill_map(heights, task.which, residual + _terms(problem, final.state), "error"),
         candidates=tuple(
             PoseCandidate(
                 pose=pose_of(one.state, task.pivot),
@@ -835,7 +835,7 @@ def _terms(problem: Problem, state: Floats) -> Floats | float:
     return residuals(plain, state[:6]) - residuals(problem, state)
 
 
-def _filled(heights: HeightMap, index: Ints, values: Floats, what: str) -> HeightMap:
+def _fill_map(heights: HeightMap, index: Ints, values: Floats, what: str) -> HeightMap:
     z = np.full(heights.z.size, np.nan)
     z[index] = values
     return replace(heights, z=z.reshape(heights.z.shape), name=f"{heights.name} {what}".strip())

@@ -128,7 +128,7 @@ class _Sums(NamedTuple):
     used: int
 
 
-def wrapped(angle: Floats | float) -> Any:
+def wrap_angle(angle: Floats | float) -> Any:
     """Return angles in [-π, π)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
@@ -230,7 +230,7 @@ def _sums(problem: Problem, state: Floats, scale: float) -> _Sums:
             block.which.size,
         )
 
-    _in_blocks(problem, state, add)
+    _run_blocks(problem, state, add)
     # In the order of the points, so that the sums are the same every time.
     return _Sums(*(sum(values) for values in zip(*(parts[start] for start in sorted(parts)), strict=True)))
 
@@ -242,11 +242,11 @@ def residuals(problem: Problem, state: Floats) -> Floats:
     def fill(_: int, block: Rows) -> None:
         out[block.which] = block.residual
 
-    _in_blocks(problem, state, fill)
+    _run_blocks(problem, state, fill)
     return out
 
 
-def _in_blocks(problem: Problem, state: Floats, work: Callable[[int, Rows], None]) -> None:
+def _run_blocks(problem: Problem, state: Floats, work: Callable[[int, Rows], None]) -> None:
     """Call ``work(start, rows)`` for every block of points, on all cores if there are several."""
     count = problem.points.shape[1]
     threads = 1 if count <= 2 * BLOCK_POINTS else None
@@ -306,7 +306,7 @@ def _march(
         normal = sums.normal[np.ix_(chosen, chosen)] * np.outer(unit, unit)
         right = sums.right[chosen] * unit
         step = _solve(normal, right, damping)
-        trial = _moved(problem, state, chosen, -step * unit)
+        trial = _apply_step(problem, state, chosen, -step * unit)
         moved = float(np.abs(step).max(initial=0.0))
         changed = float(np.sqrt(max(float(step @ normal @ step), 0.0) / max(sums.weight, 1e-300)))
         leans = float(np.abs(trial[4:6]).max())
@@ -339,7 +339,7 @@ def _march(
     return Fit(state, sums.normal, sums.used, square, sums.cost / max(sums.area, 1e-300), scale, taken)
 
 
-def _moved(problem: Problem, state: Floats, chosen: Ints, step: Floats) -> Floats:
+def _apply_step(problem: Problem, state: Floats, chosen: Ints, step: Floats) -> Floats:
     """Return the state after a step of the chosen components, as a rotation about the centres of curvature.
 
     Shift and tilt are nearly equivalent about such a centre: the valley of the loss is curved in these components, and
@@ -354,25 +354,25 @@ def _moved(problem: Problem, state: Floats, chosen: Ints, step: Floats) -> Float
     beyond = np.empty(3)
     bend(state[:3], turn, problem.bends, beyond)
     at = trial[:3] + beyond
-    matrix = about(turn) @ matrix
+    matrix = rotation_about(turn) @ matrix
     if 3 not in chosen:
         back = Pose.of(matrix, (0.0, 0.0, 0.0)).rotation - state[3]
         c, s = np.cos(back), np.sin(back)
         at[:2] = c * at[0] + s * at[1], c * at[1] - s * at[0]
-    return placed_at(trial, chosen, at, matrix)
+    return place_pivot(trial, chosen, at, matrix)
 
 
-def placed_at(state: Floats, free: Sequence[int] | Ints, at: Floats, matrix: Floats) -> Floats:
+def place_pivot(state: Floats, free: Sequence[int] | Ints, at: Floats, matrix: Floats) -> Floats:
     """Return a state whose free components put the pivot at a place and turn the points by a matrix."""
     pose = Pose.of(matrix, (0.0, 0.0, 0.0))
-    angles = state[3:6] + wrapped(np.array([pose.rotation, *pose.tilt]) - state[3:6])
+    angles = state[3:6] + wrap_angle(np.array([pose.rotation, *pose.tilt]) - state[3:6])
     chosen = [k for k in free if k < 6]
     moved = state.copy()
     moved[chosen] = np.array([*at, *angles])[chosen]
     return moved
 
 
-def about(turn: Floats | Sequence[float]) -> Floats:
+def rotation_about(turn: Floats | Sequence[float]) -> Floats:
     """Return the matrix that turns about a vector by its length. (3, 3)."""
     angle = math.hypot(*turn)
     if angle == 0:

@@ -58,7 +58,7 @@ def subtract_polynomial(z: Floats, valid: Bools, grid: Grid, degree: int, *, pol
     last = np.inf
     for _ in range(MAX_STEPS):
         # Points on one line do not determine every term; any solution serves, so that of least norm is taken.
-        step = np.linalg.lstsq(normal, _right(basis, grid, z, valid, total, remainder), rcond=1e-13)[0]
+        step = np.linalg.lstsq(normal, _right_side(basis, grid, z, valid, total, remainder), rcond=1e-13)[0]
         size = np.abs(step).max()
         if size >= last:
             break
@@ -66,7 +66,7 @@ def subtract_polynomial(z: Floats, valid: Bools, grid: Grid, degree: int, *, pol
         last = size
         if size <= CONVERGENCE_TOL * np.abs(total).max():
             break
-    _right(basis, grid, z, valid, total, remainder)
+    _right_side(basis, grid, z, valid, total, remainder)
     return remainder
 
 
@@ -95,7 +95,7 @@ def _normal(basis: Basis, grid: Grid, valid: Bools) -> Floats:
     return np.asarray(np.einsum("bkl,bkl->kl", basis.row_products[:, q[:, None], q], both))
 
 
-def _right(basis: Basis, grid: Grid, z: Floats, valid: Bools, total: Floats, left: Floats) -> Floats:
+def _right_side(basis: Basis, grid: Grid, z: Floats, valid: Bools, total: Floats, left: Floats) -> Floats:
     """Fill ``left`` with the residual, and return the right-hand side of the next iteration. (k,)."""
     p, q = basis.terms
     table = np.zeros((basis.rows.shape[1], basis.columns.shape[1]))

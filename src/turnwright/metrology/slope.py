@@ -92,7 +92,7 @@ def slope_error(heights: HeightMap, *, integration_length: float) -> Slopes:
     across[:, :-across_count] = (heights.z[:, across_count:] - heights.z[:, :-across_count]) / length
     along = np.full(heights.z.shape, np.nan)
     if heights.polar:
-        length_along = _around(heights, grid, steps[1], integration_length, along)
+        length_along = _set_circle_slopes(heights, grid, steps[1], integration_length, along)
     else:
         count = _count(integration_length, steps[1], grid.rows.size, "y")
         length_along = count * steps[1]
@@ -130,7 +130,7 @@ def _count(length: float, step: float, size: int, name: str) -> int:
     return max(count, 1)
 
 
-def _around(heights: HeightMap, grid: Grid, step: float, length: float, along: Floats) -> float:
+def _set_circle_slopes(heights: HeightMap, grid: Grid, step: float, length: float, along: Floats) -> float:
     """Set the slopes along the circles of a polar map, and return the mean length used. [mm].
 
     Close to the axis one step is as good as the length; where the circle is shorter than it there is no slope.

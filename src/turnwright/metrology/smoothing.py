@@ -145,7 +145,7 @@ def smooth_table(x: Floats, y: Floats, z: Floats, *, cutoff: float, reach: float
     column, row = (np.floor((at + reach) / cell).astype(np.int64) for at in (x, y))
     # With a coarse grid only some columns of cells hold points, so occupied columns are counted.
     odd = sum(np.unique(one, return_inverse=True)[1] for one in (column, row)) % 2 == 1
-    halves = [_binned(x[chosen], y[chosen], z[chosen], cell, reach) for chosen in (odd, ~odd)]
+    halves = [_bin_points(x[chosen], y[chosen], z[chosen], cell, reach) for chosen in (odd, ~odd)]
     best: float | None = None
     scale = robust_scatter(z - np.median(z))
     inner = min(reach, float(max(np.abs(x).max(), np.abs(y).max())) + cutoff)
@@ -158,7 +158,7 @@ def smooth_table(x: Floats, y: Floats, z: Floats, *, cutoff: float, reach: float
             _is_correlated(half, off, cell) for half, off in zip(halves, residual, strict=True)
         ):
             break
-        tables = [_smoothed(half, length, inner, TRIAL_STEPS_PER_CUTOFF) for half in halves]
+        tables = [_fit_table(half, length, inner, TRIAL_STEPS_PER_CUTOFF) for half in halves]
         off = [half.z - table.evaluate(half.x, half.y, 0)[0] for half, table in zip(halves, tables[::-1], strict=True)]
         losses = _losses(halves, off, scale)
         better = last - losses
@@ -167,8 +167,8 @@ def smooth_table(x: Floats, y: Floats, z: Floats, *, cutoff: float, reach: float
     if best is None:
         flat = np.linspace(-reach, reach, 6)
         return Smooth(Gridded(x=flat, y=flat, z=np.zeros((6, 6))), None)
-    means = _binned(x, y, z, cell, reach)
-    return Smooth(_faded(_smoothed(means, best, reach), means.x, means.y, best), best)
+    means = _bin_points(x, y, z, cell, reach)
+    return Smooth(_fade_table(_fit_table(means, best, reach), means.x, means.y, best), best)
 
 
 def sum_tables(table: Gridded, before: Gridded) -> Gridded:
@@ -181,7 +181,7 @@ def sum_tables(table: Gridded, before: Gridded) -> Gridded:
     return Gridded(x=axis, y=axis, z=table.evaluate(x, y, 0)[0] + heights)
 
 
-def _faded(table: Gridded, x: Floats, y: Floats, cutoff: float) -> Gridded:
+def _fade_table(table: Gridded, x: Floats, y: Floats, cutoff: float) -> Gridded:
     """Return a table that fades to zero away from the points, so that unmeasured areas are not corrected."""
     from scipy.spatial import KDTree  # noqa: PLC0415 - scipy is costly to import
 
@@ -211,7 +211,7 @@ def _is_correlated(half: _Points, off: Floats, cell: float) -> bool:
     return bool(pairs.sum() > MIN_GAIN_SIGMA * np.sqrt(pairs @ pairs))
 
 
-def _binned(x: Floats, y: Floats, z: Floats, cell: float, reach: float) -> _Points:
+def _bin_points(x: Floats, y: Floats, z: Floats, cell: float, reach: float) -> _Points:
     """Return the means of points and heights over square cells."""
     side = math.ceil(2 * reach / cell) + 1
     column, row = (np.floor((at + reach) / cell).astype(np.int64) for at in (x, y))
@@ -223,7 +223,7 @@ def _binned(x: Floats, y: Floats, z: Floats, cell: float, reach: float) -> _Poin
     return _Points(at_x, at_y, height, weight)
 
 
-def _smoothed(points: _Points, cutoff: float, reach: float, fine: int = STEPS_PER_CUTOFF) -> Gridded:
+def _fit_table(points: _Points, cutoff: float, reach: float, fine: int = STEPS_PER_CUTOFF) -> Gridded:
     """Return the spline of least squares and bending, as a table of its heights at its knots."""
     from scipy.interpolate import BSpline  # noqa: PLC0415 - scipy is costly to import
     from scipy.linalg import solveh_banded  # noqa: PLC0415

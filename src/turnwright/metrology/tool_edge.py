@@ -259,7 +259,7 @@ def _strokes(along: Floats) -> Ints:
     return np.concatenate([[0], np.cumsum(steps < -STROKE_JUMP_STEPS * np.median(np.abs(steps)))])
 
 
-def _off_edge(shape: Floats, a: Floats, b: Floats) -> Floats:
+def _edge_distance(shape: Floats, a: Floats, b: Floats) -> Floats:
     """Return the signed distance from an arc with tangent flanks, positive outside. (n,) [mm]."""
     across, out = a - shape[0], b - shape[1]
     sweep = np.clip(np.arctan2(across, out), -shape[3], shape[4])
@@ -293,7 +293,7 @@ def _fit_shape(a: Floats, b: Floats) -> tuple[Floats, float]:
 
     def fit(start: Floats, few: int, scale: float) -> Any:
         return least_squares(
-            _off_edge, start, _slopes_off_edge, bounds=(low, high), loss="soft_l1", f_scale=scale,
+            _edge_distance, start, _slopes_off_edge, bounds=(low, high), loss="soft_l1", f_scale=scale,
             x_scale=[extent, extent, extent, 1.0, 1.0], args=(a[::few], b[::few]), max_nfev=200,
         )  # fmt: skip
 
@@ -305,10 +305,10 @@ def _fit_shape(a: Floats, b: Floats) -> tuple[Floats, float]:
     best = min((fit(start, few, 0.01 * extent) for start in starts), key=lambda result: float(result.cost))
     shape = best.x
     for _ in range(3):  # from a loss as wide as the trace to one as narrow as its scatter
-        scale = max(robust_scatter(_off_edge(shape, a, b)), 1e-7 * extent)
+        scale = max(robust_scatter(_edge_distance(shape, a, b)), 1e-7 * extent)
         shape = fit(shape, 1, scale).x
     # Both ways are judged by one loss.
-    return shape, float(np.minimum(np.abs(_off_edge(shape, a, b)), 0.01 * extent).sum())
+    return shape, float(np.minimum(np.abs(_edge_distance(shape, a, b)), 0.01 * extent).sum())
 
 
 def _fit_nose(a: Floats, b: Floats, shape: Floats, strokes: Ints) -> tuple[float, Floats, Ints, Bools]:
@@ -383,12 +383,12 @@ def _smooth(sweep: Floats, off: Floats, cutoff: float) -> tuple[WavinessTable, F
             first + apart * np.round((order - first) / apart).astype(np.int64), first, order[first::apart][-1]
         )
         variance += drawn**2 / count[filled][nearest]
-    together = _together(residual[np.argsort(sweep)])
+    together = _correlation_count(residual[np.argsort(sweep)])
     scatter = together * np.sum(residual**2) / max(residual.size - trace * together, 1.0)
     return WavinessTable(sweep=at, deviation=deviation), np.sqrt(variance * scatter)
 
 
-def _together(values: Floats) -> float:
+def _correlation_count(values: Floats) -> float:
     """Return how many neighbouring values count as one, since they scatter in a correlated way."""
     centred = values - values.mean()
     correlation = np.correlate(centred, centred, "full")[values.size - 1 :] / max(float(centred @ centred), 1e-300)
@@ -403,6 +403,6 @@ def _radius_std(sweep: Floats, off: Floats, stroke: Ints) -> float:
     slopes = np.column_stack(
         [np.ones(sweep.size), indicator * np.sin(sweep)[:, None], indicator * np.cos(sweep)[:, None]]
     )
-    together = _together(off[order])
+    together = _correlation_count(off[order])
     variance = together * np.sum(off**2) / max(off.size - slopes.shape[1] * together, 1)
     return float(np.sqrt(variance * np.linalg.inv(slopes.T @ slopes)[0, 0]))

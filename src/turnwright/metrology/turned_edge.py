@@ -299,16 +299,18 @@ def _solve(
     penalty = _penalty(knots, valleys.u.size, cutoff)
     target, weight, noise = measured - circle, np.ones(measured.size), float(np.std(measured - circle))
     for _ in range(ITERATIONS):
-        fit = _fitted(valleys, knots, radius, target, weight, penalty, (noise / (SHIFT_SIGMA * feed)) ** 2)
+        fit = _fit_valleys(valleys, knots, radius, target, weight, penalty, (noise / (SHIFT_SIGMA * feed)) ** 2)
         model = fit.at(valleys, knots, radius)
-        seen = model + circle if instrument is None else _as_seen(lines, valleys, knots, fit, radius, instrument)
+        seen = (
+            model + circle if instrument is None else _measured_heights(lines, valleys, knots, fit, radius, instrument)
+        )
         residual = measured - seen
         if instrument is not None:
             target = model + residual
         noise = max(robust_scatter(residual - np.median(residual)), 1e-12)
         weight = np.minimum(1.0, HUBER_SIGMA * noise / np.maximum(np.abs(residual), 1e-300))
     uncertainty = _uncertainty(valleys, knots, residual, fit)
-    return _as_tool(tool, knots, fit, uncertainty, residual, valleys.tip.size, cutoff, feed)
+    return _to_edge(tool, knots, fit, uncertainty, residual, valleys.tip.size, cutoff, feed)
 
 
 class _Fit(NamedTuple):
@@ -325,7 +327,7 @@ class _Fit(NamedTuple):
         return np.asarray(of_valley + np.interp(valleys.u, knots, self.edge))
 
 
-def _fitted(
+def _fit_valleys(
     valleys: _Valleys, knots: Floats, radius: float, target: Floats, weight: Floats, penalty: Floats, ridge: float
 ) -> _Fit:
     """Fit edge, heights and shifts by least squares; those of each valley are eliminated first."""
@@ -370,7 +372,7 @@ def _circle(u: Floats, radius: float) -> Floats:
     return np.asarray(radius - np.sqrt(radius * radius - u * u))
 
 
-def _as_seen(
+def _measured_heights(
     lines: list[_Line], valleys: _Valleys, knots: Floats, found: _Fit, radius: float, instrument: Instrument
 ) -> Floats:
     """Return the heights that the estimate would have as measured: the lowest pass, seen through the instrument."""
@@ -418,12 +420,12 @@ def _uncertainty(valleys: _Valleys, knots: Floats, residual: Floats, fit: _Fit) 
         if means.size >= MIN_VALLEYS:
             seen[k] = True
             std[k] = means.std(ddof=1) / np.sqrt(means.size)
-    covariance = _correlated(valleys, residual) * fit.spread
+    covariance = _correlated_variance(valleys, residual) * fit.spread
     covariance[seen, seen] += std[seen] ** 2
     return covariance, seen
 
 
-def _correlated(valleys: _Valleys, residual: Floats) -> float:
+def _correlated_variance(valleys: _Valleys, residual: Floats) -> float:
     """Return the variance of a height times how many neighbours in a valley share their error. [mm²]."""
     same = np.diff(valleys.valley) == 0
     variance = robust_scatter(residual - np.median(residual)) ** 2
@@ -432,7 +434,7 @@ def _correlated(valleys: _Valleys, residual: Floats) -> float:
     return variance * inflation(clipped[1:][same], clipped[:-1][same], square)
 
 
-def _misplaced(u: Floats, edge: Floats, radius: float, feed: float) -> float:
+def _radius_bias(u: Floats, edge: Floats, radius: float, feed: float) -> float:
     r"""Return how far the radius is off because the nominal circle places the valleys. [mm].
 
     Where the edge is :math:`c` more curved than its circle it touches over :math:`1 / (1 + R c)` of the width, so the
@@ -447,7 +449,7 @@ def _misplaced(u: Floats, edge: Floats, radius: float, feed: float) -> float:
     return float(radius * np.mean((radius * second / (2 * half) ** 2) ** 2))
 
 
-def _as_tool(
+def _to_edge(
     tool: Tool, knots: Floats, fit: _Fit, known: tuple[Floats, Bools], residual: Floats, count: int, cutoff: float,
     feed: float,
 ) -> TurnedEdge:  # fmt: skip
@@ -475,7 +477,7 @@ def _as_tool(
     radius_std = float(np.sqrt(of_circle[2, 2] * excess))
     # How the edge bends over all valleys is known as well as the radius, beyond what shows at one place.
     bend = columns[:, 2] - columns[:, :2] @ np.linalg.lstsq(columns[:, :2], columns[:, 2], rcond=None)[0]
-    radius_std = float(np.hypot(radius_std, _misplaced(knots[seen], fit.edge[seen], radius, feed)))
+    radius_std = float(np.hypot(radius_std, _radius_bias(knots[seen], fit.edge[seen], radius, feed)))
     std = np.hypot(std, bend * radius_std)
     height = height - columns[:, :2] @ held
     above = np.sqrt(radius * radius - u * u) - height

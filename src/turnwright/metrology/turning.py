@@ -249,7 +249,10 @@ def _waves(error: HeightMap, tile_side: int) -> tuple[Floats, Floats, Floats]:
             if spectrum[i, j] < MIN_PEAK_RATIO * float(np.median(spectrum[~slow])) or spectrum[i, j] == 0:
                 continue
             three = np.arange(-1, 2)
-            along = _between(spectrum[(i + three) % tile_side, j]), _between(spectrum[i, (j + three) % tile_side])
+            along = (
+                _peak_offset(spectrum[(i + three) % tile_side, j]),
+                _peak_offset(spectrum[i, (j + three) % tile_side]),
+            )
             ky, kx = (
                 2 * np.pi * (frequency[at] + more / tile_side) / step
                 for at, more, step in zip((i, j), along, steps[::-1], strict=True)
@@ -261,7 +264,7 @@ def _waves(error: HeightMap, tile_side: int) -> tuple[Floats, Floats, Floats]:
     return np.array(places).reshape(-1, 2), np.array(waves).reshape(-1, 2), np.array(power)
 
 
-def _between(three: Floats) -> float:
+def _peak_offset(three: Floats) -> float:
     """Return where between its neighbours a peak has its top: of a Hann window the log of the power is a parabola."""
     low, top, high = np.log(np.maximum(three, 1e-300))
     bend = low - 2 * top + high
@@ -315,7 +318,7 @@ def _coherent(error: HeightMap, start: Floats, wave: float) -> TurningCentre | N
         blocks = _blocks(error, numbers, turns)
         if blocks is None or not blocks.surround:
             return None
-        fits = [one for sense in SPIRAL_SENSES if (one := _fitted(blocks, sense, search=k == 0)) is not None]
+        fits = [one for sense in SPIRAL_SENSES if (one := _fit_rings(blocks, sense, search=k == 0)) is not None]
         if len(fits) < len(SPIRAL_SENSES):
             return None
         best, second = sorted(fits, key=lambda one: one.misfit)[:2]
@@ -373,7 +376,7 @@ def _blocks(error: HeightMap, numbers: Floats, turns: int) -> _Blocks | None:
     )  # fmt: skip
 
 
-def _fitted(blocks: _Blocks, turns: int, *, search: bool) -> _Rings | None:
+def _fit_rings(blocks: _Blocks, turns: int, *, search: bool) -> _Rings | None:
     """Make the phases of the blocks agree in every annulus."""
     numbers, weight = blocks.numbers, blocks.weight
     away = np.hypot(blocks.x - numbers[0], blocks.y - numbers[1])

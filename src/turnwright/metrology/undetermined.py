@@ -92,7 +92,7 @@ def doubt(
         spread[np.ix_(fixed, fixed)] = (points[:, fixed].T * problem.area[at.which]) @ points[:, fixed]
         variance = (vectors.T * std) @ spread @ (vectors.T * std).T
     if not white and problem.surface.in_pieces and fixed.all():
-        variance = _widened(problem.surface, variance, share, at, singular, vectors, points * root[:, None])
+        variance = _inflate_covariance(problem.surface, variance, share, at, singular, vectors, points * root[:, None])
     if form == 0:
         return Doubt(variance, np.zeros_like(variance))
     shapes = rim_form_heights(FORM_INDICES, problem.within, at.at[0], at.at[1])
@@ -115,7 +115,7 @@ def _of_design(problem: Problem, state: Floats, at: Rows) -> Floats:
     return columns
 
 
-def _widened(
+def _inflate_covariance(
     surface: Surface, variance: Floats, share: float, at: Rows, singular: Floats, vectors: Floats, pulls: Floats
 ) -> Floats:
     """Return the covariance increased for spatially correlated residuals."""
@@ -141,7 +141,7 @@ def _widened(
     return np.asarray(variance + (stretch * (white * excess)) @ stretch.T)
 
 
-def held(covariance: Floats, limit: float) -> tuple[Floats, list[int]]:
+def undetermined_directions(covariance: Floats, limit: float) -> tuple[Floats, list[int]]:
     """Return the directions (k, m) with a standard deviation beyond the limit, and the m degrees of freedom to fix.
 
     Entirely undetermined directions come first: each moves one of these by 1 and the others not at all. The remaining

@@ -5,14 +5,21 @@ from turnwright.post.approach import (
     MOST_CLEARANCE,
     PLUNGE_FEED,
     Approach,
-    approach_to,
     entry_path,
     entry_shares,
     entry_words,
+    plan_approach,
 )
 from turnwright.post.checking import DialectCheck, check_dialect
 from turnwright.post.dialect import Dialect, dialect_of
-from turnwright.post.header import ProgramHeader, ProgramInfo, ProgramPass, ProgramWarning, after_stop, inspect_nc
+from turnwright.post.header import (
+    ProgramHeader,
+    ProgramInfo,
+    ProgramPass,
+    ProgramWarning,
+    inspect_nc,
+    stop_instructions,
+)
 from turnwright.post.reader import read_nc
 from turnwright.post.sync import FastToolFiles, read_fast_tool, write_fast_tool
 from turnwright.post.table import read_table
@@ -32,17 +39,17 @@ __all__ = [
     "ProgramInfo",
     "ProgramPass",
     "ProgramWarning",
-    "after_stop",
-    "approach_to",
     "check_dialect",
     "dialect_of",
     "entry_path",
     "entry_shares",
     "entry_words",
     "inspect_nc",
+    "plan_approach",
     "read_fast_tool",
     "read_nc",
     "read_table",
+    "stop_instructions",
     "write_fast_tool",
     "write_nc",
 ]

@@ -27,11 +27,11 @@ __all__ = [
     "PLUNGE_FEED",
     "TRAVERSE_FEED",
     "Approach",
-    "approach_to",
     "entry_path",
     "entry_shares",
     "entry_words",
     "link_seconds",
+    "plan_approach",
 ]
 
 TURN = 2 * math.pi
@@ -115,7 +115,7 @@ class Approach:
         return self.per_rev * self.turns
 
 
-def approach_to(
+def plan_approach(
     motion: Motion,
     *,
     clearance: float,

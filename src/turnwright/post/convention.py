@@ -13,7 +13,7 @@ from turnwright.errors import InputError, ProgramError
 from turnwright.machine import Machine
 from turnwright.path import Motion
 
-__all__ = ["axis_signs", "convention_line", "in_part_axes", "motion_of", "reading", "short_steps"]
+__all__ = ["axis_signs", "convention_line", "motion_of", "reading", "short_steps", "to_part_axes"]
 
 
 def axis_signs(machine: Machine) -> dict[str, int]:
@@ -31,7 +31,7 @@ def convention_line(machine: Machine) -> str:
     )
 
 
-def in_part_axes(axes: Mapping[str, Floats], machine: Machine) -> None:
+def to_part_axes(axes: Mapping[str, Floats], machine: Machine) -> None:
     """Convert positions in the controller's axes, C cumulative in deg, in place."""
     convention = machine.convention
     for letter, values in axes.items():
@@ -43,7 +43,7 @@ def motion_of(
     path: Path, axes: Mapping[str, Floats], time: Floats, machine: Machine, velocity: Mapping[str, Floats] | None = None
 ) -> Motion:
     """Return the motion of positions in the controller's axes; they are converted in place."""
-    in_part_axes(axes, machine)
+    to_part_axes(axes, machine)
     try:
         return Motion(time=time, axes=axes, machine=machine, velocity=velocity)
     except InputError as error:

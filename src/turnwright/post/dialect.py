@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from turnwright._faults import read_table
 from turnwright._io import bytes_of, read_toml
-from turnwright._tables import Sources, Stated
+from turnwright._tables import Sources, TableModel
 from turnwright._validate import check_numbers, positive
-from turnwright.errors import InputError, ProgramError, shown
+from turnwright.errors import InputError, ProgramError, quote
 from turnwright.units import Count, Flag, Text, Time, plain
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ PLACEHOLDERS = MappingProxyType({
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Dialect(Stated):
+class Dialect(TableModel):
     """The program format of one controller. To add a controller, write a ``.toml`` file of these fields.
 
     Parameters
@@ -130,10 +130,10 @@ class Dialect(Stated):
         object.__setattr__(self, "decimals", MappingProxyType(dict(self.decimals)))
         object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
         if not self.name.replace("-", "").replace("_", "").isalnum() or not self.name.isascii():
-            raise InputError(f"name is {shown(self.name)}, letters, digits, - and _ are allowed: change it")
+            raise InputError(f"name is {quote(self.name)}, letters, digits, - and _ are allowed: change it")
         if not {"C", "X", "Z"} <= set(self.decimals) <= AXES:
             raise InputError(
-                f"decimals has {shown(', '.join(self.decimals))}, it needs C, X and Z and can have Y: name these axes"
+                f"decimals has {quote(', '.join(self.decimals))}, it needs C, X and Z and can have Y: name these axes"
             )
         places = {f"decimals.{letter}": count for letter, count in self.decimals.items()}
         for place, count in (places | {"feed_decimals": self.feed_decimals}).items():
@@ -180,7 +180,7 @@ class Dialect(Stated):
             return supplied[name]
         if not name.endswith(".toml"):
             raise InputError(
-                f"dialect {shown(name)} is not known, Turnwright writes {', '.join(supplied)}: name one of these, or a "
+                f"dialect {quote(name)} is not known, Turnwright writes {', '.join(supplied)}: name one of these, or a "
                 ".toml file of a dialect"
             )
         what = f"dialect file {name!r}"
@@ -218,18 +218,18 @@ class Dialect(Stated):
 def _check_line(place: str, line: str) -> None:
     """Raise unless a line of a dialect is printable ASCII and has the placeholders of its field."""
     if not line.isascii() or not (line.isprintable() or not line):
-        raise InputError(f"{place} has the line {shown(line)}, printable ASCII is allowed: correct it")
+        raise InputError(f"{place} has the line {quote(line)}, printable ASCII is allowed: correct it")
     allowed = PLACEHOLDERS.get(place)
     if allowed is None:
         return
     try:
         parts = [(name, form, kind) for _, name, form, kind in Formatter().parse(line) if name is not None]
     except ValueError as error:
-        raise InputError(f"{place} has the line {shown(line)}, its braces do not match: close them") from error
+        raise InputError(f"{place} has the line {quote(line)}, its braces do not match: close them") from error
     for name, form, kind in parts:
         if name not in allowed or kind or not (FEED_FORM.fullmatch(form or "") if name == "feed" else not form):
             raise InputError(
-                f"{place} has {shown(name)} in braces, the names allowed are {', '.join(sorted(allowed))}: correct it, "
+                f"{place} has {quote(name)} in braces, the names allowed are {', '.join(sorted(allowed))}: correct it, "
                 "the feed with a form such as {feed:.4f}"
             )
 

@@ -152,7 +152,7 @@ def _feed_line(dialect: Dialect) -> str:
     return f"( FEED: UNDER G93, F IS {meaning}{validity}; WITH {dialect.feed_decimals} DECIMALS AT MOST )"
 
 
-def after_stop(dialect: Dialect) -> tuple[str, ...]:
+def stop_instructions(dialect: Dialect) -> tuple[str, ...]:
     """Return instructions for the operator after a program was stopped, as sentences."""
     restart = "Retract in Z first, then begin the pass again with its approach"
     if dialect.wrapped:
@@ -210,7 +210,7 @@ def lines(
     written += [
         f"( MINUTES: {sum(cut.minutes for cut in passes):.3f} )",
         f"( LINKS: {links_s / 60:.3f} MINUTES FOR APPROACH, PLUNGE AND RETRACT )",
-        *(f"( AFTER A STOP: {instruction.upper()} )" for instruction in after_stop(dialect)),
+        *(f"( AFTER A STOP: {instruction.upper()} )" for instruction in stop_instructions(dialect)),
     ]
     return written
 

@@ -21,7 +21,7 @@ from turnwright.errors import ProgramError
 from turnwright.machine import Machine
 from turnwright.path import Motion
 from turnwright.post.approach import PLUNGE_FEED, entry_path, entry_shares
-from turnwright.post.convention import convention_line, in_part_axes, reading, short_steps
+from turnwright.post.convention import convention_line, reading, short_steps, to_part_axes
 from turnwright.post.dialect import Dialect, dialect_of
 from turnwright.post.header import NO_HASH, SOFTWARE, ProgramHeader, inspect_nc, plain, program_hash, require_regular
 from turnwright.post.reader import read_nc
@@ -371,7 +371,7 @@ def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Pro
 def _find_row_times(file: Path, table: Floats, motion: Motion, machine: Machine) -> Floats:
     """Return the time of the program at each row of a table by position."""
     c = np.concatenate([[0.0], np.cumsum(short_steps(table[:, 1]))]) + table[0, 1]
-    in_part_axes({"C": c}, machine)
+    to_part_axes({"C": c}, machine)
     c += 2 * np.pi * np.rint((motion.axes["C"][0] - c[0]) / (2 * np.pi))
     if not (np.diff(c) * motion.sense > 0).all():
         raise ProgramError(f"{file} turns C in another sense than its program: write both again")

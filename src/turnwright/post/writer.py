@@ -31,8 +31,8 @@ from turnwright.post.approach import (
     PLUNGE_FEED,
     TRAVERSE_FEED,
     Approach,
-    approach_to,
     link_seconds,
+    plan_approach,
 )
 from turnwright.post.convention import axis_signs
 from turnwright.post.dialect import MIN_LINES, Dialect, dialect_of
@@ -271,7 +271,7 @@ def _approaches(
         height, heights = depths[name], around.get(name)
         if height is not None and not np.isfinite(height):
             raise ProgramError(f"depth of pass {name} is {height:g} mm, it must be finite: correct it")
-        approaches[name] = approach_to(
+        approaches[name] = plan_approach(
             motion, clearance=clearance, depth=height, plunge_feed=plunge_feed, name=name,
             heights=None if heights is None else np.asarray(heights, dtype=np.float64),
         )  # fmt: skip

@@ -42,7 +42,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from turnwright import __version__
-from turnwright._io import json_data, whole_file, write_json, write_whole
+from turnwright._io import atomic_file, json_data, write_atomic, write_json
 from turnwright.errors import InputError
 from turnwright.files import write_map
 from turnwright.heightmap import HeightMap
@@ -85,7 +85,7 @@ def archive_run(result: Result, folder: str | PathLike[str]) -> None:
     """Write ``job.toml``, ``result.json``, ``maps/*.npy`` and ``run.h5`` to the folder of the program."""
     folder = Path(folder)
     job = result.job.to_toml()
-    write_whole(folder / "job.toml", job)
+    write_atomic(folder / "job.toml", job)
     numbers = {
         "ok": result.ok,
         "verdicts": [
@@ -111,7 +111,7 @@ def archive_run(result: Result, folder: str | PathLike[str]) -> None:
 def archive_comparison(comparison: Comparison, folder: str | PathLike[str]) -> None:
     """Write ``job.toml`` and ``comparison.json`` with all numbers of every strategy."""
     folder = Path(folder)
-    write_whole(folder / "job.toml", comparison.job.to_toml())
+    write_atomic(folder / "job.toml", comparison.job.to_toml())
     numbers = {
         "scallop": comparison.scallop,
         "chord": comparison.chord,
@@ -119,7 +119,9 @@ def archive_comparison(comparison: Comparison, folder: str | PathLike[str]) -> N
             {
                 **_fields(one, "name", "refused", "turns", "size_bytes", "limits", "wall_s"),
                 "strategy": comparison.stated(one),
-                "shares": None if one.shares is None else _fields(one.shares, *_field_names(one.shares, but="error")),
+                "breakdown": None
+                if one.breakdown is None
+                else _fields(one.breakdown, *_field_names(one.breakdown, but="error")),
             }
             for one in comparison.candidates
         ],
@@ -138,7 +140,7 @@ def archive_tiled(tiled: TiledMap, rough: Roughness, spectrum: Spectrum, folder:
     unit = spectrum.unit.replace("²", "2").replace(" ", "_")
     lines = (f"{f:.17g},{density:.17g}" for f, density in zip(spectrum.frequency, spectrum.density, strict=True))
     table = [f"frequency_per_mm,density_{unit}", *lines]
-    write_whole(folder / "spectrum.csv", "\n".join(table) + "\n")
+    write_atomic(folder / "spectrum.csv", "\n".join(table) + "\n")
 
 
 def archive_measured(measured: Measured, folder: str | PathLike[str]) -> None:
@@ -146,7 +148,7 @@ def archive_measured(measured: Measured, folder: str | PathLike[str]) -> None:
     folder = Path(folder)
     write_map(measured.error, folder / "error.npz")
     if measured.lenslets is not None:
-        write_whole(folder / "lenslets.csv", measured.lenslets.csv())
+        write_atomic(folder / "lenslets.csv", measured.lenslets.csv())
     _write_json(folder / "measured.json", {"part": measured.job.part.name, **_measured_numbers(measured)})
 
 
@@ -282,7 +284,7 @@ def _extremes(prediction: Prediction) -> dict[str, dict[str, float]] | None:
 
 
 def _save(file: Path, values: Floats) -> None:
-    with whole_file(file) as stream:
+    with atomic_file(file) as stream:
         np.save(stream, values)
 
 
@@ -308,7 +310,7 @@ def _write_h5(result: Result, job: str, numbers: str, file: Path) -> None:
         motions = {"motion": result.motion, **{f"turns/{n}": turn for n, turn in enumerate(result.revolutions, 1)}}
         for name, motion in motions.items():
             _store(archive.create_group(name), {"time": motion.time, **motion.axes})
-    write_whole(file, image.getbuffer())
+    write_atomic(file, image.getbuffer())
 
 
 def _store(group: Any, arrays: Mapping[str, Floats | None]) -> None:

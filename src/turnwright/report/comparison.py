@@ -35,21 +35,21 @@ TABLE_TEXT = (
 )
 
 
-def _shown(value: float) -> str:
+def _format(value: float) -> str:
     """Format a value with three digits; 0 below `MIN_SHOWN`."""
     return f"{value:.3g}" if value >= MIN_SHOWN else "0"
 
 
 def cells(one: Candidate) -> tuple[str, ...]:
     """Return the table row of a strategy that can be used, see `COLUMNS`."""
-    limits, contributions = one.limits, one.shares
+    limits, contributions = one.limits, one.breakdown
     assert limits is not None  # noqa: S101 - it was not refused
     assert contributions is not None  # noqa: S101
     return (
         one.name, f"{one.turns:.0f}", f"{limits.points:,}", f"{one.size_bytes / 1e6:.3g}", f"{limits.spindle_rpm:.4g}",
         limits.binding, f"{limits.cycle_time_s / 60:.3g}", f"{contributions.pv_nm:.3g}", f"{contributions.rms_nm:.3g}",
         f"{contributions.cusp_nm:.3g}", f"{contributions.chord_nm:.3g}", f"{contributions.rounding_nm:.2g}",
-        _shown(contributions.tracking_nm),
+        _format(contributions.tracking_nm),
     )  # fmt: skip
 
 
@@ -72,7 +72,7 @@ def write_comparison(comparison: Comparison, path: str | PathLike[str]) -> File:
         ),
         Section(
             title="Cutting time and form error",
-            items=[draw.minutes_and_errors(done), draw.shares_of(done)] if done else [],
+            items=[draw.minutes_and_errors(done), draw.breakdown_of(done)] if done else [],
         ),
         Section(
             title="Axes",
@@ -80,7 +80,7 @@ def write_comparison(comparison: Comparison, path: str | PathLike[str]) -> File:
         ),
         Section(
             title="Error maps",
-            items=[draw.error_map(one.shares.error)._replace(title=one.name) for one in done if one.shares],
+            items=[draw.error_map(one.breakdown.error)._replace(title=one.name) for one in done if one.breakdown],
         ),
     ]
     return write_page(Page(kind="Strategy comparison", job=comparison.job, sections=sections), path)
@@ -101,6 +101,6 @@ def _motions(candidate: Candidate, letters: Sequence[str]) -> list[str]:
             continue
         low, high = candidate.limits.travel[letter]
         row += map(
-            _shown, (high - low, candidate.limits.peak_speed[letter], candidate.limits.peak_acceleration[letter])
+            _format, (high - low, candidate.limits.peak_speed[letter], candidate.limits.peak_acceleration[letter])
         )
     return row

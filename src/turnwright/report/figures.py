@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
-from turnwright._io import write_whole
+from turnwright._io import write_atomic
 from turnwright.metrology import area_rms
 from turnwright.profile import Profile
 from turnwright.report.page import Picture
@@ -48,6 +48,7 @@ __all__ = [
     "access_map",
     "approach_view",
     "axes_over_time",
+    "breakdown_of",
     "chip_map",
     "contact",
     "density",
@@ -59,7 +60,6 @@ __all__ = [
     "profile",
     "rings",
     "sag_map",
-    "shares_of",
     "spiral",
     "tool_moves",
     "view",
@@ -147,7 +147,7 @@ class _Canvas:
         kind = file.suffix.lower().removeprefix(".")
         picture = io.BytesIO()
         self.figure.savefig(picture, format=kind, metadata={"Date": None} if kind == "svg" else None)
-        write_whole(file, picture.getvalue())
+        write_atomic(file, picture.getvalue())
 
 
 @contextmanager
@@ -205,7 +205,7 @@ def _square(radius: float) -> tuple[Floats, Floats, Floats]:
     return x, y, np.hypot(x, y)
 
 
-def _over_disc(radius: float, values: Floats, inside: Floats) -> Floats:
+def _disc_image(radius: float, values: Floats, inside: Floats) -> Floats:
     """Return a square array with the values inside the disc and nan elsewhere."""
     square = np.full(inside.shape, np.nan)
     square[inside <= radius] = values
@@ -227,7 +227,7 @@ def _plan(axes: Axes, image: Floats, radius: float, **how: Any) -> Any:
 def sag_map(part: Part) -> Picture:
     """Draw the nominal height map."""
     x, y, r = _square(part.radius)
-    sag = _over_disc(part.radius, part.surface.sag(x[r <= part.radius], y[r <= part.radius]), r)
+    sag = _disc_image(part.radius, part.surface.sag(x[r <= part.radius], y[r <= part.radius]), r)
     factor, unit = _length(float(np.nanmax(sag) - np.nanmin(sag)))
     with _canvas() as canvas:
         axes = canvas.figure.add_subplot()
@@ -280,7 +280,7 @@ def access_map(part: Part, findings: Sequence[AccessFinding]) -> Picture:
     inside = r <= part.radius
     zx, zy = part.surface.gradient(x[inside], y[inside])
     sweep = np.arctan((x[inside] * zx + y[inside] * zy) / np.maximum(r[inside], 1e-12))
-    image = np.degrees(_over_disc(part.radius, sweep, r))
+    image = np.degrees(_disc_image(part.radius, sweep, r))
     limit = max(float(np.nanmax(np.abs(image))), 1e-6)
     with _canvas() as canvas:
         axes = canvas.figure.add_subplot()
@@ -448,7 +448,7 @@ def chip_map(name: str, part: Part, chips: ChipMap, material: Material | None) -
     x, y, r = _square(part.radius)
     on = r <= part.radius
     _, nearest = cKDTree(np.column_stack((chips.x[inside], chips.y[inside]))).query(np.column_stack((x[on], y[on])))
-    drawn = _over_disc(part.radius, thickness[nearest], r)
+    drawn = _disc_image(part.radius, thickness[nearest], r)
     # Exclude the extremes at the axis and at the edge from the colour range.
     low, high = np.nanpercentile(drawn, (0.2, 99.8))
     caption = f"Maximum uncut chip thickness of pass {name}, up to {chips.thickest * factor:.3g} {unit}"
@@ -464,16 +464,16 @@ def chip_map(name: str, part: Part, chips: ChipMap, material: Material | None) -
             caption += f"; the critical chip thickness is {critical} nm, exceeded {where}"
             if MIN_BOUNDED_FRACTION < beyond < 1 - MIN_BOUNDED_FRACTION:
                 some = (slice(None, None, 4),) * 2
-                line = _over_disc(part.radius, used, r)[some]
+                line = _disc_image(part.radius, used, r)[some]
                 axes.contour(x[some], y[some], line, levels=[1.0], colors="white", linewidths=1.0)
                 caption += " (white contour)"
         axes.plot(*chips.where, "o", color=INK, fillstyle="none", markersize=7, markeredgewidth=1.2, clip_on=False)
         axes.set(title=name)
-        _bar(canvas, axes, image, f"uncut chip thickness [{unit}]", _beyond(thickness, low, high))
+        _bar(canvas, axes, image, f"uncut chip thickness [{unit}]", _colourbar_arrows(thickness, low, high))
     return Picture(canvas.svg, f"{caption}. The circle marks the maximum.")
 
 
-def _beyond(values: Floats, low: float, high: float) -> str:
+def _colourbar_arrows(values: Floats, low: float, high: float) -> str:
     """Return which ends of a colour bar have an arrow."""
     below, above = bool((values < low).any()), bool((values > high).any())
     return "both" if below and above else "min" if below else "max" if above else "neither"
@@ -795,7 +795,7 @@ def minutes_and_errors(tried: Sequence[Candidate]) -> Picture:
     """Draw form error PV over cutting time for each strategy."""
     with _canvas() as canvas:
         axes = canvas.chart("minutes", "form error PV [nm]")
-        points = [(one.limits.cycle_time_s / 60, one.shares.pv_nm) for one in tried if one.limits and one.shares]
+        points = [(one.limits.cycle_time_s / 60, one.breakdown.pv_nm) for one in tried if one.limits and one.breakdown]
         # Pareto front: no other strategy is both faster and more accurate.
         best = sorted(p for p in points if not any(o != p and o[0] <= p[0] and o[1] <= p[1] for o in points))
         axes.plot(*zip(*best, strict=True), color=LINE, linewidth=0.8)
@@ -820,14 +820,14 @@ def minutes_and_errors(tried: Sequence[Candidate]) -> Picture:
     )
 
 
-def shares_of(tried: Sequence[Candidate]) -> Picture:
+def breakdown_of(tried: Sequence[Candidate]) -> Picture:
     """Draw the error contributions of each strategy."""
     sources = {"cusps": "cusp_nm", "chord": "chord_nm", "servos": "tracking_nm"}
     with _canvas() as canvas:
         axes = canvas.chart("largest contribution [nm]", "strategy", tight=False)
         rows = np.arange(len(tried))
         for k, ((error_source, name), colour) in enumerate(zip(sources.items(), SERIES, strict=True)):
-            sizes = [getattr(one.shares, name) for one in tried]
+            sizes = [getattr(one.breakdown, name) for one in tried]
             axes.barh(rows + (k - 1) * 0.26, sizes, height=0.24, color=colour, label=error_source)
         axes.set_yticks(rows, [str(number) for number in range(1, len(tried) + 1)])
         axes.invert_yaxis()

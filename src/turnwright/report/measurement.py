@@ -84,7 +84,7 @@ def write_measured(measured: Measured, path: str | PathLike[str]) -> File:
             else Number("Outliers", str(measured.outliers), "", "removed"),
         ],
         notes=measured.open_questions,
-        sections=[*_form(measured), *_lens_section(measured), *_through_instrument(measured), _pose(measured)],
+        sections=[*_form(measured), *_lens_section(measured), *_instrument_sections(measured), _pose(measured)],
     )
     return write_page(page, path)
 
@@ -111,7 +111,7 @@ def write_diagnosis(measured: Sequence[Measured], diagnosis: Diagnosis, path: st
             _terms(diagnosis),
             *_setup(measured, diagnosis),
             _signatures(measured, diagnosis),
-            *(section for one in measured for section in _through_instrument(one)),
+            *(section for one in measured for section in _instrument_sections(one)),
         ],
     )
     return write_page(page, path)
@@ -170,7 +170,7 @@ def _verdict(measured: Measured) -> dict[str, Any]:
     }
 
 
-def _through_instrument(measured: Measured) -> list[Section]:
+def _instrument_sections(measured: Measured) -> list[Section]:
     """Return the effect of the instrument on nominal surface and cusps, if the job states one."""
     text = [f"{one[0].upper()}{one[1:]}." for one in measured.as_seen]
     seen = measured.job.measurement.instrument
@@ -246,16 +246,16 @@ def _pose(measured: Measured) -> Section:
 
 def _error_sources(diagnosis: Diagnosis) -> Section:
     """Return the table of error sources."""
-    columns = ("source", "value", "interval", "plausible", "rms [nm]", "verdict", "why")
+    columns = ("source", "value", "interval", "plausible", "rms [nm]", "verdict", "explanation")
     rows = [
         (
             source.name,
             _quantity(source, source.value),
-            _between(source, source.interval),
+            _format_interval(source, source.interval),
             _quantity(source, source.plausible),
             f"{source.rms_nm:.3g}",
             source.verdict,
-            source.why,
+            source.explanation,
         )
         for source in diagnosis
     ]
@@ -264,14 +264,14 @@ def _error_sources(diagnosis: Diagnosis) -> Section:
 
 def _terms(diagnosis: Diagnosis) -> Section:
     """Return the table of contributions without a single source, and the repeatability between maps of a part."""
-    columns = ("term", "rms [nm]", "uncertainty [nm]", "shared [nm]", "why")
+    columns = ("term", "rms [nm]", "uncertainty [nm]", "shared [nm]", "explanation")
     rows = [
         (
             term.name,
             f"{term.rms_nm:.3g}",
             f"{term.uncertainty_nm:.2g}",
             "" if term.common_nm is None else f"{term.common_nm:.3g}",
-            term.why,
+            term.explanation,
         )
         for term in diagnosis.contributions
     ]
@@ -324,7 +324,7 @@ def _centre(sample: Measured) -> list[str]:
     return [] if core is None or core.uncertainty > core.radius / MIN_CORE_SHARPNESS else [core.sentence]
 
 
-def _between(finding: Finding, interval: tuple[float, float]) -> str:
+def _format_interval(finding: Finding, interval: tuple[float, float]) -> str:
     """Format an interval in the display unit."""
     unit, factor = _unit(finding)
     low, high = (one * factor for one in interval)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import jinja2
 
 from turnwright import __version__
-from turnwright._io import write_whole
+from turnwright._io import write_atomic
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -127,5 +127,5 @@ def write_page(page: Page, path: str | PathLike[str]) -> File:
     text = environment.get_template("page.html.j2").render(page=page, version=__version__)
     text = re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", "", text)  # control characters are invalid in HTML
     path = page_file(path)
-    write_whole(path, text)
+    write_atomic(path, text)
     return path

@@ -10,7 +10,7 @@ import numpy as np
 
 from turnwright.job import judge, part_shape
 from turnwright.path import Motion
-from turnwright.post import after_stop, dialect_of
+from turnwright.post import dialect_of, stop_instructions
 from turnwright.report import figures as draw
 from turnwright.report.page import Cell, Code, Number, Page, Section, Table, page_file, write_page
 from turnwright.units import say_length
@@ -63,7 +63,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
     """Write the page of a run, see `write_page`."""
     path = page_file(path)
     verdicts, program, feed = result.verdicts, result.program, result.passes[-1].feed
-    failed = _failed(verdicts)
+    failed = _missed_sentences(verdicts)
     is_rounded = result.rounding_nm > result.rounding_limit_nm
     if is_rounded:
         failed.append("rounding in the program exceeds its limit")
@@ -133,7 +133,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
                 ["Size", f"{program.bytes / 1e6:.3g} MB"],
                 ["Cutting time", _duration(program.minutes * 60)],
                 ["Approaches, plunges and retracts", _duration(program.links_minutes * 60)],
-                ["After a stop", ". ".join(after_stop(dialect_of(result.machine))) + "."],
+                ["After a stop", ". ".join(stop_instructions(dialect_of(result.machine))) + "."],
                 ["SHA-256", Cell(program.hash, "code")],
                 [
                     "Surface change by rounding in the program",
@@ -163,7 +163,7 @@ def write_backplot(
     """
     path, program = page_file(path), File(program)
     verdicts = judge(job, predictions)
-    failed = _failed(verdicts)
+    failed = _missed_sentences(verdicts)
     if not limits.ok:
         failed.append("a machine limit is exceeded")
     turns, feed = _single_turns(motion), motion.feed
@@ -343,7 +343,7 @@ def _numbers(predictions: Sequence[Prediction], passes: Sequence[Limits], verdic
     return numbers
 
 
-def _failed(verdicts: Sequence[Verdict]) -> list[str]:
+def _missed_sentences(verdicts: Sequence[Verdict]) -> list[str]:
     """Return one sentence per missed tolerance."""
     return [one.sentence for one in verdicts if one.is_kept is False]
 

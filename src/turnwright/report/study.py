@@ -38,7 +38,7 @@ def write_study(study: Study, path: str | PathLike[str]) -> File:
         table = Table(
             columns=columns,
             numeric=range(1, len(columns)),
-            rows=[[str(number + 1), *(_shown(one.values[number]) for one in study.columns)] for number in best],
+            rows=[[str(number + 1), *(_format(one.values[number]) for one in study.columns)] for number in best],
             notes=["Valid cases, smallest value first. All cases are in study.csv, numbered from 0."],
             dense=True,
         )
@@ -53,9 +53,9 @@ def _pictures(study: Study, numbers: Sequence[str]) -> list[Picture]:
     if not numbers or not study.fields:
         return []
     if len(study.fields) == 1:
-        return [draw.line_over(study, name) for name in numbers]
+        return [draw.draw_line(study, name) for name in numbers]
     if len(study.fields) == 2 and study.is_grid and min(field.different.size for field in study.fields) > 1:
-        return [picture(study, name) for name in numbers for picture in (draw.map_over, draw.profiles_of)]
+        return [picture(study, name) for name in numbers for picture in (draw.draw_map, draw.profiles_of)]
     return [draw.scatter(study, numbers)]
 
 
@@ -83,11 +83,11 @@ def _describe_design(study: Study) -> list[str]:
 def _values(one: Column) -> str:
     values = one.different
     if values.size <= MAX_LISTED_VALUES or values.dtype.kind in "Ub":
-        return ", ".join(_shown(value) for value in values)
-    return f"{values.size} values from {_shown(values[0])} to {_shown(values[-1])}"
+        return ", ".join(_format(value) for value in values)
+    return f"{values.size} values from {_format(values[0])} to {_format(values[-1])}"
 
 
-def _shown(value: Any) -> str:
+def _format(value: Any) -> str:
     if isinstance(value, float | np.floating):
         return f"{float(value):.5g}"
     return str(value)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from turnwright._arrays import Bools, Floats
     from turnwright.studies import Column, Sensitivity, Study
 
-__all__ = ["histogram", "line_over", "map_over", "profiles_of", "scatter", "tornado"]
+__all__ = ["draw_line", "draw_map", "histogram", "profiles_of", "scatter", "tornado"]
 
 MIN_LOG_RATIO = 30.0
 """Ratio of largest to smallest value above which a logarithmic scale is used."""
@@ -94,7 +94,7 @@ def _job_value(column: Column) -> float | None:
     return float(column.job_value)
 
 
-def map_over(study: Study, measure: str) -> Picture:
+def draw_map(study: Study, measure: str) -> Picture:
     """Draw a map of a measure over the two fields of a grid; cases that `run` would refuse are hatched."""
     vertical, horizontal = study.fields[1], study.fields[0]
     grid = study.grid(measure, over=(vertical.name, horizontal.name))
@@ -224,7 +224,7 @@ def _covers_cells(axes: Axes, wide: Floats, high: Floats) -> bool:
     return bool(min(x0, x1) <= wide.min() + 1e-12 and max(y0, y1) >= high.max() - 1e-12)
 
 
-def line_over(study: Study, measure: str) -> Picture:
+def draw_line(study: Study, measure: str) -> Picture:
     """Draw a measure over the only field of a study."""
     over, column = study.fields[0], study.column(measure)
     at = _positions(over)

@@ -77,12 +77,12 @@ def _numbers(study: ToleranceStudy) -> list[Number]:
     kind = list(study.outcomes)[-1]
     name = "form_pv_nm" if kind == "as planned" else "corrected form_pv_nm"
     p95 = study.percentiles(name)[0.95]
-    note = f"95th percentile, {kind}; {_between(p95)}"
+    note = f"95th percentile, {kind}; {_format_interval(p95)}"
     numbers.append(Number("form error PV", f"{p95.value:.3g}", "nm", note))
     return numbers[:3]
 
 
-def _between(one: Interval) -> str:
+def _format_interval(one: Interval) -> str:
     high = f"{one.high:.3g}" if math.isfinite(one.high) else "unbounded (too few cases)"
     return f"{one.low:.3g} to {high}" if math.isfinite(one.low) else f"up to {high}"
 
@@ -122,7 +122,7 @@ def _distributions(study: ToleranceStudy) -> Section:
             column = name if kind == "as planned" else f"corrected {name}"
             limit = study.limits.get(name)
             probability = "" if limit is None else _percent(outcome.probabilities[name])
-            shown = [f"{one.value:.3g} ({_between(one)})" for one in study.percentiles(column).values()]
+            shown = [f"{one.value:.3g} ({_format_interval(one)})" for one in study.percentiles(column).values()]
             rows.append([f"{_label(name)}, {kind}", *shown, "" if limit is None else f"{limit:.4g}", probability])
     measurement = study.job.measurement
     free = ", ".join(name.replace("_", " ") for name in measurement.free)
@@ -190,7 +190,9 @@ def _budget(study: ToleranceStudy) -> Section:
         items=[
             Table(
                 columns=["error", "spread", "source"],
-                rows=[[name, spread.shown(budget.unit(name)), spread.source] for name, spread in budget.errors.items()],
+                rows=[
+                    [name, spread.format(budget.unit(name)), spread.source] for name, spread in budget.errors.items()
+                ],
                 dense=True,
             )
         ],

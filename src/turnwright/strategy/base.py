@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin
 import numpy as np
 
 from turnwright._arrays import Floats
-from turnwright._tables import Stated, forget_adapters, types_of, written, written_by
+from turnwright._tables import TableModel, forget_adapters, types_of, write_table, written_by
 from turnwright._validate import check_numbers, one_of, positive
 from turnwright.errors import InputError
 from turnwright.machine import Machine
@@ -33,7 +33,7 @@ STRATEGIES: dict[str, type[Strategy]] = {}
 """The strategies by the ``kind`` that a job file states; each class is added when its module is imported."""
 
 
-class Strategy(Stated, ABC):
+class Strategy(TableModel, ABC):
     """A cutting strategy: the plan that the tool follows over the part, and the axes that make the motion.
 
     To add a strategy, write a frozen dataclass in a module of its own in this package with the methods `spiral` and
@@ -114,7 +114,7 @@ class Strategy(Stated, ABC):
             If there are more points than any controller takes, or an axis is too slow.
         """
 
-    def glimpse(self, part: Part, tool: Tool, *, turns: int, per_turn: int) -> Spiral:
+    def preview_spiral(self, part: Part, tool: Tool, *, turns: int, per_turn: int) -> Spiral:
         """Return some of the points of `spiral` for a preview: single revolutions, evenly from first to last.
 
         At most ``turns`` revolutions of at most ``per_turn`` points.
@@ -204,7 +204,7 @@ class Strategy(Stated, ABC):
         def read(value: Any, build: Callable[[Any], Any]) -> Any:
             return value if isinstance(value, Strategy) else build(value)
 
-        return core_schema.no_info_wrap_validator_function(read, tagged, serialization=written_by(written))
+        return core_schema.no_info_wrap_validator_function(read, tagged, serialization=written_by(write_table))
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:

@@ -334,13 +334,15 @@ class QuasiEllipticalToolServo(Strategy):
         sweeps = np.stack([stands.sweep_before[alone], stands.sweep_after[alone]])
         for _ in range(3):
             moment = self._schedule_moments(plain, line, rate)
-            met = reader.meet(plain, moment[alone], line[alone] + rate[alone] * (moment - stands.at)[alone], sweeps)
+            met = reader.find_valleys(
+                plain, moment[alone], line[alone] + rate[alone] * (moment - stands.at)[alone], sweeps
+            )
             good = np.isfinite(met.line)
             line[alone[good]], rate[alone[good]] = met.line[good], met.rate[good]
             stands = stands._replace(at=moment)
         bend = np.zeros(line.size)
         rates = [
-            reader.meet(
+            reader.find_valleys(
                 plain, moment[alone] + way * RATE_STEP_RAD, line[alone] + way * RATE_STEP_RAD * rate[alone], sweeps
             ).rate
             for way in (-1, 1)
@@ -521,7 +523,7 @@ class _Reader:
         by_moment = course.slope * (cosine * zx + sine * zy) + self.sense * ((x - tip_x) * zy - (y - tip_y) * zx)
         return by_azimuth, by_moment
 
-    def meet(self, course: _Course, at: Floats, psi: Floats, sweeps: Floats) -> _Crossings:
+    def find_valleys(self, course: _Course, at: Floats, psi: Floats, sweeps: Floats) -> _Crossings:
         """Return the valleys near some azimuths at these moments, nan where there is none; ``sweeps`` is (2, n).
 
         Both sides are evaluated a small distance before and behind the valley, where the surface is certainly that of
@@ -594,13 +596,15 @@ class _Reader:
         room = MAX_VALLEY_RATE * (high.at - low.at)
         psi = np.where(np.isfinite(psi), np.clip(psi, low.psi - room, high.psi + room), 0.5 * (low.psi + high.psi))
         sweeps = np.stack([low.sweep, high.sweep])
-        met = self.meet(course, at, psi, sweeps)
+        met = self.find_valleys(course, at, psi, sweeps)
         bend = np.zeros(at.size)
         for _ in range(PASSING_ITERATIONS):
             moment = np.clip(course.find_meeting(met, bend, low.at, high.at), low.at, high.at)
             time = moment - met.at
             with np.errstate(invalid="ignore", divide="ignore"):
-                near = self.meet(course, moment, met.line + (met.rate + 0.5 * bend * time) * time, np.stack(met[5:]))
+                near = self.find_valleys(
+                    course, moment, met.line + (met.rate + 0.5 * bend * time) * time, np.stack(met[5:])
+                )
                 bend = np.where(np.abs(time) > RATE_STEP_RAD * 1e-3, (near.rate - met.rate) / time, bend)
             met = near
         return met

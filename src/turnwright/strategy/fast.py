@@ -10,7 +10,7 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright._tables import Merged
-from turnwright._validate import check_numbers, thing
+from turnwright._validate import check_numbers, instance_of
 from turnwright.errors import InputError
 from turnwright.machine import Machine
 from turnwright.part import Part
@@ -45,7 +45,7 @@ class OverPlan(Strategy):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        thing(self.plan, Strategy, "plan")
+        instance_of(self.plan, Strategy, "plan")
 
     spindle_rpm = _of_plan("Spindle speed of the plan. [rev/min].", "spindle_rpm")
     spindle_speeds = _of_plan("Spindle speed of the plan over the radius.", "spindle_speeds")
@@ -73,9 +73,9 @@ class OverPlan(Strategy):
         """Return the spiral of the plan."""
         return self.plan.spiral(part, tool, progress=progress)
 
-    def glimpse(self, part: Part, tool: Tool, *, turns: int, per_turn: int) -> Spiral:
+    def preview_spiral(self, part: Part, tool: Tool, *, turns: int, per_turn: int) -> Spiral:
         """Return some of the points of the spiral of the plan."""
-        return self.plan.glimpse(part, tool, turns=turns, per_turn=per_turn)
+        return self.plan.preview_spiral(part, tool, turns=turns, per_turn=per_turn)
 
     def extent(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> tuple[int, Spiral]:
         """Return the number of points of the spiral of the plan, and its ends."""

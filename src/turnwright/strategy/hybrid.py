@@ -10,7 +10,7 @@ from typing import NoReturn
 import numpy as np
 
 from turnwright._arrays import Floats, rounding
-from turnwright._validate import thing, whole as whole_number
+from turnwright._validate import instance_of, whole_number
 from turnwright.errors import InputError
 from turnwright.machine import Axis, Machine
 from turnwright.part import Part
@@ -79,7 +79,7 @@ class HybridToolServo(OverPlan):
         for name, kind in (("base", Surface), ("tool", Tool), ("fast", Axis)):
             value = getattr(self, name)
             if value is not None:
-                thing(value, kind, name)
+                instance_of(value, kind, name)
         if self.fast is not None and (self.fast.low is None or self.fast.high is None):
             raise InputError(
                 f"the fast tool travels from {self.fast.low} to {self.fast.high} mm, both ends are needed to split a "

@@ -13,7 +13,7 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright._kernels import chord as kernel
-from turnwright._validate import whole as whole_number
+from turnwright._validate import whole_number
 from turnwright.edge import Edge
 from turnwright.errors import GougeError, InputError
 from turnwright.part import Part
@@ -176,10 +176,10 @@ class SlowToolServo(Strategy):
         outward = self.sense if self.inside_out else -self.sense
         return replace(spiral, radius_rate=np.full(spiral.radius.size, outward * self.feed / TURN))
 
-    def glimpse(self, part: Part, tool: Tool, *, turns: int, per_turn: int) -> Spiral:
+    def preview_spiral(self, part: Part, tool: Tool, *, turns: int, per_turn: int) -> Spiral:
         """Return some of the points of `spiral`; with ``points_per_rev``, without computing all of them."""
         if self.points_per_rev is None:
-            return super(SlowToolServo, self).glimpse(part, tool, turns=turns, per_turn=per_turn)
+            return super(SlowToolServo, self).preview_spiral(part, tool, turns=turns, per_turn=per_turn)
         edge = tool.cutting_edge(self.sense)
         last = self._find_last_point(part, edge, self.points_per_rev)
         wanted = sample_turns(last / self.points_per_rev, turns, per_turn)

@@ -17,9 +17,9 @@ import numpy as np
 from turnwright import _validate as validate
 from turnwright._faults import read_table
 from turnwright._io import bytes_of, read_toml
-from turnwright._tables import Keyed, Stated, refuse, written
+from turnwright._tables import Keyed, TableModel, refuse, write_table
 from turnwright._validate import check_numbers, positive
-from turnwright.errors import InputError, shown
+from turnwright.errors import InputError, quote
 from turnwright.job import TestPartKind
 from turnwright.surface import zernike_order
 from turnwright.units import Text, Thickness, Time, parse
@@ -124,11 +124,11 @@ class Spread:
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        validate.thing(self.source, str, "the source of a distribution")
+        validate.instance_of(self.source, str, "the source of a distribution")
         if not isinstance(self.kind, str) or self.kind not in KINDS:
             raise InputError(f"the distribution {self.kind!r} is not one of {', '.join(KINDS)}: choose one of them")
         family = KINDS[self.kind]
-        validate.thing(self.numbers, Sequence, f"the numbers of the {self.kind} distribution")
+        validate.instance_of(self.numbers, Sequence, f"the numbers of the {self.kind} distribution")
         numbers = tuple(validate.number(one, f"a number of the {self.kind} distribution") for one in self.numbers)
         if len(numbers) != len(family.numbers):
             raise InputError(
@@ -158,7 +158,7 @@ class Spread:
         """Return the distribution as text that `read` accepts."""
         return f"{self.kind}({', '.join(repr(one) for one in self.numbers)}) {'' if unit == '1' else unit}".strip()
 
-    def shown(self, unit: str) -> str:
+    def format(self, unit: str) -> str:
         """Return the distribution as text in um or urad, for display."""
         friendly = {"mm": "um", "rad": "urad"}.get(unit, unit)
         factor = {"mm": 1e3, "rad": 1e6}.get(unit, 1.0)
@@ -210,7 +210,7 @@ def _scipy(kind: str, numbers: tuple[float, ...]) -> Any:
 
 def unit_of(name: str) -> str:
     """Return the unit of an error by its name."""
-    validate.thing(name, str, "the name of an error")
+    validate.instance_of(name, str, "the name of an error")
     if name in NAMED_ERRORS:
         return NAMED_ERRORS[name]
     for pattern, unit in NUMBERED_ERRORS:
@@ -264,7 +264,7 @@ def _spreads(entries: Mapping[str, Mapping[str, str]]) -> dict[str, Spread]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ErrorBudget(Stated):
+class ErrorBudget(TableModel):
     r"""Error budget: the distributions of the errors of tool, machine and mount when a part is cut.
 
     Parameters
@@ -305,7 +305,7 @@ class ErrorBudget(Stated):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        validate.thing(self.errors, Mapping, "the errors of a budget")
+        validate.instance_of(self.errors, Mapping, "the errors of a budget")
         if not self.errors:
             raise InputError("a budget has 0 errors, it needs at least 1: state the spread of a set-up error")
         for name in self.errors:
@@ -327,7 +327,7 @@ class ErrorBudget(Stated):
         named = [str(one) for one in self.test_parts] if isinstance(self.test_parts, list | tuple) else []
         if not named or sorted(named) != sorted(one for one in TEST_PARTS if one in named):
             raise InputError(
-                f"test_parts is {shown(self.test_parts)}, it must be a list of names, of {', '.join(TEST_PARTS)}: name "
+                f"test_parts is {quote(self.test_parts)}, it must be a list of names, of {', '.join(TEST_PARTS)}: name "
                 "each once"
             )
         object.__setattr__(self, "errors", MappingProxyType(dict(self.errors)))
@@ -362,7 +362,7 @@ class ErrorBudget(Stated):
 
     def table(self) -> dict[str, Any]:
         """Return the budget as a mapping for `read`, with all digits."""
-        return written(self, whole=True)
+        return write_table(self, whole=True)
 
     def unit(self, name: str) -> str:
         """Return the unit of an error of the part or of a test part."""
@@ -396,7 +396,10 @@ class ErrorBudget(Stated):
 
         The draws of the part are the same with and without a correction.
         """
-        count, seed = validate.whole(count, "the number of draws", 1, MAX_DRAWS), validate.whole(seed, "the seed", 0)
+        count, seed = (
+            validate.whole_number(count, "the number of draws", 1, MAX_DRAWS),
+            validate.whole_number(seed, "the seed", 0),
+        )
         drawn = {}
         for name, spread in self.inputs(correction=correction).items():
             entropy = [seed, *name.encode()]

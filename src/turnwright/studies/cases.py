@@ -161,7 +161,7 @@ def run_cases(
     order = (work, shared or {}, store, None if ours else program_version(), threads)
     total = len(rows) + len(todo)
 
-    def tell() -> None:
+    def update() -> None:
         if progress is not None:
             progress(len(rows), total)
 
@@ -175,8 +175,8 @@ def run_cases(
     def send(case: Case) -> Future[tuple[Row, bool]]:
         return executor.submit(_carry_out, case.key, dict(case.data), *order)
 
-    tell()
-    with closing(iter_finished(send, todo.values(), executor, lost=lost, listen=tell)) as done:
+    update()
+    with closing(iter_finished(send, todo.values(), executor, lost=lost, listen=update)) as done:
         for case, future, deaths in done:
             row, lasting = _read_row(future, deaths)
             if lasting and not ours and store is not None and store.row(case.key) is None:
@@ -205,7 +205,7 @@ def iter_finished(
     whose worker dies is sent again; after `MAX_DEATHS` deaths it is run alone when all others are done. ``lost`` makes
     the error to raise from that of a broken executor; ``listen`` is called at least twice a second.
     """
-    waiting = _Waiting(enumerate(tasks))
+    waiting = _TaskQueue(enumerate(tasks))
     running: dict[Future[_Answer], tuple[int, _Task]] = {}
     usual = getattr(executor, "_max_workers", None) or cores()
     try:
@@ -230,7 +230,7 @@ def iter_finished(
             future.cancel()
 
 
-class _Waiting(Generic[_Task]):
+class _TaskQueue(Generic[_Task]):
     """Numbered tasks that are still to be sent, and the worker deaths of each."""
 
     def __init__(self, following: Iterator[tuple[int, _Task]]) -> None:

@@ -327,9 +327,9 @@ def _draw_cases(
         raise InputError(f"design is {design!r}, it must be {', '.join(DESIGNS)}: choose one of them")
     if count is None:
         raise InputError(f"the design {design!r} needs a number of cases, 1 to {MAX_CASES:_}: state it")
-    count = validate.whole(count, f"the number of cases of the design {design!r}", 1, MAX_CASES)
+    count = validate.whole_number(count, f"the number of cases of the design {design!r}", 1, MAX_CASES)
     shares = _draw_unit_points(
-        design, len(fields), count, None if seed is None else validate.whole(seed, "the seed", 0)
+        design, len(fields), count, None if seed is None else validate.whole_number(seed, "the seed", 0)
     )
     return list(zip(*(one.at(shares[:, number]) for number, one in enumerate(fields)), strict=True))
 

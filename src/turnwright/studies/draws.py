@@ -195,10 +195,10 @@ def plan_cuts(
     cuts: dict[str, Any] = {}
     for number, (kind, cut_job) in enumerate(jobs.items()):
 
-        def tell(done: int, total: int, number: int = number) -> None:
+        def update(done: int, total: int, number: int = number) -> None:
             report(number * total + done, len(jobs) * total)
 
-        plan = plan_motion(cut_job, reach, tell)
+        plan = plan_motion(cut_job, reach, update)
         feed = plan.motion.feed
         scenes = _scenes_of(cut_job, kind, feed)
         cuts[kind] = {

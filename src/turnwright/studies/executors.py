@@ -232,11 +232,11 @@ def local(
         If a number is not positive.
     """
     if workers is not None:
-        workers = validate.whole(workers, "the number of workers", 1, MAX_WORKERS)
+        workers = validate.whole_number(workers, "the number of workers", 1, MAX_WORKERS)
     if memory_gb is not None and not validate.number(memory_gb, "the memory of a worker") > 0:
         raise InputError(f"the memory of a worker is {memory_gb} GB, it must be above 0 GB: increase it")
     if threads is not None:
-        threads = validate.whole(threads, "the number of threads", 1, MAX_WORKERS)
+        threads = validate.whole_number(threads, "the number of threads", 1, MAX_WORKERS)
     if workers is None:
         workers = count_workers(memory_gb)
         threads = threads or count_threads(workers)
@@ -303,7 +303,7 @@ def cluster(address: str) -> Iterator[Cluster]:
         try:
             client = distributed.Client(address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
-            raise _no_scheduler(address, error) from None
+            raise _scheduler_error(address, error) from None
         try:
             yield Cluster(client)
         finally:
@@ -317,7 +317,7 @@ def _require_scheduler(address: str) -> None:
         parts = urlsplit(str(address))
         host, port = parts.hostname, parts.port
     except ValueError as error:
-        raise _no_scheduler(address, error) from None
+        raise _scheduler_error(address, error) from None
     if parts.scheme not in {"tcp", "tls"} or not host or not port:
         raise InputError(
             f"{address!r} is not the address of a Dask scheduler: write tcp://host:port, or tls://host:port"
@@ -327,7 +327,7 @@ def _require_scheduler(address: str) -> None:
         with ThreadPoolExecutor(1) as thread:  # this thread may have an event loop, as in a notebook
             kind = thread.submit(asyncio.run, _kind_of(address)).result()
     except Exception as error:  # noqa: BLE001 - another server may answer anything
-        raise _no_scheduler(address, error) from None
+        raise _scheduler_error(address, error) from None
     if kind != "Scheduler":
         raise InputError(f"{address!r} is the address of a Dask {kind}, a scheduler is needed: give its address")
 
@@ -343,7 +343,7 @@ async def _kind_of(address: str) -> str:
             await there.close_rpc()
 
 
-def _no_scheduler(address: str, error: Exception) -> StudyError:
+def _scheduler_error(address: str, error: Exception) -> StudyError:
     reason = getattr(error, "strerror", None) or " ".join(str(error).split()) or "no answer"
     return StudyError(
         f"no Dask scheduler answers at {address!r} ({reason}): start one with 'dask scheduler', or check the address"

@@ -130,10 +130,10 @@ def find_field(job: Job, name: str) -> Field:
         table = _table(value, annotation)
         if table is not None:
             if step not in table:
-                raise InputError(_unknown(name, before, step, list(table)))
+                raise InputError(_unknown_field(name, before, step, list(table)))
             units = _unit_of_entry(value, step, steps[number + 1 :])
             annotation = table[step]
-            value = _held(value, step)
+            value = _value_at(value, step)
             place.append(step)
         elif _is_mapping(annotation):
             value = None if value is None else _entry(value, step)
@@ -148,7 +148,7 @@ def find_field(job: Job, name: str) -> Field:
     if _table(value, annotation) is not None or _is_mapping(annotation) or _element(annotation, 0) is not None:
         raise InputError(
             f"{name} is {_inside(value, annotation)}: vary one of its values, such as "
-            f"{_joined([name, _some(value, annotation)])}"
+            f"{_joined([name, _allowed_value(value, annotation)])}"
         )
     return replace(_leaf(name, tuple(place), annotation, units), among=among if isinstance(place[-1], int) else 0)
 
@@ -204,12 +204,12 @@ def _table(value: Any, annotation: Any) -> Mapping[str, Any] | None:
     return next((keys for one in _alternatives(annotation) if (keys := keys_of(one)) is not None), None)
 
 
-def _held(value: Any, step: str) -> Any:
+def _value_at(value: Any, step: str) -> Any:
     """Return the value of a key of a table; ``None`` if there is none, or if only a file has the key."""
     if isinstance(value, Placed):
         if step == "placed":
             return value.pose
-        return _held(value.surface, step)
+        return _value_at(value.surface, step)
     return getattr(getattr(value, "source", None) or value, step, None)
 
 
@@ -248,7 +248,7 @@ def _index(name: str, before: str, step: str, value: Any, annotation: Any) -> in
     index = int(step[1:-1]) - 1 if step.startswith("[") else -1
     if index < 0 or _element(annotation, index) is None or (tables and index >= len(names)):
         choices = [one for one in names if one] or [f"[1] to [{max(_length(value, annotation), 1)}]"]
-        raise InputError(_unknown(name, before, step, choices))
+        raise InputError(_unknown_field(name, before, step, choices))
     if value is None and _table(None, _element(annotation, 0)) is not None:
         raise InputError(f"{name} is not a field of this job, {before} has no entries: add one to the job")
     return index
@@ -258,7 +258,7 @@ def _length(value: Any, annotation: Any) -> int:
     return len(value) if value else sum(_element(annotation, index) is not None for index in range(10))
 
 
-def _unknown(name: str, before: str, step: str, known: list[str]) -> str:
+def _unknown_field(name: str, before: str, step: str, known: list[str]) -> str:
     close = difflib.get_close_matches(step.lower(), known, n=1, cutoff=0.5)
     remedy = (
         f"did you mean {_joined([before, close[0]])}?"
@@ -272,7 +272,7 @@ def _inside(value: Any, annotation: Any) -> str:
     return "a table" if _table(value, annotation) is not None or _is_mapping(annotation) else "a list"
 
 
-def _some(value: Any, annotation: Any) -> str:
+def _allowed_value(value: Any, annotation: Any) -> str:
     table = _table(value, annotation)
     if table is not None:
         return next(iter(table))
@@ -301,7 +301,7 @@ def apply_changes(base: Data, changes: list[tuple[Field, str, Token]]) -> dict[s
         value = field.written(token, units)
         if field.over_time(units):
             value = f"{_per_turn(field, float(token), units, data)!r} mm/rev"
-        _put(base.whole, data, field, value)
+        _set_value(base.whole, data, field, value)
     return data
 
 
@@ -321,7 +321,7 @@ def _per_turn(field: Field, token: float, units: str, data: Mapping[str, Any]) -
     )
 
 
-def _put(complete: Any, data: dict[str, Any], field: Field, value: Token) -> None:
+def _set_value(complete: Any, data: dict[str, Any], field: Field, value: Token) -> None:
     """Set the value of a field, and create tables and lists on its path that the file leaves out."""
     node: Any = data
     for number, step in enumerate(field.place):
@@ -329,7 +329,7 @@ def _put(complete: Any, data: dict[str, Any], field: Field, value: Token) -> Non
         complete = entry_at(complete, step)
         if isinstance(step, int):
             while len(node) <= max(step, field.among - 1 if last else 0):
-                node.append(_nothing(field, len(node)))
+                node.append(_zero(field, len(node)))
             key: Any = step
         else:
             key = next((key for key in node if str(key) == step), step)
@@ -358,7 +358,7 @@ def _stated(whole: Any) -> Any:
     return [_stated(one) for one in whole] if isinstance(whole, list) else whole
 
 
-def _nothing(field: Field, index: int) -> Token:
+def _zero(field: Field, index: int) -> Token:
     """Return the zero that fills a list before a changed entry."""
     if "waviness" in field.place:
         return f"0 mm/rad^{index + 1}"

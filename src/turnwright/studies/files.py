@@ -87,7 +87,7 @@ def provide_files(files: Mapping[str, str], kept: Mapping[str, str], store: Stor
     If a file is missing or differs, all are copied from the store to a temporary folder with the same relative paths.
     ``files`` gives the digest of each, ``kept`` its name in the store.
     """
-    missing = [path for path, digest in files.items() if not _is_there(path, digest)]
+    missing = [path for path, digest in files.items() if not _is_stored(path, digest)]
     if not missing:
         yield {}
         return
@@ -108,7 +108,7 @@ def provide_files(files: Mapping[str, str], kept: Mapping[str, str], store: Stor
         yield places
 
 
-def _is_there(path: str, digest: str) -> bool:
+def _is_stored(path: str, digest: str) -> bool:
     try:
         return hashlib.sha256(Path(path).read_bytes()).hexdigest() == digest
     except OSError:

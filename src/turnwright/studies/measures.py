@@ -127,7 +127,7 @@ def measure_of(job: Job, asked: str | MeasureFunction) -> Measure:
     """Return a measure by its name, such as "sq_nm@axis" (of the patch called axis), or of a user function."""
     if not isinstance(asked, str):
         if not callable(asked):
-            raise InputError(f"a measure is {asked!r}, it must be a name or a function: give one of {_known()}")
+            raise InputError(f"a measure is {asked!r}, it must be a name or a function: give one of {_known_names()}")
         return Measure(name=getattr(asked, "__name__", type(asked).__name__), unit="", stage="place", function=asked)
     name, at, where = asked.strip().partition("@")
     if name in PATCH_MEASURES:
@@ -155,11 +155,11 @@ def measure_of(job: Job, asked: str | MeasureFunction) -> Measure:
     close = [one for one in names if name and one.startswith(name)] or difflib.get_close_matches(name, names, 1, 0.5)
     if name in JOB_MEASURES:
         raise InputError(f"{asked}: {name} is a measure of the whole job: leave out the part after @")
-    remedy = f"did you mean {close[0]}?" if close else f"the known ones are {_known()}, use one of them"
+    remedy = f"did you mean {close[0]}?" if close else f"the known ones are {_known_names()}, use one of them"
     raise InputError(f"{asked!r} is not a measure: {remedy}")
 
 
-def _known() -> str:
+def _known_names() -> str:
     return ", ".join(MEASURES)
 
 

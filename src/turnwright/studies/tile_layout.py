@@ -101,7 +101,7 @@ class Layout:
     @classmethod
     def read(cls, data: dict[str, Any]) -> Self:
         """Return the layout of data from `plain`."""
-        return cls(**{one.name: _tupled(data[one.name]) for one in fields(cls)})
+        return cls(**{one.name: _to_tuples(data[one.name]) for one in fields(cls)})
 
     def in_tiles(self, tile: tuple[int, int]) -> Self:
         """Return the grid with another tile size in rows and columns."""
@@ -188,5 +188,5 @@ def tile_sides(requested: int, sides: tuple[int, int], shape: tuple[int, int]) -
     return rounded[0], rounded[1]
 
 
-def _tupled(value: Any) -> Any:
+def _to_tuples(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value

@@ -78,4 +78,4 @@ def mean_spectrum(
 def _segment(layout: Layout, segment: int | None) -> int:
     if segment is None:
         return max(FEWEST, min(SEGMENT, 1 << int(math.log2(min(layout.shape) / 4))))
-    return validate.whole(segment, "the width of a segment in pixels", FEWEST, min(layout.shape))
+    return validate.whole_number(segment, "the width of a segment in pixels", FEWEST, min(layout.shape))

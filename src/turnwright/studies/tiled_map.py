@@ -110,7 +110,7 @@ class TiledMap:
         InputError
             If there is no such level.
         """
-        level = validate.whole(level, "the level", 0, self.levels - 1)
+        level = validate.whole_number(level, "the level", 0, self.levels - 1)
         rows, columns = self.files.layout.level_shape(level)
         return self._read(level, slice(0, rows), slice(0, columns))
 
@@ -130,7 +130,7 @@ class TiledMap:
             If the limits do not ascend, or the window has no pixel of the map.
         """
         x, y = validate.span(x, "the window along x"), validate.span(y, "the window along y")
-        pixels = validate.whole(pixels, "the width of a window in pixels", 1)
+        pixels = validate.whole_number(pixels, "the width of a window in pixels", 1)
         selection: tuple[slice, slice] | None = None
         for level in reversed(range(self.levels)):
             spans = [_within(axis, span) for axis, span in zip(self.files.layout.axes(level), (x, y), strict=True)]

@@ -193,12 +193,12 @@ def generate_tiled(
     -------
     Oracle: `generate` in one piece.
     """
-    validate.thing(motion, Motion, "the motion")
-    validate.thing(tool, Tool, "the tool")
+    validate.instance_of(motion, Motion, "the motion")
+    validate.instance_of(tool, Tool, "the tool")
     if machine is not None:
-        validate.thing(machine, Machine, "the machine")
+        validate.instance_of(machine, Machine, "the machine")
     if executor is not None:
-        validate.thing(executor, Executor, "the executor")
+        validate.instance_of(executor, Executor, "the executor")
     validate.listener(progress)
     if minus is not None and not callable(getattr(minus, "sag", None)):
         raise InputError(f"the argument minus is a {type(minus).__name__}, it must be a surface: give one")
@@ -246,7 +246,7 @@ def plan_tiles(
 ) -> Layout:
     """Return the grid of a map, after a check that it can be started or continued there; see `generate_tiled`."""
     layout = Layout.of(pixel, radius=radius, x=x, y=y)
-    validate.whole(tile, "the width of a tile in pixels", MIN_TILE_PIXELS, MAX_TILE_PIXELS)
+    validate.whole_number(tile, "the width of a tile in pixels", MIN_TILE_PIXELS, MAX_TILE_PIXELS)
     place = resolve_place(store)
     with translate_disk_errors(place, 0, 0):
         require_same_map(place, layout)
@@ -262,7 +262,7 @@ def _run_tiles(
     total: int,
     progress: Progress | None,
 ) -> None:
-    tell = progress or (lambda _done, _total: None)
+    update = progress or (lambda _done, _total: None)
     done = total - len(missing)
 
     def lost(error: BaseException) -> StudyError:
@@ -271,7 +271,7 @@ def _run_tiles(
             "again with a new one"
         )
 
-    tell(done, total)
+    update(done, total)
     with closing(iter_finished(submit, missing, executor, lost=lost)) as made:
         for tile, future, deaths in made:
             if deaths:
@@ -283,7 +283,7 @@ def _run_tiles(
             with translate_disk_errors(place, done, total):
                 future.result()
             done += 1
-            tell(done, total)
+            update(done, total)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from turnwright import _validate as validate
-from turnwright._io import write_whole
+from turnwright._io import write_atomic
 from turnwright.errors import InputError, JobError, StudyError
 from turnwright.job import Job
 from turnwright.studies.budget import MAX_DRAWS, ErrorBudget, Spread, group_of
@@ -200,7 +200,7 @@ class ToleranceStudy:
         writer.writerow([*heads, *(f"{name.replace('_nm', '')} [nm]" for name in self.columns)])
         for row in zip(*(one.tolist() for one in (*self.draws.values(), *self.columns.values())), strict=True):
             writer.writerow([repr(one) for one in row])
-        write_whole(Path(validate.path(path, "the table")), text.getvalue())
+        write_atomic(Path(validate.path(path, "the table")), text.getvalue())
 
 
 def tolerance(
@@ -258,14 +258,17 @@ def tolerance(
     StudyError
         If the executor breaks, the store is full, or fewer than 10 cases succeed.
     """
-    validate.thing(job, Job, "the job")
+    validate.instance_of(job, Job, "the job")
     validate.listener(progress)
     report = progress or (lambda _stage, _done, _total: None)
     limits = _limits(job)
-    count, seed = validate.whole(count, "the number of cases", 0, MAX_DRAWS), validate.whole(seed, "the seed", 0)
+    count, seed = (
+        validate.whole_number(count, "the number of cases", 0, MAX_DRAWS),
+        validate.whole_number(seed, "the seed", 0),
+    )
     if count < MIN_CASES:
         raise InputError(f"the study has {count} cases, it needs at least {MIN_CASES}: give a larger count")
-    budget = ErrorBudget.typical() if budget is None else validate.thing(budget, ErrorBudget, "the budget")
+    budget = ErrorBudget.typical() if budget is None else validate.instance_of(budget, ErrorBudget, "the budget")
     _check_axes(job, budget)
     with ExitStack() as stack:
         if store is None:

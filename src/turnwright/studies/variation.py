@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from turnwright import _validate as validate
 from turnwright._arrays import Bools, Floats, frozen
-from turnwright._io import write_whole
+from turnwright._io import write_atomic
 from turnwright.errors import InputError, JobError, StudyError
 from turnwright.job import Job
 from turnwright.studies.cases import Case, case_key, run_cases
@@ -194,7 +194,7 @@ class Study:
         largest
             Whether larger values are better.
         """
-        count = validate.whole(count, "the number of cases", 0)
+        count = validate.whole_number(count, "the number of cases", 0)
         values = self.column(measure).values
         if values.dtype.kind not in "fi":
             raise InputError(f"{measure} is not a number, so no case is best: name another measure")
@@ -272,7 +272,7 @@ class Study:
         writer.writerow(self.headings)
         for row in zip(*(values.tolist() for values in self._written), strict=True):
             writer.writerow([_cell(one) for one in row])
-        write_whole(Path(validate.path(path, "the table")), text.getvalue())
+        write_atomic(Path(validate.path(path, "the table")), text.getvalue())
 
     def to_parquet(self, path: str | PathLike[str]) -> None:
         """Write the table as Parquet, with the job in its metadata; needs pyarrow, extra `parquet`.
@@ -293,7 +293,7 @@ class Study:
         table = table.replace_schema_metadata({"turnwright.job": self.job.to_toml(), "turnwright.design": self.design})
         sink = io.BytesIO()
         parquet.write_table(table, sink)
-        write_whole(Path(validate.path(path, "the table")), sink.getvalue())
+        write_atomic(Path(validate.path(path, "the table")), sink.getvalue())
 
     def save(self, folder: str | PathLike[str]) -> None:
         """Write the study into a folder: ``study.csv``, ``study.json`` and ``job.toml``, which `load` reads again."""
@@ -309,7 +309,7 @@ class Study:
             "measures": [{"name": one.name, "unit": one.unit, "kind": one.kind} for one in self.measures],
         }
         self.job.dump(folder / "job.toml")
-        write_whole(folder / "study.json", json.dumps(header, indent=1) + "\n")
+        write_atomic(folder / "study.json", json.dumps(header, indent=1) + "\n")
         self.to_csv(folder / "study.csv")
 
     @classmethod
@@ -456,13 +456,13 @@ def study(
     >>> found[2]["strategy.feed"], found[2]["reason"]
     (20.0, '')
     """
-    validate.thing(job, Job, "the job")
+    validate.instance_of(job, Job, "the job")
     if vary is not None:
-        validate.thing(vary, Mapping, "the fields to vary")
+        validate.instance_of(vary, Mapping, "the fields to vary")
     if executor is not None:
-        validate.thing(executor, Executor, "the executor")
+        validate.instance_of(executor, Executor, "the executor")
     if workers is not None:
-        workers = validate.whole(workers, "the number of workers", 1)
+        workers = validate.whole_number(workers, "the number of workers", 1)
     validate.listener(progress)
     fields, rows = design_cases(
         job,
@@ -503,13 +503,13 @@ def study(
         job=job,
         design=design if isinstance(design, str) else "list",
         fields=columns,
-        measures=tuple(_measured(one, rows_of_cases) for one in measures),
+        measures=tuple(_measure_column(one, rows_of_cases) for one in measures),
         reasons=tuple("; ".join(str(row.get(REASON) or row.get(REFUSED) or "").splitlines()) for row in rows_of_cases),
         seconds=_array("number", [row.get(SECONDS) for row in rows_of_cases]),
     )
 
 
-def _measured(one: Measure, found: Sequence[Mapping[str, Any]]) -> Column:
+def _measure_column(one: Measure, found: Sequence[Mapping[str, Any]]) -> Column:
     values = [row.get(one.name) for row in found]
     return Column(name=one.name, unit=one.unit, values=_array(_kind(values), values))
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
 import numpy as np
 
 from turnwright._kernels import quadrics
-from turnwright._validate import check_numbers, finite, whole
+from turnwright._validate import check_numbers, finite, whole_number
 from turnwright.errors import InputError, JobError
 from turnwright.surface.base import Surface
 from turnwright.units import LEAST, MOST, unit
@@ -98,7 +98,7 @@ def whole_pair(key: object, what: str) -> tuple[int, int]:
     """Return ``key`` if it is two integers, of which the second may be negative."""
     if not isinstance(key, tuple | list) or len(key) != 2:
         raise InputError(f"{what} is {key!r}, it must be a pair of whole numbers: give two of them")
-    return whole(key[0], what, 0), whole(key[1], what, -MAX_DEGREE)
+    return whole_number(key[0], what, 0), whole_number(key[1], what, -MAX_DEGREE)
 
 
 def read_terms(terms: Terms[Any], what: str, key: Callable[[object], K]) -> tuple[tuple[K, float], ...]:

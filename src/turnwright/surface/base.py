@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Ints, Value
-from turnwright._tables import Stated, forget_adapters
+from turnwright._tables import TableModel, forget_adapters
 from turnwright._validate import IN_RAD, check_angle
 from turnwright.errors import DomainError
 from turnwright.pose import Pose
@@ -59,7 +59,7 @@ class Series:
         return {",".join(map(str, key)) if isinstance(key, list | tuple) else str(key): value for key, value in terms}
 
 
-class Family(Stated):
+class Family(TableModel):
     """A family of surfaces in a job file: a class of surfaces, or of files of heights.
 
     ``series`` names the fields that are coefficients of a formula, ``formula_units`` the unit of a formula that a job

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._validate import check_numbers, thing
+from turnwright._validate import check_numbers, instance_of
 from turnwright.errors import InputError
 from turnwright.pose import Pose
 from turnwright.surface.base import COSTLIEST, Surface
@@ -54,7 +54,7 @@ class Sum(Surface):
         check_numbers(self)
         flat: list[Surface] = []
         for term in self.terms:
-            thing(term, Surface, "a term of a sum")
+            instance_of(term, Surface, "a term of a sum")
             flat.extend(term.terms if isinstance(term, Sum) else (term,))
         if not flat:
             raise InputError("a sum has 0 terms, it needs at least 1: give the surfaces to add")
@@ -171,7 +171,7 @@ class Placed(Surface):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        thing(self.surface, Surface, "the surface to place")
+        instance_of(self.surface, Surface, "the surface to place")
         pose = self.pose
         for name in ("shift", "rotation", "tilt"):
             object.__setattr__(self, name, getattr(pose, name))

@@ -9,7 +9,7 @@ import numpy as np
 
 from turnwright._arrays import Floats, frozen
 from turnwright._kernels import polynomials, quadrics
-from turnwright._validate import check_numbers, finite_tuple, whole
+from turnwright._validate import check_numbers, finite_tuple, whole_number
 from turnwright.errors import InputError
 from turnwright.surface.analytic import (
     MAX_DEGREE,
@@ -110,7 +110,7 @@ class Conic(OnConic):
 
 
 def _even_power(key: object) -> int:
-    power = whole(key, "the power of an even asphere's term", 0)
+    power = whole_number(key, "the power of an even asphere's term", 0)
     if power < 2 or power % 2 or power > MAX_DEGREE:
         raise InputError(
             f"the power of an even asphere's term is {power}, it must be even and from 2 to {MAX_DEGREE}: name each "

@@ -16,7 +16,7 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints
 from turnwright._validate import check_numbers, finite, positive
-from turnwright.errors import DomainError, InputError, shown
+from turnwright.errors import DomainError, InputError, quote
 from turnwright.surface.base import COSTLIEST, Surface
 from turnwright.units import Number, Size, Text
 
@@ -249,7 +249,7 @@ class Expression(Surface):
             first = np.flatnonzero(~smooth)[0]
             place = "on the axis" if axis.ravel()[first] else "at the limit of one of its terms"
             raise DomainError(
-                f"Expression {shown(self.formula)} has no {('height', 'slope', 'curvature')[order]} at "
+                f"Expression {quote(self.formula)} has no {('height', 'slope', 'curvature')[order]} at "
                 f"x = {x.ravel()[first]:.6g} mm, y = {y.ravel()[first]:.6g} mm ({np.count_nonzero(~smooth)} of "
                 f"{smooth.size} points), {place}: keep away from it, or write distances as rho and azimuths as phi"
             )
@@ -322,7 +322,7 @@ class Expression(Surface):
                 bad = np.flatnonzero(step.max(axis=0) > 1e-9 * (1e-3 + size.max(axis=0)))
             if bad.size:
                 raise InputError(
-                    f"formula {shown(self.formula)} has a step of {step[:, bad[0]].max():.3g} where phi jumps from "
+                    f"formula {quote(self.formula)} has a step of {step[:, bad[0]].max():.3g} where phi jumps from "
                     "180 to -180 deg, it must be continuous: multiply phi by whole numbers, inside sin and cos"
                 )
 
@@ -448,7 +448,7 @@ def _read(formula: str, numbers: Mapping[str, float]) -> tuple[Step, ...]:
             tree = ast.parse(text, mode="eval")
     except (SyntaxError, ValueError, Warning) as error:
         raise InputError(
-            f"formula {shown(text)} cannot be parsed: write it as in 0.1*x**2 - sin(3*phi), every product with *"
+            f"formula {quote(text)} cannot be parsed: write it as in 0.1*x**2 - sin(3*phi), every product with *"
         ) from error
     except (RecursionError, MemoryError) as error:
         raise InputError(
@@ -570,14 +570,14 @@ def _refuse(node: ast.expr, text: str) -> NoReturn:
         case ast.Call(func=ast.Name(id=name)) if name in ROUGH:
             what, remedy = f"{name}(), which is not smooth", "use a smooth function, for instance sqrt(u**2 + w**2)"
         case ast.Call(func=ast.Name(id=name)) if name in (*CALLS, *PAIRS):
-            what, remedy = f"{shown(part)}", f"give {name} {2 if name in PAIRS else 1} plain argument(s)"
+            what, remedy = f"{quote(part)}", f"give {name} {2 if name in PAIRS else 1} plain argument(s)"
         case ast.BinOp(op=ast.BitXor()):
-            what, remedy = f"the sign ^ in {shown(part)}", "write ** for a power"
+            what, remedy = f"the sign ^ in {quote(part)}", "write ** for a power"
         case ast.Tuple():
-            what, remedy = f"a comma in {shown(part)}", "write decimals with a point"
+            what, remedy = f"a comma in {quote(part)}", "write decimals with a point"
         case _:
-            what, remedy = f"{shown(part)}", f"use + - * / ** and {', '.join((*CALLS, *PAIRS))} only"
-    raise InputError(f"formula {shown(text)} has {what}: {remedy}")
+            what, remedy = f"{quote(part)}", f"use + - * / ** and {', '.join((*CALLS, *PAIRS))} only"
+    raise InputError(f"formula {quote(text)} has {what}: {remedy}")
 
 
 def _jet(order: int, value: Value, by_x: Value = 0.0, by_y: Value = 0.0) -> Jet:
@@ -674,16 +674,16 @@ def _quotient(a: Jet, b: Jet, order: int) -> Jet:
     # From q b = a, differentiated, which avoids cancellation.
     q: list[Value] = [a[0] / b[0]]
     if order > 0:
-        q += [_over(_plus(a[i], -_times(q[0], b[i])), b[0]) for i in (1, 2)]
+        q += [_divide(_plus(a[i], -_times(q[0], b[i])), b[0]) for i in (1, 2)]
     if order > 1:
         q += [
-            _over(_plus(a[k], -_times(q[i], b[j]), -_times(q[j], b[i]), -_times(q[0], b[k])), b[0])
+            _divide(_plus(a[k], -_times(q[i], b[j]), -_times(q[j], b[i]), -_times(q[0], b[k])), b[0])
             for k, i, j in SECOND
         ]
     return tuple(q)
 
 
-def _over(a: Value, b: Value) -> Value:
+def _divide(a: Value, b: Value) -> Value:
     return 0.0 if isinstance(a, float) and a == 0.0 else a / b
 
 
@@ -721,10 +721,10 @@ def _power(a: Jet, b: Jet, order: int) -> Jet:
 def _hypot(a: Jet, b: Jet, order: int) -> Jet:
     jet: list[Value] = [np.hypot(a[0], b[0])]
     if order > 0:
-        jet += [_over(_plus(_times(a[0], a[i]), _times(b[0], b[i])), jet[0]) for i in (1, 2)]
+        jet += [_divide(_plus(_times(a[0], a[i]), _times(b[0], b[i])), jet[0]) for i in (1, 2)]
     if order > 1:
         jet += [
-            _over(
+            _divide(
                 _plus(
                     _times(a[i], a[j]),
                     _times(a[0], a[k]),
@@ -743,11 +743,11 @@ def _atan2(a: Jet, b: Jet, order: int) -> Jet:
     jet: list[Value] = [np.arctan2(a[0], b[0])]
     square = a[0] * a[0] + b[0] * b[0]
     if order > 0:
-        jet += [_over(_plus(_times(b[0], a[i]), -_times(a[0], b[i])), square) for i in (1, 2)]
+        jet += [_divide(_plus(_times(b[0], a[i]), -_times(a[0], b[i])), square) for i in (1, 2)]
     if order > 1:
         half = [0.0, *(_plus(_times(a[0], a[i]), _times(b[0], b[i])) for i in (1, 2))]
         jet += [
-            _over(
+            _divide(
                 _plus(
                     _times(b[0], a[k]),
                     -_times(a[0], b[k]),

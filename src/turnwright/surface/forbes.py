@@ -11,7 +11,7 @@ from numpy.polynomial import legendre
 
 from turnwright._arrays import Floats
 from turnwright._kernels import polynomials, quadrics
-from turnwright._validate import check_numbers, positive, whole
+from turnwright._validate import check_numbers, positive, whole_number
 from turnwright.errors import InputError
 from turnwright.surface.analytic import (
     MAX_DEGREE,
@@ -42,7 +42,7 @@ def _checked(degree: int, term: object) -> None:
 
 
 def _single(key: object) -> tuple[int, int]:
-    n = whole(key, "the index of a Forbes term", 0)
+    n = whole_number(key, "the index of a Forbes term", 0)
     _checked(2 * n + 4, key)
     return n, 0
 

@@ -114,7 +114,7 @@ class Gridded(Surface):
             )
         object.__setattr__(self, "_complete", None if valid.all() else complete)
         if self._complete is not None:
-            z = _extrapolated(self.x, self.y, z)
+            z = _extrapolate(self.x, self.y, z)
         zx = CubicSpline(self.x, z, axis=1)(self.x, 1)
         zy, zxy = (CubicSpline(self.y, values, axis=0)(self.y, 1) for values in (z, zx))
         object.__setattr__(self, "_nodes", frozen(np.stack([z, zx, zy, zxy], axis=-1), "nodes", ndim=3, finite=False))
@@ -195,7 +195,7 @@ class Gridded(Surface):
         return float(min(np.diff(self.x).min(), np.diff(self.y).min()))
 
 
-def _extrapolated(x: Floats, y: Floats, z: Floats) -> Floats:
+def _extrapolate(x: Floats, y: Floats, z: Floats) -> Floats:
     """Return the heights with missing ones extrapolated from the valid ones."""
     from scipy.interpolate import RBFInterpolator  # noqa: PLC0415 - scipy is costly to import
     from scipy.ndimage import binary_dilation, distance_transform_edt  # noqa: PLC0415

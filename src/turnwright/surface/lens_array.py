@@ -10,7 +10,7 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, frozen
 from turnwright._kernels.cells import nearest
-from turnwright._validate import check_numbers, finite_tuple, positive, thing, whole
+from turnwright._validate import check_numbers, finite_tuple, instance_of, positive, whole_number
 from turnwright.errors import InputError
 from turnwright.surface.base import Surface
 from turnwright.surface.conic import Plane
@@ -175,7 +175,7 @@ class LensArray(Surface):
                 f"centres of a lens array have the shape {centres.shape}, it must be (n, 2) with n from 1 to "
                 f"{MAX_LENSES}: give x and y of each lens in a row"
             )
-        thing(self.lenslet, Surface, "the lenslet")
+        instance_of(self.lenslet, Surface, "the lenslet")
         tree = cKDTree(centres)
         spacing = float("inf")
         if centres.shape[0] > 1:
@@ -391,7 +391,7 @@ def _square(array: LensArray, pitch: float, at: tuple[float, ...]) -> Floats:
             f"a square array has rows {rows}, columns {columns} and within {within}, it needs rows and columns, or "
             "within alone: remove the others"
         )
-    rows, columns = whole(rows, "rows of a lens array", 1), whole(columns, "columns of a lens array", 1)
+    rows, columns = whole_number(rows, "rows of a lens array", 1), whole_number(columns, "columns of a lens array", 1)
     if rows * columns > MAX_LENSES:
         raise InputError(
             f"a lens array has {rows} rows of {columns} lenses, the limit is {MAX_LENSES} lenses: correct the counts"
@@ -409,7 +409,7 @@ def _hexagonal(array: LensArray, pitch: float, at: tuple[float, ...]) -> Floats:
     slanted = ((pitch, 0), (pitch / 2, pitch * np.sqrt(0.75)))
     if within is not None:
         return _inside_circle(*slanted, at, within, array.aperture)
-    rings = whole(rings, "rings of a lens array", 0, 500)
+    rings = whole_number(rings, "rings of a lens array", 0, 500)
     i = np.arange(-rings, rings + 1)
     first, second = (part.ravel() for part in np.meshgrid(i, i))
     return np.asarray(_lattice(i, i, *slanted, at)[np.abs(first + second) <= rings])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints
-from turnwright._validate import check_angle, check_numbers, thing
+from turnwright._validate import check_angle, check_numbers, instance_of
 from turnwright.errors import DomainError, InputError
 from turnwright.pose import Pose
 from turnwright.surface.base import Surface
@@ -70,7 +70,7 @@ class OffAxis(Surface):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        thing(self.parent, Surface, "the parent of an off-axis part")
+        instance_of(self.parent, Surface, "the parent of an off-axis part")
         distance = float(self.distance)
         azimuth = check_angle(self.azimuth, "the azimuth of an off-axis part")
         if distance < 0:
@@ -126,12 +126,12 @@ class OffAxis(Surface):
     @property
     def remarks(self) -> tuple[str, ...]:
         """Vertex of the part, and pose of the parent. See `Surface.remarks`."""
-        vertex, shift = (_formatted(values, "mm") for values in (self.vertex, self.pose.shift))
-        tilt = _formatted(np.rad2deg(self.pose.tilt), "deg")
+        vertex, shift = (_format_values(values, "mm") for values in (self.vertex, self.pose.shift))
+        tilt = _format_values(np.rad2deg(self.pose.tilt), "deg")
         sentence = (
             f"off-axis part: its vertex is at {vertex} of the parent; in the part, the parent's axis is inclined by "
-            f"{_formatted([np.rad2deg(self.lean)])} deg (tilt {tilt}, rotation "
-            f"{_formatted([np.rad2deg(self.pose.rotation)])} deg) and its vertex is at {shift}"
+            f"{_format_values([np.rad2deg(self.lean)])} deg (tilt {tilt}, rotation "
+            f"{_format_values([np.rad2deg(self.pose.rotation)])} deg) and its vertex is at {shift}"
         )
         return sentence, *self.parent.remarks
 
@@ -162,7 +162,7 @@ class OffAxis(Surface):
         return self._moved.feature_size
 
 
-def _formatted(values: Iterable[float], unit: str = "") -> str:
+def _format_values(values: Iterable[float], unit: str = "") -> str:
     """Return a number to six decimals; with a unit, the numbers of several axes with their names."""
     texts = [f"{round(float(value), 6) + 0.0:.6f}".rstrip("0").rstrip(".") for value in values]
     return ", ".join(f"{axis} = {text} {unit}" for axis, text in zip("xyz", texts, strict=False)) if unit else texts[0]

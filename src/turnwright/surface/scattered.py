@@ -117,7 +117,7 @@ class Scattered(Surface):
         step = float(np.median(distance)) / STEPS_PER_DISTANCE
         axis = np.linspace(-1 - 4 * step, 1 + 4 * step, int(np.ceil(2 / step)) + 9)
         u, v = np.meshgrid(axis, axis)
-        through = _through(places, self.z)
+        through = _fit_rbf(places, self.z)
         # The functions are smooth beyond the hull too, so that the spline is as accurate at the border as inside.
         heights = through(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(u.shape)
         object.__setattr__(self, "_grid", Gridded(x=middle[0] + size * axis, y=middle[1] + size * axis, z=heights))
@@ -139,7 +139,7 @@ class Scattered(Surface):
         for number in range(2):
             training, test = fold != number, (fold == number) & inner
             if test.any():
-                predicted = _through(places[training], self.z[training])(places[test])
+                predicted = _fit_rbf(places[training], self.z[training])(places[test])
                 worst = max(worst, float(np.abs(predicted - self.z[test]).max()))
         return worst
 
@@ -183,7 +183,7 @@ class Scattered(Surface):
         return (sentence,)
 
 
-def _through(places: Floats, z: Floats) -> RBFInterpolator:
+def _fit_rbf(places: Floats, z: Floats) -> RBFInterpolator:
     from scipy.interpolate import RBFInterpolator  # noqa: PLC0415
 
     return RBFInterpolator(places, z, kernel="quintic", degree=DEGREE)

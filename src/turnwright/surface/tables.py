@@ -10,8 +10,8 @@ from pydantic import ValidationError
 from pydantic_core import InitErrorDetails, core_schema
 from typing_extensions import TypeAliasType, TypedDict
 
-from turnwright._tables import adapter, refuse, written, written_by
-from turnwright.errors import InputError, JobError, UnitError, shown
+from turnwright._tables import adapter, refuse, write_table, written_by
+from turnwright.errors import InputError, JobError, UnitError, quote
 from turnwright.pose import Pose
 from turnwright.surface.base import FAMILIES, Surface
 from turnwright.surface.compound import Placed
@@ -114,14 +114,14 @@ def table_of(surface: Surface, *, whole: bool = False) -> dict[str, Any]:
         table = table_of(surface.surface, whole=whole)
         if "placed" in table:
             table = {"family": "sum", "terms": [table]}
-        return {**table, "placed": written(surface.pose, whole=whole)}
+        return {**table, "placed": write_table(surface.pose, whole=whole)}
     stated = surface.stated
     if (family := getattr(stated, "family", "")) not in FAMILIES:
         raise InputError(
             f"a job file has no family for a {type(surface).__name__}, it has {', '.join(FAMILIES)}: write its "
             "heights to a file and name that file"
         )
-    table = written(stated, whole=whole)
+    table = write_table(stated, whole=whole)
     for name, series in stated.series.items():
         if name in table:
             table |= {"units": "mm", name: series.written(table[name])}
@@ -166,7 +166,7 @@ def _with_coefficients(cls: type[Any], table: dict[str, Any]) -> dict[str, Any]:
                 [InitErrorDetails(type="dict_type" if series.key else "list_type", loc=(name,), input=terms)],
             )
         entries = list(terms.items() if isinstance(terms, Mapping) else enumerate(terms))
-        problems |= {(name, key): error for key, error in _repeated(key for key, _ in entries).items()}
+        problems |= {(name, key): error for key, error in _duplicate_errors(key for key, _ in entries).items()}
         values: dict[Any, float] = {}
         for key, value in entries:
             try:
@@ -189,7 +189,7 @@ def _coefficient(value: object, units: str | None, power: int) -> float:
         raise UnitError(f"{value!r} has no unit: write it as text with a unit, or give the units of the formula once")
     coefficient = parse(value, _power_of("mm", power))
     if abs(coefficient) > MAX_COEFFICIENT:
-        raise JobError(f"{shown(value)} is beyond {MAX_COEFFICIENT:g} {_power_of('mm', power)}: check its exponent")
+        raise JobError(f"{quote(value)} is beyond {MAX_COEFFICIENT:g} {_power_of('mm', power)}: check its exponent")
     return coefficient
 
 
@@ -200,7 +200,7 @@ def _power_of(units: str, power: int) -> str:
     return raised if power > 0 else f"1/{raised}"
 
 
-def _repeated(keys: Iterable[object]) -> dict[Any, JobError]:
+def _duplicate_errors(keys: Iterable[object]) -> dict[Any, JobError]:
     """Return the errors of keys that mean the same as an earlier one."""
     first_keys: dict[tuple[int, ...], object] = {}
     return {

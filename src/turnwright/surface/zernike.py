@@ -11,7 +11,7 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright._kernels import polynomials
-from turnwright._validate import check_numbers, positive, whole
+from turnwright._validate import check_numbers, positive, whole_number
 from turnwright.errors import InputError
 from turnwright.surface.analytic import MAX_DEGREE, Terms, index_of, read_terms, summed
 from turnwright.surface.base import Series, Surface
@@ -45,7 +45,7 @@ def zernike_order(index: int, indexing: Indexing) -> tuple[int, int]:
     """
     if indexing not in FIRST:
         raise InputError(f"the indexing is {indexing!r}, known are fringe, noll and ansi: choose one of them")
-    j = whole(index, f"the {indexing} index of a Zernike term", FIRST[indexing])
+    j = whole_number(index, f"the {indexing} index of a Zernike term", FIRST[indexing])
     if indexing == "fringe":
         root = isqrt(j - 1) + 1
         below = root * root - j
@@ -114,7 +114,9 @@ class Zernike(Surface):
     def __post_init__(self) -> None:
         check_numbers(self)
         positive(self.radius, "the radius of a Zernike surface", "mm")
-        terms = read_terms(self.terms, "a Zernike surface", lambda key: whole(key, "the index of a Zernike term", 0))
+        terms = read_terms(
+            self.terms, "a Zernike surface", lambda key: whole_number(key, "the index of a Zernike term", 0)
+        )
         object.__setattr__(self, "terms", terms)
         normalised = self.indexing != "fringe" if self.normalised is None else self.normalised
         series: dict[int, Floats] = {}

@@ -16,7 +16,7 @@ from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 
 from turnwright import __version__
-from turnwright.errors import TurnwrightError, shortened
+from turnwright.errors import TurnwrightError, shorten_message
 from turnwright.web import files, measurements, planning, runs, views, windows
 from turnwright.web.data_folders import shipped_folder
 from turnwright.web.files import tidy
@@ -139,7 +139,7 @@ def create_app(
 
 
 def _problem(status: int, sentence: str, headers: Mapping[str, str] | None = None) -> Response:
-    return JSONResponse({"detail": shortened(sentence)}, status, headers=headers)
+    return JSONResponse({"detail": shorten_message(sentence)}, status, headers=headers)
 
 
 async def _answer_http_error(_request: Request, error: Exception) -> Response:

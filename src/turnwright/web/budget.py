@@ -8,7 +8,7 @@ from dataclasses import fields
 from pathlib import Path as File
 from typing import Any
 
-from turnwright._io import json_data, write_whole
+from turnwright._io import json_data, write_atomic
 from turnwright.job import program_shares
 from turnwright.web.results import finishing_pass, numbers_of
 
@@ -31,5 +31,5 @@ def budget(folder: str) -> dict[str, Any]:
     numbers["rounding_nm"] = numbers_of(folder)["rounding_nm"]
     numbers["servos"] = any(one.response is not None or one.dead_time for one in job.machine.axes.values())
     with suppress(OSError):  # on a full disk the result is not cached
-        write_whole(cache, json.dumps(numbers))
+        write_atomic(cache, json.dumps(numbers))
     return numbers

@@ -13,15 +13,23 @@ from typing import TYPE_CHECKING, Any
 
 from turnwright._io import json_data, read_toml
 from turnwright.errors import InputError
-from turnwright.job import as_tables, written
+from turnwright.job import as_tables, write_job
 from turnwright.web.jobs import look_into, read, require
 from turnwright.web.limits import BODY_BYTES, FILE_BYTES, FILE_ENDINGS, MIN_FREE_BYTES
-from turnwright.web.references import JOB, named, place_of, plain_name, renamed, require_flat, unpack_references
+from turnwright.web.references import (
+    JOB,
+    list_files,
+    place_of,
+    plain_name,
+    rename_files,
+    require_flat,
+    unpack_references,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["bundle", "opened"]
+__all__ = ["bundle", "unpack_job"]
 
 MAX_ENTRIES = 200
 """Files in an archive; one that is packed by hand may contain unrelated files."""
@@ -38,13 +46,13 @@ def bundle(data: dict[str, Any], folder: str, before: str = "") -> bytes:
     renamed_job, files = unpack_references(data, Path(folder))
     sink = io.BytesIO()
     with zipfile.ZipFile(sink, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
-        archive.writestr(JOB, written(renamed_job, before))
+        archive.writestr(JOB, write_job(renamed_job, before))
         for name, file in files.items():
             archive.write(file, name)
     return sink.getvalue()
 
 
-def opened(file: str, folder: str) -> dict[str, Any]:
+def unpack_job(file: str, folder: str) -> dict[str, Any]:
     """Store the files that the job of an archive names; return its text, data and problems as `jobs.parse` does.
 
     File names in the archive are never used as paths: a file is stored under the hash of its content.
@@ -57,7 +65,7 @@ def opened(file: str, folder: str) -> dict[str, Any]:
             text = b"".join(_pieces(archive, entries[JOB], BODY_BYTES))
             job = read_toml(text, f"{JOB} in the archive")
             require_flat(job)
-            wanted = [one for one in named(job) if one.name in entries]
+            wanted = [one for one in list_files(job) if one.name in entries]
             if len(wanted) > MAX_FILES:
                 raise InputError(f"a job in an archive can name at most {MAX_FILES} files, got {len(wanted)}")
             references: dict[tuple[str, str], str] = {}
@@ -69,8 +77,8 @@ def opened(file: str, folder: str) -> dict[str, Any]:
             raise
         why = error.strerror if isinstance(error, OSError) else str(error)[:80]  # without paths of this computer
         raise InputError(f"the archive cannot be read ({why}): create it again, without a password") from None
-    data = json_data(renamed(as_tables(job), lambda kind, name: references.get((kind, name), name)))
-    return {"toml": written(data, text.decode("utf-8-sig")), "data": data, "errors": read(data, folder)[1]}
+    data = json_data(rename_files(as_tables(job), lambda kind, name: references.get((kind, name), name)))
+    return {"toml": write_job(data, text.decode("utf-8-sig")), "data": data, "errors": read(data, folder)[1]}
 
 
 def _entries(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:

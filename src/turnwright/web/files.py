@@ -24,7 +24,7 @@ from turnwright.web import bundles, jobs
 from turnwright.web.guard import CLOSE_CONNECTION
 from turnwright.web.limits import FILE_BYTES, FILE_ENDINGS, MAX_FILE_READ_S, MIN_FREE_BYTES
 from turnwright.web.models import BINARY, FileName, Kept, Opened
-from turnwright.web.references import UPLOAD_REFERENCE, place_of, plain_name, shown_name
+from turnwright.web.references import UPLOAD_REFERENCE, display_name, place_of, plain_name
 from turnwright.web.workers import TooLong
 
 __all__ = ["RAW_BODY", "router", "stored", "tidy", "uploaded"]
@@ -53,7 +53,7 @@ async def bring(
 ) -> Kept:
     """Upload and validate a file for use in a job."""
     state = request.app.state
-    ending = File(shown_name(name)).suffix.lower()
+    ending = File(display_name(name)).suffix.lower()
     if ending not in FILE_ENDINGS[kind]:
         raise HTTPException(
             422,
@@ -70,7 +70,7 @@ async def bring(
 async def open_archive(request: Request) -> Opened:
     """Open an archive of a job and its files, and store the files."""
     async with uploaded(request, ".zip") as (new, *_):
-        return Opened(**await _read(request, "archive", bundles.opened, str(new), str(request.app.state.folder)))
+        return Opened(**await _read(request, "archive", bundles.unpack_job, str(new), str(request.app.state.folder)))
 
 
 @asynccontextmanager

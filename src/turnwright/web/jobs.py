@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from turnwright._faults import sentences
 from turnwright._io import json_data, read_toml
 from turnwright._tables import adapter, types_of
-from turnwright.errors import InputError, TurnwrightError, shortened
+from turnwright.errors import InputError, TurnwrightError, shorten_message
 from turnwright.instrument import Instrument
 from turnwright.job import (
     HeightFile,
@@ -22,7 +22,7 @@ from turnwright.job import (
     as_tables,
     context_of,
     faults,
-    written,
+    write_job,
 )
 from turnwright.machine import Machine
 from turnwright.material import Material
@@ -90,7 +90,7 @@ def read(data: dict[str, Any], folder: str) -> tuple[Job | None, list[dict[str, 
         ]
     except (RecursionError, OverflowError) as error:
         sentence = f"the job cannot be read ({error})"
-        return None, [{"field": "", "sentence": shortened(sentence)}]
+        return None, [{"field": "", "sentence": shorten_message(sentence)}]
 
 
 def _with_names(sentence: str, references: Mapping[str, str]) -> str:
@@ -223,11 +223,11 @@ def write(data: dict[str, Any], folder: str, before: str = "") -> dict[str, Any]
     """Return a job as a file, with its problems; comments and layout of the text ``before`` are kept."""
     _, problems = read(data, folder)
     try:
-        toml = written(data, before)
+        toml = write_job(data, before)
         toml.encode()
     except (TypeError, ValueError, RecursionError, AttributeError) as error:
         sentence = f"the job cannot be written as TOML ({error})"
-        problems = problems or [{"field": "", "sentence": shortened(sentence)}]
+        problems = problems or [{"field": "", "sentence": shorten_message(sentence)}]
         return {"toml": "", "errors": problems}
     return {"toml": toml, "errors": problems}
 
@@ -235,7 +235,7 @@ def write(data: dict[str, Any], folder: str, before: str = "") -> dict[str, Any]
 def check(data: dict[str, Any], folder: str) -> dict[str, Any]:
     """Check tool access, length of the program and uncut chip thickness."""
     from turnwright.access import check_access  # noqa: PLC0415
-    from turnwright.job import preview, unjudged  # noqa: PLC0415
+    from turnwright.job import not_evaluated, preview  # noqa: PLC0415
 
     result: dict[str, Any] = {"errors": [], "access": None, "preview": None, "chips": {}, "warnings": []}
     job, result["errors"] = read(data, folder)
@@ -256,7 +256,7 @@ def check(data: dict[str, Any], folder: str) -> dict[str, Any]:
             "refused": plan.refused,
             "shape": plan.shape.facts,
             "remarks": plan.remarks,
-            "unjudged": [one.sentence for one in unjudged(job, "only a run predicts the surface")],
+            "unjudged": [one.sentence for one in not_evaluated(job, "only a run predicts the surface")],
         }
     )
     result["chips"] = dict(plan.chips)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from turnwright.diagnosis import Diagnosis
     from turnwright.job import Correction, Measured
 
-__all__ = ["lone_map", "picture", "shown_map", "write_predicted", "write_shown"]
+__all__ = ["lone_map", "map_picture", "picture", "write_page_data", "write_predicted"]
 
 MAX_PIXELS = 600
 """Longest side of a map that is shown without a job."""
@@ -30,7 +30,7 @@ COLOUR_PERCENTILES = (0.5, 99.5)
 
 FIELDS = (
     "name", "error_source", "value", "unit", "plausible", "standard_uncertainty", "interval", "rms_nm", "pv_nm",
-    "determined", "verdict", "why", "repeatable", "correlated_with",
+    "determined", "verdict", "explanation", "repeatable", "correlated_with",
 )  # fmt: skip
 LENSLET = (
     "number", "design", "centre", "centre_std", "height", "height_std", "radius", "radius_error", "radius_std", "tilt",
@@ -38,7 +38,7 @@ LENSLET = (
 )  # fmt: skip
 
 
-def write_shown(measured: Measured, diagnosis: Diagnosis, out: Path) -> None:
+def write_page_data(measured: Measured, diagnosis: Diagnosis, out: Path) -> None:
     """Write ``shown.json``, the data of a measured part for the page, to an existing folder."""
     registration, terms, lenses = measured.registration, measured.zernike, measured.lenslets
     zernike = [] if terms is None else zip(terms.indices, terms.coefficients, terms.uncertainty, strict=True)
@@ -67,14 +67,14 @@ def write_shown(measured: Measured, diagnosis: Diagnosis, out: Path) -> None:
             {
                 **{name: getattr(one, name) for name in FIELDS},
                 "uncertainty": one.interval[1] - one.value,
-                "sentence": one.why,
+                "sentence": one.explanation,
                 "correctable": one.verdict == "correct",
                 "chosen": one.verdict == "correct",
             }
             for one in diagnosis
         ],
         "contributions": [
-            {name: getattr(one, name) for name in ("name", "rms_nm", "uncertainty_nm", "common_nm", "why")}
+            {name: getattr(one, name) for name in ("name", "rms_nm", "uncertainty_nm", "common_nm", "explanation")}
             for one in diagnosis.contributions
         ],
         "measured_rms_nm": diagnosis.measured_rms_nm,
@@ -103,7 +103,7 @@ def write_predicted(better: Correction, out: Path) -> None:
     write_json(out / "shown.json", summary)
 
 
-def shown_map(file: str, data: dict[str, Any], folder: str, nx: int, ny: int) -> bytes:
+def map_picture(file: str, data: dict[str, Any], folder: str, nx: int, ny: int) -> bytes:
     """Return `picture` of a map of a job's part."""
     return picture(file, require(data, folder).part.radius, nx, ny)
 
@@ -131,10 +131,10 @@ def lone_map(file: str, name: str) -> bytes:
         values = flat.z[::stride, ::stride]
         ends = [[float(axis[::stride][0]), float(axis[::stride][-1])] for axis in (flat.x, flat.y)]
         ends = [[low, high] if high > low else [low - 0.5, low + 0.5] for low, high in ends]
-    return _packed(values, ends, heights.z, name=name, rows=rows)
+    return _pack_map(values, ends, heights.z, name=name, rows=rows)
 
 
-def _packed(values: Floats, ends: list[list[float]], z: Floats, **more: Any) -> bytes:
+def _pack_map(values: Floats, ends: list[list[float]], z: Floats, **more: Any) -> bytes:
     """Pack a map in mm as a picture in nm, with its ends along x and y."""
     values = values * 1e6
     finite = values[np.isfinite(values)]
@@ -154,7 +154,7 @@ def picture(file: str, radius: float, nx: int, ny: int) -> bytes:
     heights = read_map(file)
     x, y = heights.points()
     values = _means(x.ravel(), y.ravel(), heights.z.ravel(), radius, nx, ny)
-    return _packed(values, [[-radius, radius]] * 2, heights.z, radius=radius)
+    return _pack_map(values, [[-radius, radius]] * 2, heights.z, radius=radius)
 
 
 def _means(x: Floats, y: Floats, z: Floats, radius: float, nx: int, ny: int) -> Floats:

@@ -17,7 +17,7 @@ from turnwright.web.guard import UPLOAD_BYTES
 from turnwright.web.limits import MAP_TYPES, MAX_FILE_READ_S
 from turnwright.web.models import ErrorSources, FileName, Id, Measurement, RunId
 from turnwright.web.queue import Run, Runs
-from turnwright.web.references import CORRECTION, shown_name
+from turnwright.web.references import CORRECTION, display_name
 from turnwright.web.runs import A_FILE, find_run, job_of, line_of, send_file
 from turnwright.web.views import ARRAYS, PackedResponse
 
@@ -54,8 +54,8 @@ async def bring(
         file = folder / f"measured{suffix}"
         await stored(request, file, UPLOAD_BYTES)
         measured = runs.add(
-            folder, job_of(runs, cut), kind="measure", name=shown_name(name), text=runs.text(cut), of=cut.id,
-            file=file.name, called=shown_name(name),
+            folder, job_of(runs, cut), kind="measure", name=display_name(name), text=runs.text(cut), of=cut.id,
+            file=file.name, called=display_name(name),
         )  # fmt: skip
     return Id(id=measured.id)
 
@@ -70,7 +70,7 @@ async def show(
     suffix = _map_suffix(name)
     async with uploaded(request, suffix) as (file, *_):
         packed = await state.workers.ask(
-            measurement_data.lone_map, str(file), shown_name(name), limit_s=MAX_FILE_READ_S
+            measurement_data.lone_map, str(file), display_name(name), limit_s=MAX_FILE_READ_S
         )
     return PackedResponse(packed)
 
@@ -122,7 +122,7 @@ async def measured_map(
     if not file.is_file():
         raise HTTPException(409, f"there is no {name} map yet")
     packed = await state.workers.ask(
-        measurement_data.shown_map, str(file), state.runs.data(run), str(state.folder), nx, ny
+        measurement_data.map_picture, str(file), state.runs.data(run), str(state.folder), nx, ny
     )
     return PackedResponse(packed)
 

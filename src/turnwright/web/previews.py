@@ -144,7 +144,7 @@ def _stated_feed(servo: Strategy) -> float | None:
 def _feed(job: Job) -> float:
     """Return the feed of the finishing pass; the mean feed if it varies. [mm/rev]."""
     servo = job.servo(job.passes[-1])
-    return _stated_feed(servo) or servo.glimpse(job.part.aimed, job.tool, turns=MAX_TURNS, per_turn=8).feed
+    return _stated_feed(servo) or servo.preview_spiral(job.part.aimed, job.tool, turns=MAX_TURNS, per_turn=8).feed
 
 
 def path(data: dict[str, Any], folder: str, points: int) -> bytes:
@@ -153,7 +153,7 @@ def path(data: dict[str, Any], folder: str, points: int) -> bytes:
     part, tool = job.part.aimed, job.tool
     servo = job.servo(job.passes[-1])
     per_turn = int(np.clip(points // MAX_TURNS, 36, 180))
-    spiral = servo.glimpse(part, tool, turns=max(points // per_turn, 1), per_turn=per_turn)
+    spiral = servo.preview_spiral(part, tool, turns=max(points // per_turn, 1), per_turn=per_turn)
     placed = place(spiral, part, tool, along=job.strategy.along)
     turned = np.abs(placed.angle - placed.angle[0]) / TURN
     breaks = np.flatnonzero(np.diff(turned) > 0.5) + 1

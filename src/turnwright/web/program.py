@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.machine import Machine
 
-__all__ = ["index", "lines", "near"]
+__all__ = ["index", "lines", "nearest_line"]
 
 INDEX = "program.npz"
 MAX_FULLY_INDEXED_LINES = 200_000
@@ -90,7 +90,7 @@ def lines(out: str, first: int, count: int) -> dict[str, Any]:
     return {"lines": texts[skip:], "total": index.total, "places": moved}
 
 
-def near(out: str, x: float, y: float) -> dict[str, Any]:
+def nearest_line(out: str, x: float, y: float) -> dict[str, Any]:
     """Return the line of the finishing pass after which the tip is nearest to a point in the part frame [mm]."""
     index = _Index(Path(out))
     axes = _Axes(index.machine)

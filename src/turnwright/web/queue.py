@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ConfigDict
 
-from turnwright._io import write_whole
+from turnwright._io import write_atomic
 from turnwright.errors import InputError
 from turnwright.progress import THREADS, cores
 from turnwright.web.limits import MAX_RUN_H, PARSE_BYTES, PARSE_S
@@ -252,7 +252,7 @@ class Runs:
         self._runs[run.id] = run
         self._changed += 1
         with suppress(OSError):  # on a full disk the state is kept in memory
-            write_whole(self.place / run.id / "state.json", run.model_dump_json())
+            write_atomic(self.place / run.id / "state.json", run.model_dump_json())
 
     def _clean(self, name: str) -> None:
         """Remove partial results of a run."""

@@ -27,15 +27,15 @@ __all__ = [
     "MAX_DEPTH",
     "UPLOAD_REFERENCE",
     "Located",
+    "display_name",
     "job_in",
     "kind_of",
+    "list_files",
     "located",
-    "named",
     "place_of",
     "plain_name",
-    "renamed",
+    "rename_files",
     "require_flat",
-    "shown_name",
     "text_in",
     "unpack_references",
 ]
@@ -85,7 +85,7 @@ def kind_of(field: str, key: str) -> str:
     return key.removesuffix("_file")
 
 
-def shown_name(name: str) -> str:
+def display_name(name: str) -> str:
     r"""Return the name of a file without folders and special characters.
 
     >>> shown_name("C:\\maps\\my <part>.x3p")
@@ -96,7 +96,7 @@ def shown_name(name: str) -> str:
 
 def plain_name(name: str) -> str:
     """Return a portable file name without extension."""
-    text = re.sub("[^A-Za-z0-9_-]+", "_", Path(shown_name(name)).stem)[:60].strip("_-")
+    text = re.sub("[^A-Za-z0-9_-]+", "_", Path(display_name(name)).stem)[:60].strip("_-")
     # Windows reserves these names for devices.
     return f"{text or 'file'}_" if re.fullmatch("(?i)con|prn|aux|nul|com.|lpt.", text) else text or "file"
 
@@ -196,7 +196,7 @@ def unpack_references(data: dict[str, Any], folder: Path) -> tuple[dict[str, Any
             number += 1
             name = f"{Path(reference).stem}-{number}{path.suffix}"
         files[name], names[reference] = path, name
-    return renamed(data, lambda _, value: names.get(value, value)), files
+    return rename_files(data, lambda _, value: names.get(value, value)), files
 
 
 def text_in(run: Path) -> str:
@@ -220,7 +220,7 @@ def job_in(run: Path, folder: Path) -> dict[str, Any]:
         own_reference = f"runs/{run.name}/{value}"
         return references.get(value) or (own_reference if RUN_REFERENCE.fullmatch(own_reference) else value)
 
-    return renamed(tomllib.loads(corrected.read_text(encoding="utf-8")), reference)
+    return rename_files(tomllib.loads(corrected.read_text(encoding="utf-8")), reference)
 
 
 class Named(NamedTuple):
@@ -231,7 +231,7 @@ class Named(NamedTuple):
     name: str
 
 
-def named(data: dict[str, Any]) -> list[Named]:
+def list_files(data: dict[str, Any]) -> list[Named]:
     """Return the files that a job names."""
     names: list[Named] = []
 
@@ -243,7 +243,7 @@ def named(data: dict[str, Any]) -> list[Named]:
     return names
 
 
-def renamed(data: dict[str, Any], name: Callable[[str, str], str]) -> dict[str, Any]:
+def rename_files(data: dict[str, Any], name: Callable[[str, str], str]) -> dict[str, Any]:
     """Replace each file name in a job by ``name(kind, file_name)``."""
 
     def replaced(value: object, field: str, key: str) -> object:

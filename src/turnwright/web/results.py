@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 __all__ = [
     "chips",
     "finishing_pass",
-    "generated",
-    "listed",
+    "list_maps",
     "motion",
     "numbers_of",
     "profile",
+    "simulate_window",
     "spectrum",
     "warm",
     "window",
@@ -93,9 +93,9 @@ def warm() -> None:
     motion = Moved(time=c, axes=axes, machine=Machine.load("generic"))
     ready = Prepared.of(motion, Tool(nose_radius=0.5), None, distances=(0, 0.02), most_rings=4)
     x = np.linspace(-0.01, 0.01, 4)
-    _filled(ready, x, x, np.ones((4, 4), dtype=bool))
+    _fill_grid(ready, x, x, np.ones((4, 4), dtype=bool))
     rings = HeightMap(z=np.zeros((4, 5)), radius=np.arange(5.0), angle=np.linspace(0.0, 4.0, 4))
-    _resampled(_Stored(rings, 1.0), x, x)
+    _resample(_Stored(rings, 1.0), x, x)
 
 
 def _ready(folder: str) -> _Opened:
@@ -143,7 +143,7 @@ def numbers_of(folder: str) -> dict[str, Any]:
     return numbers
 
 
-def listed(folder: str) -> list[dict[str, Any]]:
+def list_maps(folder: str) -> list[dict[str, Any]]:
     """List the stored maps of a run, the whole part first."""
     maps = []
     for entry in numbers_of(folder).get("predictions", []):
@@ -193,9 +193,9 @@ def window(
     step = min(float(columns[1] - columns[0]), float(rows[1] - rows[0]))
     is_generated = step < STORED_PIXEL_RATIO * stored.pixel or not _covers(stored.heights, x, y)
     if is_generated:
-        (error, design), mean_of = generated(folder, columns, rows), 1
+        (error, design), mean_of = simulate_window(folder, columns, rows), 1
     else:
-        (error, mean_of), design = _resampled(stored, columns, rows), None
+        (error, mean_of), design = _resample(stored, columns, rows), None
     values = error
     if quantity == "height":
         if design is None:
@@ -269,7 +269,7 @@ def _covers(heights: HeightMap, x: tuple[float, float], y: tuple[float, float]) 
     return all(inside)
 
 
-def _resampled(stored: _Stored, columns: Floats, rows: Floats) -> tuple[Floats, int]:
+def _resample(stored: _Stored, columns: Floats, rows: Floats) -> tuple[Floats, int]:
     """Resample a stored map; return it with the number of heights averaged per pixel.
 
     Along the radius of a polar map, a pixel is the mean over two pixel widths, so that cusps are not aliased. In all
@@ -296,7 +296,7 @@ def _nearest(axis: Floats, wanted: Floats) -> Any:
     return np.searchsorted(middle, wanted)
 
 
-def generated(folder: str, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
+def simulate_window(folder: str, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
     """Return the simulated error in a window and the nominal height, nan outside the clear aperture. [mm]."""
     opened = _ready(folder)
     radius = opened.job.part.radius
@@ -307,10 +307,10 @@ def generated(folder: str, columns: Floats, rows: Floats) -> tuple[Floats, Float
         return design, design
     away = np.hypot(x[inside], y[inside])
     ready = opened.ready.narrowed((float(away.min()), float(away.max())), int(inside.sum()))
-    return _filled(ready, columns, rows, inside) - design, design
+    return _fill_grid(ready, columns, rows, inside) - design, design
 
 
-def _filled(ready: Prepared, columns: Floats, rows: Floats, inside: Any) -> Floats:
+def _fill_grid(ready: Prepared, columns: Floats, rows: Floats, inside: Any) -> Floats:
     """Return the heights of a grid where ``inside``; by whole tiles, so that results are reproducible bit by bit."""
     steps = tuple(float(np.diff(axis).mean()) for axis in (rows, columns))
     tiles = Tiles.of_grid(inside.shape, ready.sides((steps[0], steps[1])))

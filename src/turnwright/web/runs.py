@@ -16,7 +16,7 @@ from fastapi.responses import FileResponse, Response, StreamingResponse
 
 from turnwright.web import jobs
 from turnwright.web.models import Id, Line, Lines, NewRun, RunDetail, RunFile, RunId, RunLine, RunState, answer_of
-from turnwright.web.program import lines, near as nearest_line
+from turnwright.web.program import lines, nearest_line
 from turnwright.web.queue import ENDED, Run, Runs
 from turnwright.web.references import BUNDLE, CORRECTION, JOB, job_in
 

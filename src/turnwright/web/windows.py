@@ -102,7 +102,7 @@ async def _compute(
 async def run_maps(request: Request, id: RunId) -> list[Map]:  # noqa: A002 - the name in the API
     """List the stored maps of a run."""
     _motion_worker(request)  # start it early: a finer window usually follows
-    return [Map(**one) for one in await request.app.state.workers.ask(results.listed, _out(request, id), keep=True)]
+    return [Map(**one) for one in await request.app.state.workers.ask(results.list_maps, _out(request, id), keep=True)]
 
 
 @router.get("/{id}/map", response_class=Response, responses=NOT_FOUND)
@@ -121,7 +121,7 @@ async def run_map(
 ) -> Response:
     """Return a window of a map, by default all of it; a window finer than the stored map is simulated."""
     out = _out(request, id)
-    maps = await request.app.state.workers.ask(results.listed, out, keep=True)
+    maps = await request.app.state.workers.ask(results.list_maps, out, keep=True)
     entry = next((each for each in maps if each["name"] == name), None)
     if entry is None:
         raise HTTPException(404, f"map must be one of {', '.join(each['name'] for each in maps)}")

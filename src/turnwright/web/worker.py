@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from turnwright._signals import Stop
-from turnwright.errors import InputError, TurnwrightError, shortened
+from turnwright.errors import InputError, TurnwrightError, shorten_message
 from turnwright.progress import OverallProgress, Step
 from turnwright.web.references import BUNDLE, CORRECTION, job_in, located, text_in
 
@@ -109,7 +109,7 @@ def main() -> int:
 
 def _print_outcome(state: str, sentence: str, *, missed: bool = False) -> None:
     with suppress(OSError):
-        line = json.dumps({"state": state, "sentence": shortened(sentence), "missed": missed})
+        line = json.dumps({"state": state, "sentence": shorten_message(sentence), "missed": missed})
         print(line, flush=True)  # noqa: T201 - the server reads it
 
 
@@ -255,8 +255,8 @@ def _deadline(seconds: float, sentence: str) -> Iterator[None]:
 def _diagnose(run: Path, server: Path, out: Path, record: dict[str, Any], progress: _ProgressWriter) -> Ended:
     """Run ``turnwright diagnose`` and write the data of the page."""
     from turnwright import report  # noqa: PLC0415
-    from turnwright.job import diagnose, missed  # noqa: PLC0415
-    from turnwright.web.measurement_data import write_shown  # noqa: PLC0415
+    from turnwright.job import any_missed, diagnose  # noqa: PLC0415
+    from turnwright.web.measurement_data import write_page_data  # noqa: PLC0415
 
     measured = [_measured(run, server, progress, record)]
     diagnosis = diagnose(measured, progress=progress)
@@ -264,14 +264,14 @@ def _diagnose(run: Path, server: Path, out: Path, record: dict[str, Any], progre
     report.archive_measured(measured[0], out)
     report.archive_diagnosis(measured, diagnosis, out)
     report.write_diagnosis(measured, diagnosis, out)
-    write_shown(measured[0], diagnosis, out)
-    return Ended(diagnosis.summary, missed(measured[0].verdicts))
+    write_page_data(measured[0], diagnosis, out)
+    return Ended(diagnosis.summary, any_missed(measured[0].verdicts))
 
 
 def _correct(run: Path, server: Path, out: Path, record: dict[str, Any], progress: _ProgressWriter) -> Ended:
     """Run ``turnwright correct``, then ``turnwright run`` of the corrected job."""
     from turnwright import report  # noqa: PLC0415
-    from turnwright.job import Job, correct, diagnose, missed  # noqa: PLC0415
+    from turnwright.job import Job, any_missed, correct, diagnose  # noqa: PLC0415
     from turnwright.web.measurement_data import write_predicted  # noqa: PLC0415
 
     measured = [_measured(run, server, progress, record)]
@@ -287,7 +287,7 @@ def _correct(run: Path, server: Path, out: Path, record: dict[str, Any], progres
     _cut(Job.load(correction.file), out, progress)
     _pack(run, server, out)
     pv, rms = correction.numbers_nm["simulated" if correction.predicted is None else "predicted"]
-    return Ended(f"predicted after correction: PV {pv:.4g} nm, rms {rms:.4g} nm", missed(correction.verdicts))
+    return Ended(f"predicted after correction: PV {pv:.4g} nm, rms {rms:.4g} nm", any_missed(correction.verdicts))
 
 
 RUNNERS: dict[str, Callable[[Path, Path, Path, dict[str, Any], _ProgressWriter], Ended]] = {

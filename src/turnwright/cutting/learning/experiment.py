@@ -16,7 +16,7 @@ import numpy as np
 from turnwright._arrays import Complexes, Floats, Ints
 from turnwright._faults import read_table as read_stated
 from turnwright._io import bytes_of, read_toml
-from turnwright._tables import Stated
+from turnwright._tables import TableModel
 from turnwright.cutting.forces import FlyCut, SlotMill
 from turnwright.cutting.learning.cuts import (
     MILLED,
@@ -112,20 +112,20 @@ class Experiment:
                     f"the {key} coefficient is {estimate.value:.4g} N/mm^2, it must be above 0: check the signs of "
                     "both channels"
                 )
-            table[key] = {"n_per_mm2": _rounded(estimate.value), "uncertainty_n_per_mm2": _rounded(sigma)}
+            table[key] = {"n_per_mm2": _round(estimate.value), "uncertainty_n_per_mm2": _round(sigma)}
             sources[key] = {
                 "value": interval(estimate, unit=" N/mm2"),
                 "uncertainty": f"{self.source}: standard uncertainty",
             }
             if exponent is not None and learned.reference_thickness is not None:
-                table[key]["exponent"] = _rounded(exponent.value)
-                table[key]["reference_thickness"] = f"{_rounded(learned.reference_thickness * 1e6)} nm"
+                table[key]["exponent"] = _round(exponent.value)
+                table[key]["reference_thickness"] = f"{_round(learned.reference_thickness * 1e6)} nm"
                 sources[key]["exponent"] = interval(exponent, digits=4)
         if learned.critical is not None:
             critical = learned.critical
             table["critical"] = {
-                "value": f"{_rounded(critical.value * 1e6)} nm",
-                "uncertainty": f"{_rounded((critical.high * 1e6 - critical.low * 1e6) / 4)} nm",
+                "value": f"{_round(critical.value * 1e6)} nm",
+                "uncertainty": f"{_round((critical.high * 1e6 - critical.low * 1e6) / 4)} nm",
             }
             sources["critical"] = {
                 "value": interval(critical, 1e6, " nm"),
@@ -133,12 +133,12 @@ class Experiment:
             }
             sources["brittle_plateau"] = "assumed: forces are constant beyond the critical thickness"
         if learned.remaining is not None:
-            table["brittle_force"] = [_rounded(min(max(ratio, 0.0), 1.0)) for ratio in learned.remaining]
+            table["brittle_force"] = [_round(min(max(ratio, 0.0), 1.0)) for ratio in learned.remaining]
             sources["brittle_force"] = f"{self.source}: forces just beyond over those just below the critical thickness"
         return {**table, "sources": sources}
 
 
-def _rounded(value: float) -> float:
+def _round(value: float) -> float:
     return float(f"{value:.6g}")
 
 
@@ -175,7 +175,7 @@ Named: TypeAlias = Annotated[str, plain(1)]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Cut(Stated):
+class _Cut(TableModel):
     __slots__ = ()
     file: Named
     rake: Angle | None = None
@@ -235,13 +235,13 @@ class _FlyCutPass(_Pass, FlyCut):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _LowPass(Stated):
+class _LowPass(TableModel):
     cutoff: Frequency
     order: Annotated[int, plain()]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Record(Stated):
+class _Record(TableModel):
     found_by: Named | None = None
     channels: tuple[Text, ...] | None = None
     unit: Named | None = None
@@ -284,13 +284,13 @@ class _MilledRecord(_Record):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Tap(Stated):
+class _Tap(TableModel):
     file: Named
     direction: tuple[Number, Number, Number]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Sensor(Stated):
+class _Sensor(TableModel):
     hammer: Named
     bandwidth: Frequency
     noise_to_signal: Number
@@ -301,12 +301,12 @@ class _Sensor(Stated):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Averages(Stated):
+class _Averages(TableModel):
     file: Named
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Plan(Stated):
+class _Plan(TableModel):
     components: ClassVar[tuple[str, ...]] = ()
     """Force components; the first measured one is used to find the cuts."""
 

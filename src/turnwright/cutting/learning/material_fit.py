@@ -14,7 +14,7 @@ from turnwright._arrays import Bools, frozen
 from turnwright._validate import between
 from turnwright.cutting.learning.cuts import Cuts, NoseCuts
 from turnwright.cutting.learning.edge_rows import InterruptedRows, TurningRows
-from turnwright.cutting.learning.regression import MIN_ROWS, TINY, WARNING_CONFIDENCE, Fit, Rows, Solved
+from turnwright.cutting.learning.regression import MIN_ROWS, TINY, WARNING_CONFIDENCE, Fit, Rows, Solution
 from turnwright.cutting.learning.results import (
     FORCE_NAMES,
     Estimate,
@@ -191,7 +191,7 @@ def _iterate(rows: Rows, confidence: float) -> tuple[Transition | None, Bools]:
     return split, ductile
 
 
-def _fit_coefficients(rows: Rows, used: Bools, confidence: float, split: Transition | None = None) -> Solved:
+def _fit_coefficients(rows: Rows, used: Bools, confidence: float, split: Transition | None = None) -> Solution:
     used, columns, count = rows.design(used, split)
     return Fit(rows, used).estimate(columns, confidence, count)
 

@@ -11,12 +11,12 @@ from typing import ClassVar
 import numpy as np
 
 from turnwright._arrays import Bools, Floats
-from turnwright._validate import whole
+from turnwright._validate import whole_number
 from turnwright.cutting.learning.results import FORCE_NAMES, Transition
 from turnwright.cutting.learning.signals import MAX_DRIFT_DEGREE, correlation_time
 from turnwright.errors import InputError
 
-__all__ = ["MAX_CHANCE", "MIN_ROWS", "TINY", "WARNING_CONFIDENCE", "Fit", "Rows", "Solved", "hansen", "interval"]
+__all__ = ["MAX_CHANCE", "MIN_ROWS", "TINY", "WARNING_CONFIDENCE", "Fit", "Rows", "Solution", "hansen", "interval"]
 
 MIN_ROWS = 4
 """Number of rows on either side of a transition."""
@@ -163,7 +163,7 @@ def _drift_columns(time: Floats | None, record: Floats, air: Bools, degree: int)
     """Return the design columns for the drift of each record. (n, records times (degree + 1))."""
     if time is None:
         raise InputError("a drift needs the times of the cuts, got none: state time, or leave drift out")
-    degree = whole(degree, "the degree of the drift", 0, MAX_DRIFT_DEGREE)
+    degree = whole_number(degree, "the degree of the drift", 0, MAX_DRIFT_DEGREE)
     columns = []
     for number in np.unique(record):
         inside = record == number
@@ -178,7 +178,7 @@ def _drift_columns(time: Floats | None, record: Floats, air: Bools, degree: int)
 
 
 @dataclass(frozen=True, slots=True)
-class Solved:
+class Solution:
     """Parameters, standard uncertainties, half intervals (k,), and the contribution of each component (k, c)."""
 
     value: Floats
@@ -223,7 +223,7 @@ class Fit:
         residual = self.free_force - (flat @ answer).reshape(self.force.shape)
         return answer / size, float((residual**2).sum()), residual
 
-    def estimate(self, columns: Floats, confidence: float, count: int | None = None) -> Solved:
+    def estimate(self, columns: Floats, confidence: float, count: int | None = None) -> Solution:
         """Return the first ``count`` parameters with their uncertainties; all by default."""
         from scipy.stats import t  # noqa: PLC0415 - costly to import
 
@@ -270,7 +270,7 @@ class Fit:
         component_free = np.maximum(n / tau - drifts / components - flat.shape[1] * ratio, 1.0)
         freedom = np.full(first, free) if rows.stated else 1 / (ratio**2 / component_free).sum(axis=0)
         half = t.ppf(0.5 + confidence / 2, freedom) * sigma
-        return Solved(answer[:first] / size, sigma, half, np.stack(by, axis=1)[:first] / size[:, None])
+        return Solution(answer[:first] / size, sigma, half, np.stack(by, axis=1)[:first] / size[:, None])
 
 
 def interval(

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, frozen, robust_scatter
-from turnwright._validate import between, check_numbers, positive, whole
+from turnwright._validate import between, check_numbers, positive, whole_number
 from turnwright.errors import InputError
 from turnwright.units import MOST
 
@@ -180,7 +180,7 @@ def low_pass(record: ForceRecord, cutoff_hz: float, order: int) -> ForceRecord:
     half = record.rate_hz / 2
     if not 0 < cutoff_hz < half:
         raise InputError(f"cutoff_hz must be between 0 and {half:g} Hz (half the sampling rate), got {cutoff_hz:g} Hz")
-    order = whole(order, "the order of a low-pass", 1, MAX_FILTER_ORDER)
+    order = whole_number(order, "the order of a low-pass", 1, MAX_FILTER_ORDER)
     # The ends are extended by odd reflection over the impulse response of the filter.
     pad = min(record.samples - 1, int(np.ceil(4 * order * record.rate_hz / cutoff_hz)))
     sections = butter(order, cutoff_hz, fs=record.rate_hz, output="sos")
@@ -332,7 +332,7 @@ def engagements(record: ForceRecord, channel: str, *, shortest: float, drift: in
             f"{record.samples} samples"
         )
     means = force[: count * block].reshape(count, block).mean(axis=1)
-    degree = whole(drift, "the degree of the drift", 0, MAX_DRIFT_DEGREE)
+    degree = whole_number(drift, "the degree of the drift", 0, MAX_DRIFT_DEGREE)
     basis = np.asarray(np.polynomial.legendre.legvander(np.linspace(-1, 1, count), degree), dtype=np.float64)
     # Differences of neighbours give the noise independent of the level.
     noise = robust_scatter(np.diff(means)) / np.sqrt(2)
@@ -435,7 +435,7 @@ def remove_drift(record: ForceRecord, air: Bools, *, degree: int | None) -> Forc
         every = np.arange(record.samples)
         level = np.column_stack([np.interp(every, middle, column) for column in means.T])
     else:
-        degree = whole(degree, "the degree of the drift", 0, MAX_DRIFT_DEGREE)
+        degree = whole_number(degree, "the degree of the drift", 0, MAX_DRIFT_DEGREE)
         if np.count_nonzero(air) <= degree + 1:
             raise InputError(
                 f"a drift of degree {degree} needs more than {degree + 1} samples in air, got {np.count_nonzero(air)}: "

@@ -13,7 +13,7 @@ const COLUMNS = [
   { key: "time", title: "time", value: ({ limits }) => limits.cycle_time_s, show: ({ limits }) => html`${duration(limits.cycle_time_s)}<small class="block">${limits.binding ?? "no limit"}</small>` },
   ...[["pv_nm", "PV", "peak to valley of cut minus nominal surface"], ["rms_nm", "RMS", "of cut minus nominal surface"], ["sq_nm", "Sq", "finish: of annuli a few feeds wide"],
     ["cusp_nm", "cusps", "error of an exact path"], ["chord_nm", "chords", "interpolation error between the points of the program"], ["tracking_nm", "servos", "servo contribution; unknown if the machine file does not state the servo response"]]
-    .map(([key, title, meaning]) => ({ key, title, meaning, value: ({ shares }) => shares[key], show: ({ shares }) => height(key === "tracking_nm" && shares[key] === 0 ? Number.NaN : shares[key]) })),
+    .map(([key, title, meaning]) => ({ key, title, meaning, value: ({ breakdown }) => breakdown[key], show: ({ breakdown }) => height(key === "tracking_nm" && breakdown[key] === 0 ? Number.NaN : breakdown[key]) })),
 ];
 
 /** Load a strategy into the form as one undo step. */
@@ -30,7 +30,7 @@ function takeStrategy(comparison, { name, strategy }) {
 
 /** The Pareto front: candidates for which no other is both faster and more accurate. */
 function unbeaten(candidates, error) {
-  const at = (one) => [one.limits.cycle_time_s, one.shares[error]];
+  const at = (one) => [one.limits.cycle_time_s, one.breakdown[error]];
   return new Set(candidates.filter((one) => {
     const [time, size] = at(one);
     return !candidates.some((other) => {
@@ -71,10 +71,10 @@ function scale(values, from, to) {
 function Pareto({ candidates, error, chosen, choose, best }) {
   const [wide, tall, left, foot] = [360, 226, 62, 38];
   const x = scale(candidates.map(({ limits }) => limits.cycle_time_s), left, wide - 14);
-  const y = scale(candidates.map(({ shares }) => shares[error]), tall - foot, 12);
+  const y = scale(candidates.map(({ breakdown }) => breakdown[error]), tall - foot, 12);
   const front = [...best].sort((a, b) => a.limits.cycle_time_s - b.limits.cycle_time_s);
   const steps = front.map((one, index) => {
-    const [px, py] = [x.at(one.limits.cycle_time_s), y.at(one.shares[error])];
+    const [px, py] = [x.at(one.limits.cycle_time_s), y.at(one.breakdown[error])];
     return index ? `H${px}V${py}` : `M${px} 12V${py}`;
   }).join("");
   return html`<svg class="pareto" viewBox=${`0 0 ${wide} ${tall}`} role="img" aria-label=${`Cycle time against ${ERRORS[error]} error of ${candidates.length} strategies; ${front.map(({ name }) => name).join(", ")} ${front.length === 1 ? "is" : "are"} on the Pareto front`}>
@@ -84,7 +84,7 @@ function Pareto({ candidates, error, chosen, choose, best }) {
     <text class="axis" transform=${`translate(12 ${(tall - foot) / 2 + 6}) rotate(-90)`} text-anchor="middle">${ERRORS[error]} error</text>
     ${front.length > 0 && html`<path class="front" d=${`${steps}H${wide - 14}`} />`}
     ${candidates.map((one) => html`<g class=${`spot${best.has(one) ? " best" : ""}${one.name === chosen ? " chosen" : ""}`} onPointerEnter=${() => choose(one.name)}>
-      <circle cx=${x.at(one.limits.cycle_time_s)} cy=${y.at(one.shares[error])} r=${one.name === chosen ? 7 : 5} /><title>${one.name}</title></g>`)}
+      <circle cx=${x.at(one.limits.cycle_time_s)} cy=${y.at(one.breakdown[error])} r=${one.name === chosen ? 7 : 5} /><title>${one.name}</title></g>`)}
   </svg>`;
 }
 
@@ -100,7 +100,7 @@ function Panel() {
       ${going ? html`<p role="status">${going.progress ? `${going.progress.stage}, ${percent(going.progress.fraction)}` : "starting"}</p>`
         : html`<p><button type="button" class="button accent" disabled=${!job || errors.length > 0} onClick=${() => start("compare")}>Compare the strategies</button></p>${!job && html`<p>Open a job or an example first.</p>`}`}</div>`;
   }
-  const planned = comparison.candidates.filter(({ refused, limits, shares }) => !refused && limits && shares);
+  const planned = comparison.candidates.filter(({ refused, limits, breakdown }) => !refused && limits && breakdown);
   const refused = comparison.candidates.filter((one) => !planned.includes(one));
   const best = unbeaten(planned, error);
   const column = COLUMNS.find(({ key }) => key === sort.key);

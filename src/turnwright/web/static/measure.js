@@ -251,7 +251,7 @@ function Findings({ measurement }) {
         <label for=${`source-${one.name}`}>${one.name}</label>
         <span class="number">${doubted(one.value, one.uncertainty, one.unit)}</span>
         <p id=${`why-${one.name}`}>${one.sentence}</p></div>`)}
-      ${contributions.filter((one) => all || one.rms_nm > 0.1 * measurement.measured_rms_nm).map((one) => html`<p class="quiet" key=${one.name}>${one.why}</p>`)}
+      ${contributions.filter((one) => all || one.rms_nm > 0.1 * measurement.measured_rms_nm).map((one) => html`<p class="quiet" key=${one.name}>${one.explanation}</p>`)}
       ${lenslets.length > 0 && html`<${Lenslets} lenslets=${lenslets} />`}
       <div class="decide">
         <div class="bar"><button type="button" class="button accent" id="correct" disabled=${going || asking} onClick=${correct}>${chosen.size ? `Correct ${chosen.size > 1 ? `these ${chosen.size}` : "this"} and the form` : "Correct the form"}</button>

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from turnwright.part import Part
     from turnwright.tool import Tool
 
-__all__ = ["CENTRE_ZONE_MM", "FREE", "Sight", "add_signatures", "prepare_maps", "select_valid"]
+__all__ = ["CENTRE_ZONE_MM", "FREE", "MapPoints", "add_signatures", "prepare_maps", "select_valid"]
 
 CENTRE_ZONE_MM = 0.05
 """Closer to the axis than this, the real tool may cut on its far side."""
@@ -35,7 +35,7 @@ SPHERE_STEPS = (1e-6, 1e-6, 1e-7)
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
-class Sight:
+class MapPoints:
     """One measured map in the fit: its points, and the places on the nose that cut them.
 
     ``x``, ``y``, ``z`` are the valid points. For a deviation from a sphere, ``sphere`` is that of the design: slopes at
@@ -162,24 +162,24 @@ def fit_sphere(x: Floats, y: Floats, z: Floats) -> Floats:
 def prepare_maps(
     maps: Sequence[HeightMap], parts: Sequence[Part], tool: Tool, free: tuple[str, ...], reference: str, sense: int,
     feed: float,
-) -> tuple[list[Sight], float]:  # fmt: skip
+) -> tuple[list[MapPoints], float]:  # fmt: skip
     """Return the maps prepared for the fit, and the largest sweep that cuts them, cusps included. [rad]."""
-    sights, reach = [], 0.0
+    all_points, reach = [], 0.0
     for heights, part in zip(maps, parts, strict=True):
-        sight = _prepare_map(heights, part, tool, free, reference, sense, feed)
-        if not sight.good.any():
+        map_points = _prepare_map(heights, part, tool, free, reference, sense, feed)
+        if not map_points.good.any():
             raise InputError(
-                f"0 of {sight.x.size} points of the map {heights.name!r} lie where the planned tool cuts {part.name!r} "
-                f"within {part.radius:g} mm: register the map first, and use the tool of the plan"
+                f"0 of {map_points.x.size} points of the map {heights.name!r} lie where the planned tool cuts "
+                f"{part.name!r} within {part.radius:g} mm: register the map first, and use the tool of the plan"
             )
-        reach = max(reach, float(np.abs(sight.sweeps.cut[sight.good]).max()))
-        sights.append(sight)
-    return sights, max(reach, MIN_SWEEP_RAD)
+        reach = max(reach, float(np.abs(map_points.sweeps.cut[map_points.good]).max()))
+        all_points.append(map_points)
+    return all_points, max(reach, MIN_SWEEP_RAD)
 
 
 def _prepare_map(
     heights: HeightMap, part: Part, tool: Tool, free: tuple[str, ...], reference: str, sense: int, feed: float
-) -> Sight:
+) -> MapPoints:
     where, x, y, z = select_valid(heights, part)
     swept = Swept(surface=part.surface, tool=tool, sense=sense, rim=part.radius)
     sphere, pose, opened = None, np.zeros(9), free
@@ -188,24 +188,24 @@ def _prepare_map(
         sphere = fit_sphere(x, y, design)
         pose[2] = float(np.mean(design - z - evaluate_sphere(sphere, x, y)[1]))
         opened = (*dict.fromkeys((*free, "piston", "sphere")),)
-    sight = Sight(
+    map_points = MapPoints(
         x=x, y=y, z=z, swept=swept, sweeps=swept.start(x, y), added={},
         usable=np.ones(x.size, dtype=np.bool_), good=np.ones(x.size, dtype=np.bool_),
         outliers=np.zeros(x.size, dtype=np.bool_), free=opened, reference=reference, sphere=sphere, where=where,
         along_normal=np.zeros(x.size) if reference.endswith("normal") else None,
         cusp=feed * feed / 24, pose=pose, start_pose=pose.copy(),
     )  # fmt: skip
-    at = swept.heights(x, y, sight.sweeps, Deviations())
+    at = swept.heights(x, y, map_points.sweeps, Deviations())
     with np.errstate(invalid="ignore"):
-        sight.usable &= np.isfinite(at.z) & (at.tip_radius > min(CENTRE_ZONE_MM, 0.02 * part.radius))
-    sight.good = sight.usable.copy()
-    return sight
+        map_points.usable &= np.isfinite(at.z) & (at.tip_radius > min(CENTRE_ZONE_MM, 0.02 * part.radius))
+    map_points.good = map_points.usable.copy()
+    return map_points
 
 
-def add_signatures(sight: Sight, columns: Columns) -> None:
+def add_signatures(map_points: MapPoints, columns: Columns) -> None:
     """Compute the signatures that add in proportion."""
-    x, y, _ = sight.moved()
-    sight.added = columns.added(x, y, lambda: sight.swept.heights(x, y, sight.sweeps, Deviations()))
+    x, y, _ = map_points.moved()
+    map_points.added = columns.added(x, y, lambda: map_points.swept.heights(x, y, map_points.sweeps, Deviations()))
 
 
 def select_valid(heights: HeightMap, part: Part) -> tuple[Bools, Floats, Floats, Floats]:
