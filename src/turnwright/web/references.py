@@ -88,7 +88,7 @@ def kind_of(field: str, key: str) -> str:
 def display_name(name: str) -> str:
     r"""Return the name of a file without folders and special characters.
 
-    >>> shown_name("C:\\maps\\my <part>.x3p")
+    >>> display_name("C:\\maps\\my <part>.x3p")
     'my _part_.x3p'
     """
     return re.sub(r"[^\w .()+-]", "_", Path(name.replace("\\", "/")).name)
