@@ -110,6 +110,7 @@ from .strategy import (
     HybridToolServo as HybridToolServo,
     QuasiEllipticalToolServo as QuasiEllipticalToolServo,
     SlowToolServo as SlowToolServo,
+    Turning as Turning,
 )
 from .surface import (
     Biconic as Biconic,

@@ -9,11 +9,11 @@ from types import MappingProxyType
 import numpy as np
 
 from turnwright._arrays import Compared, Floats, Ints, freeze, frozen, rounding, same_length
-from turnwright._validate import check_cumulative, check_numbers
+from turnwright._validate import check_cumulative, check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.machine import FAST, ROTARY, Machine
 
-__all__ = ["Motion", "Path", "Spiral", "block_points"]
+__all__ = ["Motion", "Path", "SpindleMode", "Spiral", "block_points"]
 
 LINEARITY_TOL_MM = 1e-7
 """Deviation of a linear axis from the straight line between two blocks of a lathe with a fast tool, a tenth of the last
@@ -21,6 +21,9 @@ decimal of its program."""
 
 LINEARITY_TOL_RAD = 1e-9
 """The same for rotary axes."""
+
+POINTS_PER_REV = 12
+"""Points of a motion in spindle mode per revolution, between which its straight lines turn unambiguously."""
 
 MAX_C_STEP_RAD = np.pi / 4
 """Step of C between two blocks of such a program, so that its sense is unambiguous."""
@@ -140,6 +143,72 @@ class Path(Compared):
         object.__setattr__(self, "sense", _sense(self.angle, "a path"))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpindleMode:
+    """Feed and speed of a cut in spindle mode: the spindle runs freely, and its angle is not known.
+
+    Parameters
+    ----------
+    feed
+        Advance of the tip along its path per revolution of the spindle. [mm/rev]
+    spindle_rpm
+        Spindle speed; with a surface speed the highest one, which is reached near the axis. [rev/min]
+    surface_speed
+        Speed of the part under the tip, if it is constant; ``None`` for a constant spindle speed. [mm/s]
+    per_rev
+        Whether the program states the feed per revolution (G95) instead of per minute (G94).
+
+    >>> mode = SpindleMode(feed=0.002, spindle_rpm=2000.0, surface_speed=2000.0, per_rev=True)
+    >>> (mode.omega(np.array([25.0, 1.0])) * 60 / (2 * np.pi)).round(3).tolist()
+    [763.944, 2000.0]
+    """
+
+    feed: float
+    spindle_rpm: float
+    surface_speed: float | None = None
+    per_rev: bool = False
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        positive(self.feed, "feed", "mm/rev")
+        positive(self.spindle_rpm, "spindle_rpm", "rev/min")
+        if self.surface_speed is not None:
+            positive(self.surface_speed, "surface_speed", "mm/s")
+            if not self.per_rev:
+                raise InputError("surface_speed is set with a feed per minute, it needs a feed per revolution")
+
+    def omega(self, radius: Floats) -> Floats:
+        """Return the spindle speed at positions of X. (n,) [rad/s]."""
+        omega = np.full(radius.shape, self.spindle_rpm * (2 * np.pi / 60))
+        if self.surface_speed is None:
+            return omega
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.minimum(omega, self.surface_speed / np.abs(radius)))
+
+    def turns(self, x: Floats, z: Floats) -> Floats:
+        """Return the revolutions of the spindle along straight lines between points. (n - 1,)."""
+        return np.asarray(np.hypot(np.diff(x), np.diff(z)) / self.feed)
+
+    def motion(self, x: Floats, z: Floats, machine: Machine, *, sense: int, angle: float = 0.0) -> Motion:
+        """Return the motion along straight lines between the points of a program, the spindle starting at any angle.
+
+        ``x``, ``z`` (n,) [mm] are X and Z as commanded; `Motion.blocks` of the result are these points. In between it
+        has `POINTS_PER_REV` points per revolution on the lines.
+        """
+        turns = self.turns(x, z)
+        if not (turns > 0).all():
+            raise InputError("two points of a cut in spindle mode are equal, each block must move: remove one")
+        parts = np.ceil(turns * POINTS_PER_REV).astype(np.int64)
+        blocks = np.concatenate(([0], np.cumsum(parts)))
+        turned = np.concatenate(([0.0], np.cumsum(turns))) * (2 * np.pi)
+        number = np.arange(blocks[-1] + 1)
+        angles, radius, height = (np.interp(number, blocks, values) for values in (turned, x, z))
+        omega = self.omega(radius)
+        time = np.concatenate(([0.0], np.cumsum(2 * np.diff(angles) / (omega[1:] + omega[:-1]))))
+        axes = {"C": angle + sense * angles, "X": radius, "Z": height}
+        return Motion(time=time, axes=axes, machine=machine, stated_blocks=blocks, spindle_mode=self)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion(Compared):
     """Axis positions over time, in Turnwright's convention (not the controller's).
@@ -162,6 +231,9 @@ class Motion(Compared):
         ``None`` for other programs. Each (n,) [mm/s or rad/s]
     stated_blocks
         Indices of the points that are blocks of the lathe's program, where a program gives them; see `blocks`. (m,)
+    spindle_mode
+        Feed and speed of a cut in spindle mode, whose C is the angle turned from any start; ``None`` for a cut with C
+        as an axis.
     """
 
     time: Floats
@@ -169,6 +241,7 @@ class Motion(Compared):
     machine: Machine
     velocity: Mapping[str, Floats] | None = None
     stated_blocks: Ints | None = None
+    spindle_mode: SpindleMode | None = None
     sense: int = field(init=False)
 
     def __post_init__(self) -> None:
@@ -219,7 +292,9 @@ class Motion(Compared):
 
         velocity = None if self.velocity is None else at_points(self.velocity)
         axes = at_points(self.axes)
-        return Motion(time=self.time[points], axes=axes, machine=self.machine, velocity=velocity)
+        return Motion(
+            time=self.time[points], axes=axes, machine=self.machine, velocity=velocity, spindle_mode=self.spindle_mode
+        )
 
 
 def block_points(time: Floats, axes: Mapping[str, Floats]) -> Ints:

@@ -58,6 +58,9 @@ class Machine(TableModel, Value):
         `Axis` by letter, at least "C", "X" and "Z".
     spindle_rpm
         Highest speed of the spindle as a C axis. [rev/min]
+    spindle_mode_rpm
+        Highest speed of the spindle in spindle mode; ``None`` for a machine that does not turn in spindle mode.
+        [rev/min]
     block_rate_hz
         Program blocks per second that the controller executes, coordinated over all axes. [1/s]
     dialect
@@ -99,6 +102,7 @@ class Machine(TableModel, Value):
     axes: Annotated[Mapping[str, Axis], Axes]
     spindle_rpm: Number
     block_rate_hz: Number
+    spindle_mode_rpm: Number | None = None
     dialect: Text = "generic"
     convention: Convention = Convention()  # noqa: RUF009 - frozen
     controller: Controller = Controller()  # noqa: RUF009 - frozen
@@ -117,6 +121,8 @@ class Machine(TableModel, Value):
         if missing:
             raise InputError(f"machine {self.name!r} lacks axis {', '.join(missing)}: give at least C, X and Z")
         object.__setattr__(self, "spindle_rpm", positive(self.spindle_rpm, "spindle_rpm", "rev/min"))
+        if self.spindle_mode_rpm is not None:
+            positive(self.spindle_mode_rpm, "spindle_mode_rpm", "rev/min")
         object.__setattr__(self, "block_rate_hz", positive(self.block_rate_hz, "block_rate_hz", "blocks/s"))
         check_angle(self.squareness, "squareness", -MAX_SQUARENESS_RAD, MAX_SQUARENESS_RAD)
         if self.straightness is not None:

@@ -8,12 +8,12 @@ from typing import Protocol
 
 import numpy as np
 
-from turnwright._arrays import Floats
+from turnwright._arrays import Floats, Ints
 from turnwright.errors import LimitError
 from turnwright.machine import FAST, Machine
 from turnwright.motion.limits import TURN, Course, find_speed_factor
 from turnwright.motion.pvt import find_fastest_course, reach_stated_speed, slow_to_limits
-from turnwright.path import Motion, Path
+from turnwright.path import Motion, Path, SpindleMode
 from turnwright.speed_profile import SpeedProfile
 
 __all__ = ["drive", "require_variable"]
@@ -32,6 +32,13 @@ class Servo(Protocol):
     @property
     def spindle_speeds(self) -> SpeedProfile | None:
         """Spindle speed over the radius, instead of a constant one."""
+
+    @property
+    def spindle_mode(self) -> SpindleMode | None:
+        """Feed and speed in spindle mode, instead of a C axis."""
+
+    def blocks(self, path: Path) -> Ints:
+        """Return the indices of the points of a path that are points of its program in spindle mode."""
 
     def axes(self, path: Path) -> Mapping[str, Floats]:
         """Return the positions of the axes at the points of a path."""
@@ -60,6 +67,8 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     ends at rest: all axes accelerate and decelerate together along the path, within 0.1 nm of it, in ramps of at most
     half of the path. The search for the highest speed with ramps stops at the first step without a gain, so it may miss
     a higher one. With a fast tool the program accelerates and decelerates within one block.
+
+    In spindle mode the motion follows straight lines between the points of the program, at the stated feed and speed.
 
     Parameters
     ----------
@@ -90,6 +99,8 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
             f"the strategy moves axis {', '.join(missing)}, {machine.name} has {', '.join(sorted(machine.axes))}: "
             "choose another strategy or machine"
         )
+    if servo.spindle_mode is not None:
+        return _drive_spindle_mode(path, servo, servo.spindle_mode, machine)
     rates = servo.rates(path) if machine.controller.interpolation == "hermite" else None
     if machine.squareness or machine.straightness is not None:
         axes["Z"] = axes["Z"] - machine.z_error(axes["X"])
@@ -99,23 +110,8 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     angle = np.abs(path.angle - path.angle[0])
     slopes = {letter: path.sense * rate for letter, rate in (rates or {}).items()}
     course = Course(angle, axes, slopes)
-    omega: float | Floats
     profile = servo.spindle_speeds if profile is None else profile
-    if profile is not None:
-        require_variable(machine)
-        omega = profile.at(path.radius)
-    elif rpm is None and machine.controller.variable_speed:
-        omega = _find_variable_speed(course, machine)
-    elif rpm is None:
-        omega = find_speed_factor(course, machine)
-    elif rpm > machine.spindle_rpm:
-        raise LimitError(
-            f"spindle_rpm is {rpm:g} rev/min, the limit of {machine.name} is {machine.spindle_rpm:g} rev/min: reduce "
-            "it, or leave it out for the highest possible speed"
-        )
-    else:
-        omega = rpm * TURN / 60
-    course = course.at_speed(omega)
+    course = course.at_speed(_find_omega(course, path, rpm, profile, machine))
     stated = profile is not None or rpm is not None
     if slopes and not FAST.keys() & axes.keys():
         subject = "spindle_rpm is" if profile is None else "the speed profile reaches"
@@ -125,6 +121,42 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     if not stated:
         course = slow_to_limits(course, machine)
     return Motion(time=course.time, axes=course.axes, machine=machine, velocity=course.velocity or None)
+
+
+def _find_omega(
+    course: Course, path: Path, rpm: float | None, profile: SpeedProfile | None, machine: Machine
+) -> float | Floats:
+    """Return the stated spindle speed, one or that at every point, or the highest within every limit. [rad/s]."""
+    if profile is not None:
+        require_variable(machine)
+        return profile.at(path.radius)
+    if rpm is None:
+        return (_find_variable_speed if machine.controller.variable_speed else find_speed_factor)(course, machine)
+    if rpm > machine.spindle_rpm:
+        raise LimitError(
+            f"spindle_rpm is {rpm:g} rev/min, the limit of {machine.name} is {machine.spindle_rpm:g} rev/min: reduce "
+            "it, or leave it out for the highest possible speed"
+        )
+    return rpm * TURN / 60
+
+
+def _drive_spindle_mode(path: Path, servo: Servo, mode: SpindleMode, machine: Machine) -> Motion:
+    """Return the motion along straight lines between the points of the program, the spindle running freely."""
+    most = machine.spindle_mode_rpm
+    if most is None:
+        raise LimitError(
+            f"the strategy turns in spindle mode, the machine file of {machine.name} states no spindle_mode_rpm: state "
+            "the highest speed of its spindle, or cut with C as an axis"
+        )
+    if mode.spindle_rpm > most:
+        raise LimitError(
+            f"spindle_rpm is {mode.spindle_rpm:g} rev/min, the limit of {machine.name} in spindle mode is {most:g} "
+            "rev/min: reduce it"
+        )
+    points = servo.blocks(path)
+    x = path.radius[points]
+    z = path.z[points] - machine.z_error(x)
+    return mode.motion(x, z, machine, sense=path.sense, angle=float(path.angle[0]))
 
 
 def _find_variable_speed(course: Course, machine: Machine) -> Floats:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -157,6 +157,8 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
     """
     course = Course(motion.time, motion.axes, motion.velocity or {})
     peaks = find_axis_peaks(course, motion.blocks, machine)
+    if motion.spindle_mode is not None:
+        machine = _in_spindle_mode(machine)
     demands = find_limit_demands(course, motion.blocks, peaks, machine)
     length = float(motion.time[-1] - motion.time[0])
     rpm = abs(float(motion.axes["C"][-1] - motion.axes["C"][0])) / length * 60 / TURN
@@ -192,6 +194,12 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
         ok=not findings,
         findings=tuple(findings),
     )
+
+
+def _in_spindle_mode(machine: Machine) -> Machine:
+    """Return a machine with the limits that hold in spindle mode, in which C is no axis."""
+    most = machine.spindle_mode_rpm or machine.spindle_rpm
+    return replace(machine, spindle_rpm=most, axes={**machine.axes, "C": Axis()})
 
 
 def find_limit_demands(

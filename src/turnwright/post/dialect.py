@@ -23,11 +23,15 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from turnwright.machine import Machine
+    from turnwright.path import SpindleMode
 
-__all__ = ["MIN_LINES", "Dialect", "dialect_of"]
+__all__ = ["MIN_LINES", "Dialect", "decimal", "dialect_of"]
 
 AXES = frozenset("CXYZ")
 """Axes that a lathe program can have."""
+
+SPINDLE_DECIMALS = 6
+"""Decimals of speeds and feeds in spindle mode."""
 
 MAX_DECIMALS = 9
 """Most decimals of a word."""
@@ -40,6 +44,8 @@ FEED_FORM = re.compile(r"(\.\d)?[fg]")
 
 PLACEHOLDERS = MappingProxyType({
     "call": frozenset({"file"}), "feed_move": frozenset({"words", "feed", "note"}), "rapid_move": frozenset({"words"}),
+    "spindle_start": frozenset({"direction", "speed"}),
+    "surface_speed_start": frozenset({"direction", "speed", "surface_speed"}),
 })  # fmt: skip
 """What stands in braces in the lines of a dialect, by field."""
 
@@ -85,6 +91,15 @@ class Dialect(TableModel):
         Last line of the program, and of a sub-program.
     max_lines
         Largest number of lines in one file.
+    spindle_start
+        Lines that start the spindle in spindle mode, with ``{direction}`` ("M03" or "M04") and ``{speed}`` in rev/min;
+        empty for a dialect without spindle mode.
+    surface_speed_start
+        The same for a constant ``{surface_speed}`` in m/min, with the highest ``{speed}``.
+    spindle_end
+        Lines that stop it.
+    feed_per_min, feed_per_rev
+        Word that makes F a feed per minute, and per revolution.
     velocities
         Whether each word ends with the velocity of the axis at the end of the block, ``X1.5:20``, in mm/s or deg/s.
     comment
@@ -119,6 +134,11 @@ class Dialect(TableModel):
     program_end: Text = "M30"
     call_end: Text = "M99"
     max_lines: Count
+    spindle_start: tuple[Text, ...] = ()
+    surface_speed_start: tuple[Text, ...] = ()
+    spindle_end: tuple[Text, ...] = ("M05",)
+    feed_per_min: Text = "G94"
+    feed_per_rev: Text = "G95"
     velocities: Flag = False
     comment: Text = ""
     longest_block: Time = 1e4
@@ -148,7 +168,8 @@ class Dialect(TableModel):
         if self.always_call and not self.call:
             raise InputError("always_call is true and call is empty: state the call of a sub-program")
         for place in ("block", "setup", "cut_begin", "cut_resume", "cut_end", "feed_move", "rapid_move", "call",
-                      "program_end", "call_end", "comment"):  # fmt: skip
+                      "program_end", "call_end", "comment", "spindle_start", "surface_speed_start", "spindle_end",
+                      "feed_per_min", "feed_per_rev"):  # fmt: skip
             value = getattr(self, place)
             for line in (value,) if isinstance(value, str) else value:
                 _check_line(place, line)
@@ -206,6 +227,13 @@ class Dialect(TableModel):
         note = f" ({note})" if note else ""
         return [line.format(words=words, feed=feed, note=note) for line in self.feed_move]
 
+    def start_spindle(self, mode: SpindleMode, sense: int) -> list[str]:
+        """Return the lines that start the spindle in spindle mode; ``sense`` as of a `Motion`."""
+        direction, surface = "M04" if sense > 0 else "M03", mode.surface_speed
+        lines = self.spindle_start if surface is None else self.surface_speed_start
+        speeds = {"speed": decimal(mode.spindle_rpm), "surface_speed": decimal((surface or 0.0) * 0.06)}
+        return [line.format(direction=direction, **speeds) for line in lines]
+
     def rapid(self, words: str) -> list[str]:
         """Return the lines of a rapid move, after which feed moves continue."""
         return [line.format(words=words) for line in self.rapid_move]
@@ -213,6 +241,11 @@ class Dialect(TableModel):
     def commented(self, rows: Sequence[str]) -> list[str]:
         """Return lines with the text that begins a comment before their brackets."""
         return [row.replace("(", f"{self.comment}(", 1) if self.comment else row for row in rows]
+
+
+def decimal(value: float) -> str:
+    """Return a number with at most `SPINDLE_DECIMALS` decimals, as a word of a program."""
+    return f"{value:.{SPINDLE_DECIMALS}f}".rstrip("0").rstrip(".")
 
 
 def _check_line(place: str, line: str) -> None:

@@ -6,6 +6,7 @@ from turnwright.strategy.elliptical import QuasiEllipticalToolServo, Valleys
 from turnwright.strategy.fast import FastToolServo
 from turnwright.strategy.hybrid import HybridToolServo
 from turnwright.strategy.slow import SlowToolServo
+from turnwright.strategy.turning import Turning, find_asymmetry
 
 __all__ = [
     "STRATEGIES",
@@ -15,5 +16,7 @@ __all__ = [
     "QuasiEllipticalToolServo",
     "SlowToolServo",
     "Strategy",
+    "Turning",
     "Valleys",
+    "find_asymmetry",
 ]

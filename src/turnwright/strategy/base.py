@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin
 
 import numpy as np
 
-from turnwright._arrays import Floats
+from turnwright._arrays import Floats, Ints
 from turnwright._tables import TableModel, forget_adapters, types_of, write_table, written_by
 from turnwright._validate import check_numbers, one_of, positive
 from turnwright.errors import InputError
 from turnwright.machine import Machine
 from turnwright.part import Part
-from turnwright.path import Path, Spiral
+from turnwright.path import Path, SpindleMode, Spiral
 from turnwright.progress import Progress
 from turnwright.speed_profile import SpeedProfile, check_one_speed
 from turnwright.strategy.sampling import sample_turns
@@ -78,6 +78,15 @@ class Strategy(TableModel, ABC):
     def moves_fast_tool(self) -> bool:
         """Whether a fast tool is driven by a separate table of heights."""
         return False
+
+    @property
+    def spindle_mode(self) -> SpindleMode | None:
+        """Feed and speed of a cut in spindle mode; ``None`` for a cut with C as an axis."""
+        return None
+
+    def blocks(self, path: Path) -> Ints:
+        """Return the indices of the points of a path that are points of its program. (m,)."""
+        return np.arange(path.angle.size)
 
     @property
     def spiral_strategy(self) -> Strategy:

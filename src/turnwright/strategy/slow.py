@@ -15,13 +15,14 @@ from turnwright._arrays import Floats
 from turnwright._kernels import chord as kernel
 from turnwright._validate import whole_number
 from turnwright.edge import Edge
-from turnwright.errors import GougeError, InputError
+from turnwright.errors import InputError
 from turnwright.part import Part
 from turnwright.path import Path, Spiral
 from turnwright.placing import Tips, touch_down
 from turnwright.progress import Progress, require_memory
 from turnwright.speed_profile import Speeds
 from turnwright.strategy.base import Strategy
+from turnwright.strategy.ends import check_overrun, find_lead_in, require_overlap
 from turnwright.strategy.sampling import (
     REFINEMENT_RATIO,
     TURN,
@@ -54,9 +55,6 @@ MAX_CUBIC_PARTS = 8
 
 BLOCK_SAMPLES = 1 << 17
 """Samples of the path from which points are selected together."""
-
-RIM_AZIMUTHS = 3600
-"""Azimuths at which the slope at the rim is evaluated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,16 +147,12 @@ class SlowToolServo(Strategy):
                 )
             if self.max_step > TURN / 8:
                 raise InputError(f"max_step is {math.degrees(self.max_step):g} deg, the limit is 45 deg")
-        if not 0 <= self.overrun <= self.feed:
-            raise InputError(
-                f"overrun is {self.overrun:g} mm, the limits are 0 mm and one feed, {self.feed:g} mm: a quarter of a "
-                f"feed, {self.feed / 4:g} mm, is enough to keep the cusp at the axis as low as the others"
-            )
+        check_overrun(self.overrun, self.feed)
 
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
         """Return the spiral for a part and a tool, see `Strategy`."""
         edge = tool.cutting_edge(self.sense)
-        self._require_overlap(edge)
+        require_overlap(edge, self.feed)
         if self.points_per_rev is not None:
             last = self._find_last_point(part, edge, self.points_per_rev)
             if progress is not None:
@@ -190,19 +184,11 @@ class SlowToolServo(Strategy):
         if self.points_per_rev is None:
             return super(SlowToolServo, self).extent(part, tool, progress=progress)
         edge = tool.cutting_edge(self.sense)
-        self._require_overlap(edge)
+        require_overlap(edge, self.feed)
         last = self._find_last_point(part, edge, self.points_per_rev)
         turn = np.arange(min(self.points_per_rev, last) + 1.0)
         at = np.unique(np.append(last - turn, 0) if self.inside_out else np.append(turn, last))
         return last + 1, self._select_points(at, last, self.points_per_rev, edge)
-
-    def _require_overlap(self, edge: Edge) -> None:
-        width = edge.radius * (math.sin(edge.high) - math.sin(edge.low))
-        if self.feed >= width:
-            raise GougeError(
-                f"feed {self.feed:g} mm per rev is at least the width of the edge {width:.4g} mm, so cuts do not "
-                "overlap: use a smaller feed, or a tool with a larger nose_radius or included angle"
-            )
 
     def _find_last_point(self, part: Part, edge: Edge, per_turn: int) -> int:
         end, start = self._find_ends(part, edge)
@@ -219,28 +205,11 @@ class SlowToolServo(Strategy):
 
     def _find_ends(self, part: Part, edge: Edge) -> tuple[float, float]:
         """Return the commanded radii of the inner end and of the outer end, before the steps are made equal. [mm]."""
-        return self._inner_end(edge), part.radius + self._find_lead_in(part, edge)
+        return self._inner_end(edge), part.radius + find_lead_in(part, edge, self.feed, self.lead_in)
 
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes at the points of a path: C the azimuth [rad], X the radius, Z the height [mm]."""
         return {"C": path.angle, "X": path.radius, "Z": path.z}
-
-    def _find_lead_in(self, part: Part, edge: Edge) -> float:
-        """Return the distance outside the clear aperture at which the tip starts. [mm]."""
-        azimuth = np.linspace(0, TURN, RIM_AZIMUTHS, endpoint=False)
-        cosine, sine = np.cos(azimuth), np.sin(azimuth)
-        zx, zy = part.surface.gradient(part.radius * cosine, part.radius * sine)
-        sweep = np.clip(np.arctan(zx * cosine + zy * sine), edge.low, edge.high)
-        needed = max(0.0, float(np.max(-edge.radius * np.sin(sweep))) - edge.dx)
-        if self.lead_in is None:
-            return needed + self.feed / 2
-        # The outermost revolution cuts as far inward as its neighbours: a lead-in shorter by a feed still cuts the rim.
-        if self.lead_in < needed - self.feed:
-            raise GougeError(
-                f"lead_in is {self.lead_in:g} mm but the edge touches the rim {needed:.4g} mm inside its tip, so a "
-                f"band would stay uncut: set lead_in to at least {needed:.4g} mm, or leave it out"
-            )
-        return self.lead_in
 
     def _set_points_by_arc(self, end: float, start: float, progress: Progress | None) -> Floats:
         """Return the angle turned from the inner end: constant arc outside, constant angle inside. (n,) [rad]."""

@@ -1,0 +1,171 @@
+"""Turning in spindle mode: the spindle runs freely, X and Z follow the meridian of a surface of revolution."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Annotated, Literal
+
+import numpy as np
+
+from turnwright._arrays import Floats, Ints
+from turnwright._kernels import chord as kernel
+from turnwright.edge import Edge
+from turnwright.errors import InputError
+from turnwright.part import Part
+from turnwright.path import POINTS_PER_REV, Path, SpindleMode, Spiral
+from turnwright.placing import Tips, touch_down
+from turnwright.progress import Progress
+from turnwright.strategy.base import Strategy
+from turnwright.strategy.ends import check_overrun, find_lead_in, require_overlap
+from turnwright.strategy.sampling import TURN, check_count
+from turnwright.surface import Surface
+from turnwright.tool import Tool
+from turnwright.units import Feed, Flag, Size, Speed, Thickness, unit
+
+__all__ = ["Turning", "find_asymmetry"]
+
+MERIDIAN_SAMPLES = 20_000
+"""Samples of the meridian for the length of the path."""
+
+SYMMETRY_RADII = 256
+MIN_AZIMUTHS, MAX_AZIMUTHS = 64, 4096
+SAMPLES_PER_FEATURE = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Turning(Strategy):
+    r"""Turning in spindle mode, for surfaces of revolution: X and Z by straight lines, the spindle at a stated speed.
+
+    The tip runs along the meridian by ``feed`` per revolution, measured along its path, so that the cusps of a sphere
+    are equal everywhere. The program has the fewest points between which straight lines keep within ``chord``. The
+    angle of the spindle is not known: what varies with the azimuth can neither be cut nor corrected.
+
+    The fields of every strategy are those of `Strategy`.
+
+    Parameters
+    ----------
+    feed
+        Advance of the tip along its path per spindle revolution. [mm/rev]
+    spindle_rpm
+        Spindle speed; with ``surface_speed`` the highest one. [rev/min]
+    chord
+        Largest height between the exact path and straight lines between the points. [mm]
+    surface_speed
+        Constant speed of the part under the tip (G96), up to the highest spindle speed; a constant spindle speed if
+        left out. It needs a feed per revolution. [mm/s]
+    feed_mode
+        Feed in the program: "mm/min" (G94) or "mm/rev" (G95).
+    lead_in, overrun
+        As of `SlowToolServo`. [mm]
+
+    Raises
+    ------
+    InputError
+        If a size is not positive, or a surface speed is stated with a feed per minute.
+
+    Sources
+    -------
+    With equal distances :math:`d` of the passes along the path, neighbouring positions of the nose on a sphere are
+    rotated about its centre, and the cusps are the intersections of two circles.
+
+    >>> from turnwright.surface import Sphere
+    >>> part, tool = Part(surface=Sphere(radius=50.0), radius=12.5), Tool(nose_radius=0.5)
+    >>> spiral = Turning(feed=0.002, spindle_rpm=2000, chord=1e-6).spiral(part, tool)
+    >>> round(spiral.turns)
+    6255
+    """
+
+    kind = "turning"
+    example = MappingProxyType({"feed": "2 um/rev", "spindle_speed": "2000 rpm", "chord": "1 nm"})
+    ways = ("chord",)
+    feed: Feed
+    spindle_rpm: Speed
+    chord: Size
+    surface_speed: Annotated[float, unit("mm/s", above=0.0)] | None = None
+    feed_mode: Literal["mm/min", "mm/rev"] = "mm/min"
+    inside_out: Flag = False
+    sense: Literal[1, -1] = 1
+    along: Literal["z", "normal"] = "z"
+    lead_in: Thickness | None = None
+    overrun: Thickness = 0.0
+
+    def __post_init__(self) -> None:
+        self._check_fields()
+        check_overrun(self.overrun, self.feed)
+        _ = self.spindle_mode
+
+    @property
+    def spindle_mode(self) -> SpindleMode:
+        """Feed and speed of the spindle in spindle mode."""
+        return SpindleMode(
+            feed=self.feed, spindle_rpm=self.spindle_rpm, surface_speed=self.surface_speed,
+            per_rev=self.feed_mode == "mm/rev",
+        )  # fmt: skip
+
+    def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
+        """Return the spiral that the tip leaves for a start at azimuth 0, with some points per revolution.
+
+        Raises
+        ------
+        InputError
+            If the surface departs from a surface of revolution by more than the chord.
+        """
+        self._require_symmetric(part)
+        edge = tool.cutting_edge(self.sense)
+        require_overlap(edge, self.feed)
+        start, end = part.radius + find_lead_in(part, edge, self.feed, self.lead_in), -edge.dx - self.overrun
+        radius = np.linspace(end, start, MERIDIAN_SAMPLES + 1)
+        length = np.concatenate(
+            ([0.0], np.cumsum(np.hypot(np.diff(radius), np.diff(self._heights(part, edge, radius)))))
+        )
+        turns = float(length[-1]) / self.feed
+        check_count(turns * POINTS_PER_REV, "the feed")
+        count = max(math.ceil(turns * POINTS_PER_REV), 1)
+        if progress is not None:
+            progress(0, count + 1)
+        turned = np.linspace(0.0, turns, count + 1)
+        inner = np.interp(turned * self.feed, length, radius)
+        return Spiral(angle=self.sense * TURN * turned, radius=inner if self.inside_out else inner[::-1])
+
+    def _heights(self, part: Part, edge: Edge, radius: Floats) -> Floats:
+        """Return the tip height in contact; for a path along the normal, the surface as a length of the path. (n,)."""
+        tips = Tips.at(np.zeros(radius.size), radius)
+        return touch_down(part.surface, edge, tips, max(part.radius, float(radius[-1]))).z
+
+    def _require_symmetric(self, part: Part) -> None:
+        off = find_asymmetry(part.surface, part.radius)
+        if off > self.chord:
+            raise InputError(
+                f"the surface departs from a surface of revolution by {off * 1e6:.4g} nm, in spindle mode the limit is "
+                f"the chord, {self.chord * 1e6:.4g} nm: use a slow tool servo, or cut its symmetric part"
+            )
+
+    def blocks(self, path: Path) -> Ints:
+        """Return the indices of the points of the program: the fewest within the chord. (m,)."""
+        x, z = path.radius, path.z
+        bulge = np.abs(np.diff(z, 2, prepend=z[0], append=z[-1])) / 8 if z.size > 1 else np.zeros(z.size)
+        slack = np.maximum(self.chord - np.pad(bulge, 1, mode="edge")[1:-1][: z.size], 0.0)
+        travelled = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(z)))))
+        keep = np.empty(z.size, dtype=np.int64)
+        position = np.abs(x - x[0])
+        monotonic = bool((np.diff(position) > 0).all())
+        count = kernel.fewest(position if monotonic else travelled, z, slack, travelled[-1], keep)
+        return keep[:count]
+
+    def axes(self, path: Path) -> dict[str, Floats]:
+        """Return the axes at the points of a path: C the azimuth from any start [rad], X and Z of the tip [mm]."""
+        return {"C": path.angle, "X": path.radius, "Z": path.z}
+
+
+def find_asymmetry(surface: Surface, radius: float) -> float:
+    """Return the largest departure of the height from its mean over the azimuth, within a radius. [mm]."""
+    needed = SAMPLES_PER_FEATURE * TURN * radius / surface.feature_size if surface.feature_size > 0 else MAX_AZIMUTHS
+    count = math.ceil(min(max(MIN_AZIMUTHS, needed), MAX_AZIMUTHS))
+    angle = np.arange(count) * (TURN / count)
+    largest = 0.0
+    for r in radius * (1 - 1e-12) * np.sqrt((np.arange(SYMMETRY_RADII) + 1) / SYMMETRY_RADII):
+        z = np.asarray(surface.sag(r * np.cos(angle), r * np.sin(angle)))
+        largest = max(largest, float(np.abs(z - z.mean()).max()))
+    return largest
