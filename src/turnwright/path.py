@@ -189,13 +189,16 @@ class SpindleMode:
         """Return the revolutions of the spindle along straight lines between points. (n - 1,)."""
         return np.asarray(np.hypot(np.diff(x), np.diff(z)) / self.feed)
 
-    def motion(self, x: Floats, z: Floats, machine: Machine, *, sense: int, angle: float = 0.0) -> Motion:
+    def motion(
+        self, x: Floats, z: Floats, machine: Machine, *, sense: int, angle: float = 0.0, turns: Floats | None = None
+    ) -> Motion:
         """Return the motion along straight lines between the points of a program, the spindle starting at any angle.
 
         ``x``, ``z`` (n,) [mm] are X and Z as commanded; `Motion.blocks` of the result are these points. In between it
-        has `POINTS_PER_REV` points per revolution on the lines.
+        has `POINTS_PER_REV` points per revolution on the lines. ``turns`` are the revolutions between the points where
+        their feeds differ. (n - 1,)
         """
-        turns = self.turns(x, z)
+        turns = self.turns(x, z) if turns is None else turns
         if not (turns > 0).all():
             raise InputError("two points of a cut in spindle mode are equal, each block must move: remove one")
         parts = np.ceil(turns * POINTS_PER_REV).astype(np.int64)

@@ -73,6 +73,7 @@ def track(
     Last, each axis follows with its dead time and response. Before the program begins, every axis is assumed to move
     steadily with its initial velocity. Where C comes to rest, its servo may overshoot and return, and it stands still
     during the dead time; there C is replaced by a slow uniform motion, which deviates by no more than the overshoot.
+    In spindle mode the spindle runs steadily.
 
     Parameters
     ----------
@@ -120,6 +121,9 @@ def track(
             report(k, len(motion.axes))
             points = slice(None) if letter in FAST else blocks
             speed = velocity[letter][points] if letter in velocity else None
+            if letter == "C" and motion.spindle_mode is not None:  # a free spindle runs steadily
+                axes[letter] = np.interp(samples, time, motion.axes[letter])
+                continue
             axes[letter] = _follow(letter, motion.axes[letter][points], speed, time[points], machine, samples)
         if requested is not None:
             break
@@ -132,7 +136,7 @@ def track(
         parts = math.ceil(parts * math.sqrt(bulge / chord))
     report(len(axes), len(axes))
     axes["C"] = motion.sense * _settle_angle(motion.sense * axes["C"], samples, machine)
-    return Motion(time=samples - samples[0], axes=axes, machine=motion.machine)
+    return Motion(time=samples - samples[0], axes=axes, machine=motion.machine, spindle_mode=motion.spindle_mode)
 
 
 def precorrect(
@@ -174,7 +178,8 @@ def precorrect(
     Raises
     ------
     InputError
-        If the bandwidth is not positive, ``rounds`` is below 1, or a log does not fit the motion.
+        If the bandwidth is not positive, ``rounds`` is below 1, a log does not fit the motion, or the motion is in
+        spindle mode.
     LimitError
         If the controller slows the motion down, so that its times do not hold.
 
@@ -186,6 +191,11 @@ def precorrect(
     if bandwidth_hz is not None:
         positive(bandwidth_hz, "bandwidth_hz", "Hz")
     rounds = whole_number(rounds, "rounds", 1)
+    if motion.spindle_mode is not None:
+        raise InputError(
+            "a cut in spindle mode cannot be precorrected, its points are too far apart: set precorrect = false, or "
+            "cut with C as an axis"
+        )
     if _controller_times(motion, machine) is not motion.time:
         raise LimitError(
             f"{machine.name} slows this motion down by its block rate or look-ahead, so the times of its points do not "

@@ -96,7 +96,8 @@ def rounding_effect(job: Job, motion: Motion, again: Motion) -> tuple[float, flo
     radius, angle = part.radius * (np.arange(96) + 0.5) / 96, clear_azimuths(36, motion.axes["C"])
     decimals = dialect_of(machine).decimals
     c, x, z = (0.5 * 10.0 ** -decimals[letter] for letter in "CXZ")
-    c = np.deg2rad(c)
+    # In spindle mode the cusps may lie at any azimuth.
+    c = np.deg2rad(c) if motion.spindle_mode is None else np.pi
 
     def surface(one: Motion, **shifts: float) -> Floats:
         axes = {**one.axes, **{letter: one.axes[letter] + shift for letter, shift in shifts.items()}}

@@ -278,7 +278,8 @@ def _assumption_warnings(job: Job, passes: list[Pass]) -> list[str]:
         )
     for binding in dict.fromkeys(cut.limits.binding for cut in passes):
         letter, _, kind = binding.partition(" ")
-        fact = {"block rate": "block_rate_hz", "spindle speed": "spindle_rpm"}.get(binding, f"axes.{letter}.{kind}")
+        speed = "spindle_rpm" if job.strategy.spindle_mode is None else "spindle_mode_rpm"
+        fact = {"block rate": "block_rate_hz", "spindle speed": speed}.get(binding, f"axes.{letter}.{kind}")
         if sources.get(fact, "").startswith("assumed"):
             warnings.append(
                 f"the tightest limit of {job.machine.name}, {binding}, has an assumed value: check it on the machine"

@@ -177,7 +177,7 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
         findings += _check_travel(letter, top, machine)
     return Limits(
         cycle_time_s=length,
-        points=motion.time.size,
+        points=motion.time.size if motion.spindle_mode is None else motion.blocks.size,
         spindle_rpm=rpm,
         block_rate_hz=demands[0].value,
         peak_speed=MappingProxyType({letter: top["speed"] for letter, (top, _) in peaks.items()}),

@@ -167,7 +167,10 @@ def _plunge(
     axes["Z"] = axes["Z"] + height * (1 - clock / clock[-1])
     for letter, values in axes.items():
         values[-1] = motion.axes[letter][0]
-    plunge = Motion(time=clock, axes={letter: axes[letter] for letter in motion.axes}, machine=motion.machine)
+    plunge = Motion(
+        time=clock, axes={letter: axes[letter] for letter in motion.axes}, machine=motion.machine,
+        spindle_mode=motion.spindle_mode,
+    )  # fmt: skip
     if motion.velocity is None:
         return plunge, height / turns
     curves = {letter: _periodic_spline(turned, values) for letter, values in around.items()} | {
@@ -430,7 +433,8 @@ def entry_words(approach: Approach) -> str:
     """Return a sentence on the entry into the material of a pass."""
     if approach.plunge is None:
         return "begins clear of the material, no plunge"
+    rotating = "C" if approach.plunge.spindle_mode is None else "the spindle"
     return (
-        f"C rotates while the tool plunges {approach.height:.3f} mm at {approach.plunge_feed * 60:.3f} mm/min, "
-        f"{approach.per_rev * 1e3:.3f} um a revolution"
+        f"{rotating} rotates while the tool plunges {approach.height:.3f} mm at {approach.plunge_feed * 60:.3f} "
+        f"mm/min, {approach.per_rev * 1e3:.3f} um a revolution"
     )

@@ -23,15 +23,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from turnwright.machine import Machine
-    from turnwright.path import SpindleMode
 
-__all__ = ["MIN_LINES", "Dialect", "decimal", "dialect_of"]
+__all__ = ["MIN_LINES", "Dialect", "dialect_of"]
 
 AXES = frozenset("CXYZ")
 """Axes that a lathe program can have."""
-
-SPINDLE_DECIMALS = 6
-"""Decimals of speeds and feeds in spindle mode."""
 
 MAX_DECIMALS = 9
 """Most decimals of a word."""
@@ -227,13 +223,6 @@ class Dialect(TableModel):
         note = f" ({note})" if note else ""
         return [line.format(words=words, feed=feed, note=note) for line in self.feed_move]
 
-    def start_spindle(self, mode: SpindleMode, sense: int) -> list[str]:
-        """Return the lines that start the spindle in spindle mode; ``sense`` as of a `Motion`."""
-        direction, surface = "M04" if sense > 0 else "M03", mode.surface_speed
-        lines = self.spindle_start if surface is None else self.surface_speed_start
-        speeds = {"speed": decimal(mode.spindle_rpm), "surface_speed": decimal((surface or 0.0) * 0.06)}
-        return [line.format(direction=direction, **speeds) for line in lines]
-
     def rapid(self, words: str) -> list[str]:
         """Return the lines of a rapid move, after which feed moves continue."""
         return [line.format(words=words) for line in self.rapid_move]
@@ -241,11 +230,6 @@ class Dialect(TableModel):
     def commented(self, rows: Sequence[str]) -> list[str]:
         """Return lines with the text that begins a comment before their brackets."""
         return [row.replace("(", f"{self.comment}(", 1) if self.comment else row for row in rows]
-
-
-def decimal(value: float) -> str:
-    """Return a number with at most `SPINDLE_DECIMALS` decimals, as a word of a program."""
-    return f"{value:.{SPINDLE_DECIMALS}f}".rstrip("0").rstrip(".")
 
 
 def _check_line(place: str, line: str) -> None:

@@ -169,8 +169,13 @@ def lines(
     approaches: Sequence[Approach],
     begins: Sequence[str],
     links_s: float,
+    spindle: Sequence[str],
 ) -> list[str]:
-    """Return the header as comment lines; ``begins`` are the C words at which the approaches begin."""
+    """Return the header as comment lines.
+
+    ``begins`` are the C words at which the approaches begin, and ``spindle`` the words that start the spindle, empty
+    for passes with C as an axis.
+    """
     convention = machine.convention
     written = [SIGNATURE, f"( SOFTWARE: {SOFTWARE} )"]
     for key in ("design", "tool", "notes"):
@@ -181,26 +186,33 @@ def lines(
     if dialect.wrapped:
         counting = "WRITTEN FROM 0 TO 360, SHORT WAY"
     dialect_comment, convention_comment = language(machine, dialect)
+    has_c = not all(spindle)
+    c_lines = [
+        f"( C: {turning} WITH THE AZIMUTH OF THE PART UNDER THE TOOL, {counting} )",
+        f"( MARK: C = {np.rad2deg(convention.clocking) + 0.0:.5f} WHERE THE +X MARK OF THE PART IS UNDER THE TOOL )",
+    ]
+    spindle_feed = ["( FEED: UNDER G94, F IS MM/MIN ALONG THE PATH; UNDER G95, MM/REV )"]
     written += [
         f"( DATE: {plain(header.date)} )",
         f"( MACHINE: {plain(machine.name)} )",
         dialect_comment,
         "( UNITS: MM AND DEGREES, ABSOLUTE )",
-        _feed_line(dialect),
+        *([_feed_line(dialect)] if has_c else []),
+        *(spindle_feed if any(spindle) else []),
         f"( X: {away} AWAY FROM THE AXIS ON THE SIDE WHERE THE TOOL CUTS )",
         f"( Z: {outward} OUT OF THE PART, TOWARD THE TOOL )",
-        f"( C: {turning} WITH THE AZIMUTH OF THE PART UNDER THE TOOL, {counting} )",
-        f"( MARK: C = {np.rad2deg(convention.clocking) + 0.0:.5f} WHERE THE +X MARK OF THE PART IS UNDER THE TOOL )",
+        *(c_lines if has_c else []),
         convention_comment,
-        "( SPINDLE: C AXIS, NO M03 OR M04; M03 IS CLOCKWISE SEEN FROM BEHIND THE SPINDLE )",
+        f"( SPINDLE: {_spindle_line(spindle)}; M03 IS CLOCKWISE SEEN FROM BEHIND THE SPINDLE )",
         "( BEFORE THE START: SELECT WORK OFFSET AND TOOL )",
     ]
-    for cut, approach, begin in zip(passes, approaches, begins, strict=True):
+    for cut, approach, begin, start in zip(passes, approaches, begins, spindle, strict=True):
         written.append(f"( ENTRY {cut.name}: {entry_words(approach).upper()} )")
-        if not dialect.wrapped:
+        if not dialect.wrapped and not start:
             written.append(f"( APPROACH {cut.name}: BEGINS AT {begin} )")
+        c = "GROWS" if cut.sense * convention.c_sense > 0 else "FALLS"
         written.append(
-            f"( TURNS {cut.name}: C {'GROWS' if cut.sense * convention.c_sense > 0 else 'FALLS'}, SEEN FROM THE TOOL "
+            f"( TURNS {cut.name}: {plain(start) if start else f'C {c}'}, SEEN FROM THE TOOL "
             f"THE PART TURNS {'CLOCKWISE, AS M04' if cut.sense > 0 else 'COUNTER-CLOCKWISE, AS M03'} )"
         )
         written.append(
@@ -210,9 +222,18 @@ def lines(
     written += [
         f"( MINUTES: {sum(cut.minutes for cut in passes):.3f} )",
         f"( LINKS: {links_s / 60:.3f} MINUTES FOR APPROACH, PLUNGE AND RETRACT )",
-        *(f"( AFTER A STOP: {instruction.upper()} )" for instruction in stop_instructions(dialect)),
+        *(
+            f"( AFTER A STOP: {instruction.upper()} )"
+            for instruction in stop_instructions(dialect)[: None if has_c else 1]
+        ),
     ]
     return written
+
+
+def _spindle_line(spindle: Sequence[str]) -> str:
+    if not any(spindle):
+        return "C AXIS, NO M03 OR M04"
+    return "SPINDLE MODE" if all(spindle) else "SPINDLE MODE WHERE A PASS STATES M03 OR M04, ELSE C AXIS"
 
 
 FIELD = re.compile(r"^\( ([A-Z]+): (.*) \)$")

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from turnwright._arrays import Floats, Ints
 from turnwright._kernels import text as kernel
-from turnwright.errors import ProgramError
+from turnwright.errors import InputError, ProgramError
 from turnwright.machine import Machine
-from turnwright.path import Motion
+from turnwright.path import Motion, SpindleMode
 from turnwright.post.convention import axis_signs, convention_line, motion_of, reading
 from turnwright.post.dialect import Dialect, dialect_of
 from turnwright.post.header import (
@@ -36,6 +36,7 @@ from turnwright.post.header import (
     read_info,
 )
 from turnwright.post.macro import Macros
+from turnwright.post.spindle import Spindle
 from turnwright.progress import Progress
 
 __all__ = ["read_nc"]
@@ -64,7 +65,7 @@ KNOWN_LETTERS = frozenset("CXYZFTSODHPLQ")
 LINEAR, FEED_MODE, OPEN, FEED_UNIT, LINES, Y_SEEN = range(6)
 FEED = 4
 
-IGNORED_G = frozenset({4, 8, 15, 17, 18, 19, 21, 40, 43, 49, 61, 63, 64, 69, 71, 80, 90, 97, 103, 144})
+IGNORED_G = frozenset({4, 8, 15, 17, 18, 19, 21, 40, 43, 49, 61, 63, 64, 69, 71, 80, 90, 103, 144})
 """Planes, offsets set once, metric units, corner modes, cancellations: no motion of the tool relative to the part."""
 MACHINE_G = frozenset({28, 30, 53})
 """Moves in machine coordinates, after which the position relative to the part is unknown."""
@@ -85,6 +86,7 @@ GROUPS: tuple[set[float], ...] = (
     {70, 71},
     {90, 91},
     {93, 94, 95},
+    {96, 97},
 )
 """Groups of G codes of which a block may have one."""
 
@@ -122,9 +124,10 @@ def read_nc(
     """Read one pass of a program, written by Turnwright or not, as the commanded motion.
 
     The motion begins where the first cutting block begins and has one point more than there are blocks. A cutting
-    block is a straight feed move (G1) that turns C; moves before, between and after the cuts are followed but not
-    returned. Time begins at 0, C is cumulative, and the coordinates are those in which the program begins. The time of
-    dwells (G4) is not counted. A program with Turnwright's header is checked against it.
+    block is a straight feed move (G1) that turns C, or one of X while the spindle runs (M03 or M04 in spindle mode);
+    moves before, between and after the cuts are followed but not returned. Time begins at 0, C is cumulative, and the
+    coordinates are those in which the program begins. The time of dwells (G4) is not counted. A program with
+    Turnwright's header is checked against it.
 
     Parameters
     ----------
@@ -242,11 +245,31 @@ class _Cut:
     has_y: bool = False
     timed: bool = False
     """Whether its first block has a time (G93), which a positioning block never has."""
+    spindle: Spindle | None = None
+    """How the spindle runs in a cut in spindle mode, whose durations are revolutions instead."""
+    mode: SpindleMode | None = None
+    """Feed and speed of its first block."""
     shifts: list[tuple[int, Floats]] = field(default_factory=list)
     """First column, and shift of the part's C, X, Y, Z relative to the program's from there on. (4,) [deg, mm]"""
 
 
+def _spindle_motion(path: Path, cut: _Cut, machine: Machine) -> Motion:
+    """Return the motion of a cut in spindle mode."""
+    assert cut.spindle is not None and cut.mode is not None  # noqa: S101, PT018 - for the type checker
+    rows, signs = cut.rows[:, : cut.points], axis_signs(machine)
+    for (start, shift), (stop, _) in pairwise([*cut.shifts, (cut.points, np.zeros(4))]):
+        rows[1, start:stop] += shift[1]
+        rows[3, start:stop] += shift[3]
+    x, z = rows[1] * signs["X"], rows[3] * signs["Z"]
+    try:
+        return cut.mode.motion(x, z, machine, sense=cut.spindle.sense, turns=rows[4, 1:])
+    except InputError as error:
+        raise ProgramError(f"{path} does not hold a motion: {error}") from error
+
+
 def _motion(path: Path, cut: _Cut, header_pass: ProgramPass | None, machine: Machine) -> Motion:
+    if cut.spindle is not None:
+        return _spindle_motion(path, cut, machine)
     dialect = dialect_of(machine)
     rows = cut.rows[:, : cut.points]
     within_one_turn = bool(rows[0].min() >= 0 and rows[0].max() <= 360)
@@ -322,6 +345,7 @@ class _Reader:
         self.shift: Floats = np.zeros(4)  # by G92: the part's coordinates minus the program's
         self.begun: set[str] = set()  # axes whose first coordinate was set by G92
         self.lost: set[str] = set()  # axes whose position in the part's coordinates is unknown
+        self.spindle = Spindle()
         self.work_offset = 54.0
         self.tool = self.length = 0.0  # T and H in force
         self.tool_change = ""  # change of tool or length since the last cut
@@ -375,7 +399,8 @@ class _Reader:
                     "of these"
                 )
             raise ProgramError(
-                f"{self.path} has no cutting block, at least 1 is needed: give a program whose G1 blocks turn C"
+                f"{self.path} has no cutting block, at least 1 is needed: give a program whose G1 blocks turn C, or "
+                "move X while the spindle runs (M03 or M04 with S)"
             )
         others = sum(self.unnamed) - self.selected.blocks
         if self.requested is None and not self.selected.named and len(self.unnamed) > 1 and others > 0:
@@ -405,10 +430,8 @@ class _Reader:
         for text_bytes, data, end in self._buffers(path):
             at = 0
             while at < end and not (self.over or self.ended):
-                rows, first = self._free_columns()
-                at, last = kernel.parse_blocks(data, at, end, self.state, self.real, rows, first)
-                self._count_blocks(rows, first, last)
-                if at < end and last < rows.shape[1]:
+                at, is_full = self._parse_blocks(data, at, end)
+                if at < end and not is_full:
                     stop = text_bytes.find(b"\n", at, min(at + MAX_LINE_BYTES, end)) + 1
                     self.state[LINES] += 1
                     if stop <= at:
@@ -430,6 +453,15 @@ class _Reader:
         self.over, self.coded = False, True
         self.state[LINES] = outer
         self.stack.pop()
+
+    def _parse_blocks(self, data: NDArray[np.uint8], at: int, end: int) -> tuple[int, bool]:
+        """Read plain cutting blocks; return where another line begins, and whether there is no room for more blocks."""
+        if self.spindle.runs:
+            return at, False  # the few blocks in spindle mode are read word by word
+        rows, first = self._free_columns()
+        at, last = kernel.parse_blocks(data, at, end, self.state, self.real, rows, first)
+        self._count_blocks(rows, first, last)
+        return at, last == rows.shape[1]
 
     def _require_ends(self, path: Path, loops: list[int]) -> None:
         if not loops:
@@ -542,7 +574,7 @@ class _Reader:
                     kernel.quantise(part[5 + row], scale, 0.0, 0, units, each * column + 1)
             self.digest.update(bytes_to_hash(units, part[4]))
 
-    def _open(self, *, timed: bool) -> None:
+    def _open(self, *, timed: bool) -> _Cut:
         self.cuts += 1
         # As many points as the header states, limited by the length of the text, plus one, so that the array is not
         # enlarged when full.
@@ -561,6 +593,7 @@ class _Reader:
         self._drain()
         self.digest = hashlib.sha256()
         self._submit(cut.rows, 0, 1)
+        return cut
 
     def _drain(self) -> None:
         if self.hashing is not None:
@@ -767,6 +800,7 @@ class _Reader:
     def _words(self, bare: str) -> None:
         words = self._parse_words(bare)
         codes = [value for letter, value in words if letter == "G"]
+        self._follow_spindle(words, codes)
         for letter, value in words:
             if letter == "M":
                 self._m(value, words)
@@ -782,6 +816,13 @@ class _Reader:
         if repeated := [letter for letter in values if letters.count(letter) > 1]:
             raise self._error(f"gives {', '.join(repeated)} two values", "keep one word of each letter")
         self._block(codes, values)
+
+    def _follow_spindle(self, words: list[tuple[str, float]], codes: list[float]) -> None:
+        """Follow speed and direction of the spindle in spindle mode; a change ends a cut."""
+        spindle = self.spindle.follow(words, codes)
+        if spindle != self.spindle:
+            self._close()
+            self.spindle = spindle
 
     def _m(self, code: float, words: list[tuple[str, float]]) -> None:
         if code == 98:
@@ -814,7 +855,7 @@ class _Reader:
     def _g(self, code: float) -> None:
         if code in {0, 1}:
             self.state[LINEAR] = int(code)
-        elif code in {93, 94}:
+        elif code in {93, 94, 95}:
             self._change_mode(int(code))
         elif code in WORK_OFFSET_G:
             if code != self.work_offset and not np.isnan(self.real[:4]).all():
@@ -829,7 +870,7 @@ class _Reader:
             raise self._error("selects incremental moves (G91)", "write the program in absolute positions (G90)")
         elif code in {2, 3}:
             raise self._error(f"is an arc (G{code:g})", "write the program in straight blocks (G1)")
-        elif code not in IGNORED_G | MACHINE_G | SHIFT_G | UNSET_G | {SET_G}:
+        elif code not in IGNORED_G | {96, 97} | MACHINE_G | SHIFT_G | UNSET_G | {SET_G}:
             raise self._error(f"has G{code:g}, which Turnwright does not support", "remove it, or write it with G1")
 
     def _change_mode(self, mode: int) -> None:
@@ -840,8 +881,9 @@ class _Reader:
         if mode == self.state[FEED_MODE]:
             return
         feed = float(self.real[FEED])
-        if mode == 94:
-            self.real[FEED], self.time_feed = np.nan, feed
+        if mode != 93:
+            self.time_feed = feed if self.state[FEED_MODE] == 93 else self.time_feed
+            self.real[FEED] = np.nan
         else:
             self.real[FEED] = self.time_feed if np.isnan(feed) else np.nan
         self.state[FEED_MODE] = mode
@@ -943,6 +985,15 @@ class _Reader:
         step = self.real[:4] - before
         if not self.state[Y_SEEN]:
             step[2] = 0.0
+        if "C" in axes:
+            self.spindle = self.spindle._replace(sense=0)  # C is an axis
+        if self.spindle.runs:
+            self._turn(before, step)
+        else:
+            self._move_c(before, step)
+
+    def _move_c(self, before: Floats, step: Floats) -> None:
+        """Follow a move with C as an axis: a feed move of C is a cut, all others position the tool."""
         unknown = [letter for letter in sorted(self.lost - {"C"}) if np.isnan(step[AXES.index(letter)])]
         if self.state[LINEAR] and abs(step[0]) > 0 and unknown:
             ends = self.real[[AXES.index(letter) for letter in unknown]]
@@ -959,10 +1010,40 @@ class _Reader:
         elif self.cut is not None:
             raise self._error("does not move within a cut", "remove the repeated point")
 
+    def _turn(self, before: Floats, step: Floats) -> None:
+        """Follow a move in spindle mode: a feed move of X is a cut, all others position the tool."""
+        moves = step[[1, 3]]
+        if not self.state[LINEAR] or step[1] == 0 or np.isnan(moves).any():
+            if np.any(moves != 0):
+                self._close()
+            return
+        spindle, feed, per_rev = self.spindle, float(self.real[FEED]), self.state[FEED_MODE] == 95
+        if not feed > 0 or self.state[FEED_MODE] == 93:
+            given = f"a feed of {feed:g}" if feed <= 0 else "no feed" if np.isnan(feed) else "a block time (G93)"
+            raise self._error(f"cuts in spindle mode with {given}", "give an F above 0 under G94 or G95")
+        if spindle.constant_surface and not (per_rev and spindle.highest > 0):
+            missing = "the highest spindle speed" if per_rev else "a feed per revolution (G95)"
+            raise self._error(f"cuts at constant surface speed (G96) without {missing}", "state it")
+        mode = spindle.mode(feed, per_rev=per_rev)
+        if self.cut is None:
+            after = self.real.copy()
+            self.real[:4] = before
+            self.real[0] = 0.0
+            cut = self._open(timed=True)
+            cut.spindle, cut.mode = spindle, mode
+            self.real[:] = after
+        rows, first = self._free_columns()
+        rows[:4, first] = self.real[:4]
+        rows[0, first] = 0.0
+        rows[4, first] = mode.turns(*np.stack([before, self.real[:4]])[:, [1, 3]].T)[0]
+        self._count_blocks(rows, first, first + 1)
+
     def _cut(self, before: Floats, step: Floats) -> None:
         """Add the current block to the cut, beginning one if none is open."""
         inverse = self.state[FEED_MODE] == 93
         feed = float(self.real[FEED])
+        if self.state[FEED_MODE] == 95:
+            raise self._error("turns C with a feed per revolution (G95)", "give a block time under G93, or G94")
         if not feed > 0:
             mode = ("PVT" if inverse else "LINEAR") if self.dialect.velocities else f"G{93 if inverse else 94}"
             words = "without a feed" if np.isnan(feed) else f"with a feed of {feed:g}"

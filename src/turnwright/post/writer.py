@@ -24,7 +24,7 @@ from turnwright._arrays import Floats, Ints
 from turnwright._kernels import text as text_kernel, tracking as tracking_kernel
 from turnwright.errors import ProgramError
 from turnwright.machine import FAST, Machine
-from turnwright.path import Motion
+from turnwright.path import Motion, SpindleMode
 from turnwright.post.approach import (
     DOWN_FEED,
     MOST_CLEARANCE,
@@ -47,6 +47,7 @@ from turnwright.post.header import (
     lines,
     program_hash,
 )
+from turnwright.post.spindle import position_word, require_spindle_modes, spindle_lines, start_spindle
 from turnwright.progress import Progress, cores
 
 __all__ = ["ProgramFiles", "write_nc"]
@@ -111,8 +112,15 @@ class _Pass:
         return int(np.rint(value * (self.factors[letter] * scale) + self.shifts[letter] * scale))
 
     @property
+    def points(self) -> int:
+        """Number of points in the program."""
+        return self.motion.time.size if self.motion.spindle_mode is None else self.motion.blocks.size
+
+    @property
     def first_c(self) -> float:
-        """The controller's C at the first point, without the full turns of the passes before. [deg]."""
+        """The controller's C at the first point, without full turns of the passes before; 0 in spindle mode. [deg]."""
+        if self.motion.spindle_mode is not None:
+            return 0.0
         places = self.dialect.decimals["C"]
         turns = round((self.shifts["C"] - self.clocking) / 360)
         units = self.units("C", float(self.motion.axes["C"][0])) - turns * 360 * 10**places
@@ -123,8 +131,7 @@ class _Pass:
         units = self.units(letter, value)
         if letter == "C" and self.dialect.wrapped:
             units %= 360 * 10**places
-        sign = "-" if units < 0 else ""
-        return f"{letter}{sign}{abs(units) // 10**places}.{abs(units) % 10**places:0{places}d}"
+        return position_word(letter, units, places)
 
 
 _Chunk: TypeAlias = tuple[int, int, Ints, Ints, Floats]
@@ -220,6 +227,7 @@ def write_nc(
             "mm/min: give it in mm/s"
         )
     motions = {"finish": motion} if isinstance(motion, Motion) else motion
+    require_spindle_modes(dialect, (one.spindle_mode for one in motions.values()))
     approaches = _approaches(motions, clearance, depth, plunge_feed, entry_heights)
     passes = _passes(motions, machine, dialect, approaches)
     limit = dialect.max_lines if max_lines is None else max_lines
@@ -308,7 +316,7 @@ def _passes(
                 f"{', '.join(dialect.decimals)}: remove it"
             )
         velocity = _velocity(motion) if dialect.velocities else None
-        if not dialect.wrapped:
+        if not dialect.wrapped and motion.spindle_mode is None:
             start = approaches[name].start["C"] * factors["C"] + clocking
             turns = _turns_on(passes[-1] if passes else None, start, motion.sense * convention.c_sense)
             shifts = {**shifts, "C": clocking + 360.0 * turns}
@@ -336,7 +344,11 @@ def _turns_on(before: _Pass | None, start: float, sense: int) -> int:
 
     C comes from the end of the pass before, or from 0 for the first pass.
     """
-    end = 0.0 if before is None else float(before.motion.axes["C"][-1]) * before.factors["C"] + before.shifts["C"]
+    end = (
+        0.0
+        if before is None or before.motion.spindle_mode is not None
+        else float(before.motion.axes["C"][-1]) * before.factors["C"] + before.shifts["C"]
+    )
     return sense * math.ceil(sense * (end - start) / 360.0)
 
 
@@ -390,16 +402,27 @@ class _Job:
     entries: list[ProgramPass] = field(default_factory=list)
     approaches: dict[str, Approach] = field(default_factory=dict)
     begins: list[str] = field(default_factory=list)
+    spindle: list[str] = field(default_factory=list)
 
     def write(self, passes: list[_Pass]) -> list[str]:
         """Write all files into the folder; return the names of the sub-programs in the order of their calls."""
-        self.total = sum(one.motion.time.size for one in passes)
+        self.total = sum(one.points for one in passes)
         self.entries = [self._entry(one, NO_HASH) for one in passes]
         self.approaches = {one.name: one.approach for one in passes}
-        self.begins = [one.word("C", one.approach.start["C"]) for one in passes]
+        self.begins = [
+            one.word("C", one.approach.start["C"]) if one.motion.spindle_mode is None else "" for one in passes
+        ]
+        self.spindle = [
+            " ".join(start_spindle(self.dialect, mode, one.motion.sense)) if (mode := one.motion.spindle_mode) else ""
+            for one in passes
+        ]
         self.links_s = link_seconds([(one.approach, one.motion) for one in passes], self.machine)
         main = [*self.dialect.setup]
-        blocks = self.total + sum(plunge.time.size for one in passes if (plunge := one.approach.plunge) is not None)
+        blocks = self.total + sum(
+            plunge.time.size
+            for one in passes
+            if (plunge := one.approach.plunge) is not None and one.motion.spindle_mode is None
+        )
         inline = not self.dialect.always_call and blocks + 100 * (len(passes) + 1) <= self.limit
         if not (inline or self.dialect.call):
             raise ProgramError(
@@ -413,6 +436,11 @@ class _Job:
                 self._text(file, self._head() + main)
                 for index, one in enumerate(passes):
                     self._text(file, [f"( PASS: {one.name} )", *self._approach(one)])
+                    if one.motion.spindle_mode is not None:
+                        rows, digest = self._spindle_cut(one, one.motion.spindle_mode)
+                        self._text(file, [*rows, *self._retract(one)])
+                        self.entries[index] = self._entry(one, digest)
+                        continue
                     if one.approach.plunge is not None:
                         self._text(file, [*self._plunge_begins(one), *self._plunge(one), f"( PASS: {one.name} )"])
                     self._text(file, [*self.dialect.cut_begin])
@@ -433,7 +461,9 @@ class _Job:
 
     def _head(self) -> list[str]:
         approaches = list(self.approaches.values())
-        return lines(self.header, self.machine, self.dialect, self.entries, approaches, self.begins, self.links_s)
+        return lines(
+            self.header, self.machine, self.dialect, self.entries, approaches, self.begins, self.links_s, self.spindle
+        )
 
     def summary(self, written: list[str]) -> ProgramFiles:
         return ProgramFiles(
@@ -450,7 +480,7 @@ class _Job:
         time = one.motion.time
         return ProgramPass(
             name=one.name,
-            points=time.size,
+            points=one.points,
             minutes=float(time[-1] - time[0]) / 60,
             first_c=one.first_c,
             sense=one.motion.sense,
@@ -468,6 +498,18 @@ class _Job:
     def _approach(self, one: _Pass) -> list[str]:
         start, dialect = one.approach.start, self.dialect
         others = " ".join(one.word(letter, start[letter]) for letter in ("X", "Y") if letter in one.letters)
+        if (mode := one.motion.spindle_mode) is not None:
+            first = float(one.motion.axes["Z"][0])
+            plunge = dialect.straight(one.word("Z", first), one.approach.plunge_feed, "INTO THE MATERIAL")
+            return [
+                *dialect.cut_end,
+                *dialect.straight(one.word("Z", one.approach.clear), TRAVERSE_FEED, "CLEAR OF THE PART"),
+                *dialect.straight(others, TRAVERSE_FEED),
+                # Only then does the spindle start: a feed move of X while it runs is a cut.
+                *start_spindle(dialect, mode, one.motion.sense),
+                *dialect.straight(one.word("Z", start["Z"]), DOWN_FEED, "ABOVE THE MATERIAL"),
+                *(plunge if one.approach.plunge is not None else []),
+            ]
         return [
             *dialect.cut_end,
             *dialect.straight(one.word("Z", one.approach.clear), TRAVERSE_FEED, "CLEAR OF THE PART"),
@@ -494,9 +536,39 @@ class _Job:
 
     def _retract(self, one: _Pass) -> list[str]:
         clear = one.word("Z", one.approach.clear)
-        return [*self.dialect.cut_end, *self.dialect.straight(clear, DOWN_FEED, "CLEAR OF THE PART")]
+        stop = () if one.motion.spindle_mode is None else self.dialect.spindle_end
+        return [*self.dialect.cut_end, *self.dialect.straight(clear, DOWN_FEED, "CLEAR OF THE PART"), *stop]
+
+    def _spindle_cut(self, one: _Pass, mode: SpindleMode) -> tuple[list[str], str]:
+        """Return the lines of a cut in spindle mode, and the hash of its points."""
+        axes, points = one.motion.axes, one.motion.blocks
+        units = {
+            letter: np.array([one.units(letter, value) for value in axes[letter][points].tolist()], dtype=np.int64)
+            for letter in one.letters
+            if letter != "C"
+        }
+        rows, digest = spindle_lines(one.name, units, mode, self.dialect)
+        self._count(points.size)
+        return rows, digest
+
+    def _spindle_programs(self, one: _Pass, mode: SpindleMode) -> tuple[list[str], str]:
+        """Write a pass in spindle mode as sub-programs; return their names and the hash."""
+        rows, digest = self._spindle_cut(one, mode)
+        each = self.limit - 50
+        parts = [rows[k : k + each] for k in range(0, len(rows), each)]
+        names = [f"{self.path.stem}.{_file_part(one.name)}.{k + 1:03d}{self.path.suffix}" for k in range(len(parts))]
+        for k, (name, part) in enumerate(zip(names, parts, strict=True)):
+            number = f", PART {k + 1} OF {len(names)}" if len(names) > 1 else ""
+            with (self.folder / name).open("wb") as file:
+                self._text(file, [SUB_SIGNATURE, f"( PASS: {one.name}{number} )"])
+                self._text(file, [*language(self.machine, self.dialect), *(self._approach(one) if k == 0 else [])])
+                self._text(file, part)
+                self._text(file, [*(self._retract(one) if k == len(names) - 1 else []), self.dialect.call_end])
+        return names, digest
 
     def _sub_programs(self, one: _Pass) -> tuple[list[str], str]:
+        if one.motion.spindle_mode is not None:
+            return self._spindle_programs(one, one.motion.spindle_mode)
         points, plunge = one.motion.time.size, self._plunge(one)
         each = self.limit - 30
         count = -(-(len(plunge) + points - 1) // each)
