@@ -81,8 +81,9 @@ class PassPlan:
 
     @cached_property
     def feed(self) -> float:
-        """Mean advance per revolution. [mm/rev]."""
-        return self.spiral.feed
+        """Mean advance per revolution; in spindle mode along the path. [mm/rev]."""
+        mode = self.servo.spindle_mode
+        return self.spiral.feed if mode is None else mode.feed
 
     @cached_property
     def path(self) -> Path:

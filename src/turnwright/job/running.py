@@ -180,14 +180,15 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
                 PassPlan(job, cut).require_steps()
             place(spiral, part, tool, along=job.strategy.along)  # raises where the surface ends
         profile, stated = servo.spindle_speeds, servo.spindle_rpm
-        if stated is not None and stated > machine.spindle_rpm:
+        most = (machine if servo.spindle_mode is None else machine.in_spindle_mode()).spindle_rpm
+        if stated is not None and stated > most:
             sentence = (
                 f"pass {cut.name}: spindle_speed is {stated:g} rpm, the limit of {machine.name} is "
-                f"{machine.spindle_rpm:g} rpm: reduce it, or leave it out to use the highest possible speed"
+                f"{most:g} rpm: reduce it, or leave it out to use the highest possible speed"
             )
             refused = (sentence,)
             break
-        speed = stated or machine.spindle_rpm if profile is None else float(profile.spindle_rpm.max())
+        speed = stated or most if profile is None else float(profile.spindle_rpm.max())
         times = cut.repeats(stock)
         points[cut.name] = times * size
         # The points of a fast tool are in its own table.

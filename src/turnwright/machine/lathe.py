@@ -17,7 +17,7 @@ from turnwright._faults import read_table
 from turnwright._io import bytes_of, read_toml
 from turnwright._tables import Columns, Loaded, Plausible, Sources, TableModel, flat
 from turnwright._validate import check_angle, check_numbers, plausible_sizes, positive
-from turnwright.errors import InputError, quote
+from turnwright.errors import InputError, LimitError, quote
 from turnwright.machine.axes import Axes, Axis
 from turnwright.machine.controller import Controller, Convention
 from turnwright.units import Number, Slope, Text
@@ -185,6 +185,21 @@ class Machine(TableModel, Value):
             self.controller, interpolation=interpolation, other_interpolations={current: self.dialect, **others}
         )
         return replace(self, controller=controller, dialect=dialect)
+
+    def in_spindle_mode(self) -> Machine:
+        """Return the machine with the limits that hold in spindle mode, in which C is no axis.
+
+        Raises
+        ------
+        LimitError
+            If no highest speed in spindle mode is stated.
+        """
+        if self.spindle_mode_rpm is None:
+            raise LimitError(
+                f"the cut is in spindle mode, the machine file of {self.name} states no spindle_mode_rpm: state the "
+                "highest speed of its spindle, or cut with C as an axis"
+            )
+        return replace(self, spindle_rpm=self.spindle_mode_rpm, axes={**self.axes, "C": Axis()})
 
     def z_error(self, x: ArrayLike) -> Floats:
         """Return the height error of the tip at positions of X: actual minus nominal. (n,) [mm]."""

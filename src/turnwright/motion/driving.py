@@ -142,12 +142,7 @@ def _find_omega(
 
 def _drive_spindle_mode(path: Path, servo: Servo, mode: SpindleMode, machine: Machine) -> Motion:
     """Return the motion along straight lines between the points of the program, the spindle running freely."""
-    most = machine.spindle_mode_rpm
-    if most is None:
-        raise LimitError(
-            f"the strategy turns in spindle mode, the machine file of {machine.name} states no spindle_mode_rpm: state "
-            "the highest speed of its spindle, or cut with C as an axis"
-        )
+    most = machine.in_spindle_mode().spindle_rpm
     if mode.spindle_rpm > most:
         raise LimitError(
             f"spindle_rpm is {mode.spindle_rpm:g} rev/min, the limit of {machine.name} in spindle mode is {most:g} "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -104,6 +104,8 @@ class Limits:
         Whether every stated limit is kept.
     findings
         One sentence for each limit that is exceeded.
+    spindle_mode
+        Whether the cut is in spindle mode, so that C is no axis.
     """
 
     cycle_time_s: float
@@ -119,6 +121,7 @@ class Limits:
     binding: str
     ok: bool
     findings: tuple[str, ...]
+    spindle_mode: bool = False
 
     @property
     def nearest(self) -> str:
@@ -158,7 +161,7 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
     course = Course(motion.time, motion.axes, motion.velocity or {})
     peaks = find_axis_peaks(course, motion.blocks, machine)
     if motion.spindle_mode is not None:
-        machine = _in_spindle_mode(machine)
+        machine = machine.in_spindle_mode()
     demands = find_limit_demands(course, motion.blocks, peaks, machine)
     length = float(motion.time[-1] - motion.time[0])
     rpm = abs(float(motion.axes["C"][-1] - motion.axes["C"][0])) / length * 60 / TURN
@@ -193,13 +196,8 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
         else STATED_SPEED,
         ok=not findings,
         findings=tuple(findings),
+        spindle_mode=motion.spindle_mode is not None,
     )
-
-
-def _in_spindle_mode(machine: Machine) -> Machine:
-    """Return a machine with the limits that hold in spindle mode, in which C is no axis."""
-    most = machine.spindle_mode_rpm or machine.spindle_rpm
-    return replace(machine, spindle_rpm=most, axes={**machine.axes, "C": Axis()})
 
 
 def find_limit_demands(

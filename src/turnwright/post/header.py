@@ -152,10 +152,10 @@ def _feed_line(dialect: Dialect) -> str:
     return f"( FEED: UNDER G93, F IS {meaning}{validity}; WITH {dialect.feed_decimals} DECIMALS AT MOST )"
 
 
-def stop_instructions(dialect: Dialect) -> tuple[str, ...]:
-    """Return instructions for the operator after a program was stopped, as sentences."""
+def stop_instructions(dialect: Dialect, *, has_c: bool = True) -> tuple[str, ...]:
+    """Return instructions for the operator after a program, with C as an axis or not, was stopped, as sentences."""
     restart = "Retract in Z first, then begin the pass again with its approach"
-    if dialect.wrapped:
+    if dialect.wrapped or not has_c:
         return (restart,)
     unwind = "Before that, set C by whole turns to within 360 deg of the start of that approach, or it unwinds"
     return restart, unwind

@@ -56,10 +56,8 @@ class Spindle(NamedTuple):
             spindle = spindle._replace(constant_surface=96 in codes)
         for letter, value in words:
             if letter == "S":
-                if {50, 92} & set(codes):  # the highest speed of G96 on some controllers
-                    spindle = spindle._replace(highest=value)
-                else:
-                    spindle = spindle._replace(speed=value)
+                is_limit = {50, 92} & set(codes)  # the highest speed of G96 on some controllers
+                spindle = spindle._replace(highest=value) if is_limit else spindle._replace(speed=value)
             elif letter == "D" and 96 in codes:
                 spindle = spindle._replace(highest=value)
             elif letter == "M" and value in {2, 3, 4, 5, 30}:

@@ -333,7 +333,7 @@ def approach_view(name: str, entry: Entry, tool: Tool) -> Picture:
         )  # fmt: skip
         axes.plot(radius, finished, color=SERIES[1], linewidth=1.4, label="finished surface")
         for height, style, label in (
-            (top, "--", "tool where C starts to rotate"),
+            (top, "--", "tool where the plunge begins"),
             (z, "-", "tool where the pass begins"),
         ):
             axes.plot(x + u, height + e, color=SERIES[0], linestyle=style, linewidth=1.2, label=label)
@@ -341,16 +341,16 @@ def approach_view(name: str, entry: Entry, tool: Tool) -> Picture:
         _arrow(axes, (x, ceiling), (x, down), INK, linewidth=0.9)
         if approach.plunge is not None:
             _arrow(axes, (x, top), (x, z), SERIES[2])
-            axes.plot([], [], color=SERIES[2], linewidth=1.6, label="plunge, C rotating")
+            axes.plot([], [], color=SERIES[2], linewidth=1.6, label="plunge, part rotating")
         _arrow(axes, (x, z), (x + (0.5 if entry.outward else -0.5) * wide, z), SERIES[0])
         axes.set(xlim=(low, high), ylim=(bottom, ceiling), xlabel="distance from the axis [mm]", ylabel="z [mm]")
         axes.set_title(f"pass {name}")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2, fontsize=7)
         axes.grid(visible=True)
-    how = "begins clear of the material" if approach.plunge is None else "plunges with C rotating"
+    how = "begins clear of the material" if approach.plunge is None else "plunges with the part rotating"
     return Picture(
         canvas.svg,
-        f"Side view of the approach to pass {name}, which {how}: the dashed tool, where C starts to rotate, must be at "
+        f"Side view of the approach to pass {name}, which {how}: the dashed tool, where the plunge begins, must be at "
         f"least {GAP_TEXT} clear of the material.",
     )
 

@@ -48,8 +48,8 @@ ACCESS_TEXT = (
 )
 
 APPROACH_TEXT = (
-    "With C stationary, the tool comes no closer than 0.1 mm to the material. Where a pass cannot begin clear of the "
-    "material, the tool plunges with C rotating."
+    "With the part at rest, the tool comes no closer than 0.1 mm to the material. Where a pass cannot begin clear of "
+    "the material, the tool plunges with the part rotating."
 )
 
 CHIP_TEXT = (
@@ -213,7 +213,7 @@ def _approach(result: Result) -> Section:
     """Return the section of the approaches: side views of the first and last pass, and a table of all."""
     names = dict.fromkeys((result.passes[0].name, result.passes[-1].name))
     columns = ("Pass", "Depth at the first point", "Entry", "Plunge feed", "Revolutions", "Time",
-               "Minimum gap, C stationary")  # fmt: skip
+               "Minimum gap, part at rest")  # fmt: skip
     return Section(
         title="Approach",
         items=[
@@ -236,7 +236,7 @@ def _approach_facts(entry: Entry) -> tuple[str, ...]:
         return ("none", "clear of the material", "–", "–", "–", _length(entry.least_gap))
     return (
         _length(max(entry.depth or 0.0, 0.0)),
-        "plunge with C rotating",
+        "plunge with the part rotating",
         f"{approach.plunge_feed * 60:.3g} mm/min, {approach.per_rev * 1e3:.3g} µm/rev",
         f"{approach.turns:.0f}",
         _duration(approach.plunge_s),
@@ -381,6 +381,8 @@ def _things(job: Job) -> Section:
         "Highest spindle speed": f"{machine.spindle_rpm:.4g} rev/min",
         "Block rate": f"{machine.block_rate_hz:.4g} blocks/s",
     }
+    if machine.spindle_mode_rpm is not None:
+        about_machine["Highest speed in spindle mode"] = f"{machine.spindle_mode_rpm:.4g} rev/min"
     if machine.squareness:
         about_machine["Squareness"] = f"{machine.squareness * 1e6:.4g} µrad"
     if job.actual_machine.squareness != machine.squareness:
@@ -450,13 +452,16 @@ def _spiral_table(turns: Sequence[Motion], limits: Limits, feed: float, *more: S
         ("Azimuth under the tool", "increases" if first.sense > 0 else "decreases"),
         ("Starts and ends at X", f"{first.axes['X'][0]:.6g} and {last.axes['X'][-1] + 0.0:.6g} mm"),
         ("Points", f"{limits.points:,}"),
-        ("Points per revolution", f"{fewest:,}" if most - fewest < 4 else f"{fewest:,} to {most:,}"),
+        ("Points per revolution", f"{fewest:,}" if most - fewest < 4 else f"{fewest:,} to {most:,}")
+        if first.spindle_mode is None
+        else ("Spindle", f"in spindle mode, {'M04' if first.sense > 0 else 'M03'}"),
     ]
     return Table(rows=[*rows, *more], span=3)
 
 
 def _limit_table(title: str, facts: str, limits: Limits, machine: Machine, *, folded: bool = False) -> Table:
     """Return the peak values with their limits and utilisation."""
+    machine = machine.in_spindle_mode() if limits.spindle_mode else machine
     quantities: list[tuple[str, float, str, float | None, float]] = [
         ("block rate", limits.block_rate_hz, "blocks/s", machine.block_rate_hz, 1.0),
     ]
@@ -471,6 +476,8 @@ def _limit_table(title: str, facts: str, limits: Limits, machine: Machine, *, fo
         )
         for kind, peaks, unit, factor in kinds:
             stated = getattr(axis, kind, None)
+            if limits.spindle_mode and letter == "C" and kind != "speed":
+                continue
             if letter == "C" and kind == "speed":
                 quantities.append(("spindle speed", peaks[letter], unit, machine.spindle_rpm / factor, factor))
             else:

@@ -29,6 +29,12 @@ __all__ = ["Turning", "find_asymmetry"]
 MERIDIAN_SAMPLES = 20_000
 """Samples of the meridian for the length of the path."""
 
+BULGE_FRACTION = 0.05
+"""Bulge of the path between samples, as a fraction of the chord."""
+
+MAX_PER_REV = 10_000
+"""Most samples of the path per revolution; a slope discontinuity does not need more."""
+
 SYMMETRY_RADII = 256
 MIN_AZIMUTHS, MAX_AZIMUTHS = 64, 4096
 SAMPLES_PER_FEATURE = 8
@@ -117,12 +123,15 @@ class Turning(Strategy):
         require_overlap(edge, self.feed)
         start, end = part.radius + find_lead_in(part, edge, self.feed, self.lead_in), -edge.dx - self.overrun
         radius = np.linspace(end, start, MERIDIAN_SAMPLES + 1)
-        length = np.concatenate(
-            ([0.0], np.cumsum(np.hypot(np.diff(radius), np.diff(self._heights(part, edge, radius)))))
-        )
+        z = self._heights(part, edge, radius)
+        length = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(radius), np.diff(z)))))
         turns = float(length[-1]) / self.feed
-        check_count(turns * POINTS_PER_REV, "the feed")
-        count = max(math.ceil(turns * POINTS_PER_REV), 1)
+        # Samples are so dense that the path bulges between them by a small fraction of the chord only.
+        bend = float(np.abs(np.diff(z, 2)).max(initial=0.0)) / (radius[1] - radius[0]) ** 2
+        finest = self.feed * math.sqrt(bend / (8 * BULGE_FRACTION * self.chord))
+        per_rev = min(max(POINTS_PER_REV, math.ceil(finest)), MAX_PER_REV)
+        check_count(turns * per_rev, "the feed and of the chord")
+        count = max(math.ceil(turns * per_rev), 1)
         if progress is not None:
             progress(0, count + 1)
         turned = np.linspace(0.0, turns, count + 1)
@@ -142,17 +151,27 @@ class Turning(Strategy):
                 f"the chord, {self.chord * 1e6:.4g} nm: use a slow tool servo, or cut its symmetric part"
             )
 
+    def extent(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> tuple[int, Spiral]:
+        """Return the number of points of the program, and the outermost revolution with the point at the other end."""
+        edge, spiral = tool.cutting_edge(self.sense), self.spiral(part, tool, progress=progress)
+        reverse = slice(None) if self.inside_out else slice(None, None, -1)
+        z = self._heights(part, edge, spiral.radius[reverse])[reverse]
+        _, ends = super(Turning, self).extent(part, tool, progress=progress)
+        return self._find_blocks(spiral.radius, z).size, ends
+
     def blocks(self, path: Path) -> Ints:
         """Return the indices of the points of the program: the fewest within the chord. (m,)."""
-        x, z = path.radius, path.z
-        bulge = np.abs(np.diff(z, 2, prepend=z[0], append=z[-1])) / 8 if z.size > 1 else np.zeros(z.size)
-        slack = np.maximum(self.chord - np.pad(bulge, 1, mode="edge")[1:-1][: z.size], 0.0)
+        return self._find_blocks(path.radius, path.z)
+
+    def _find_blocks(self, x: Floats, z: Floats) -> Ints:
+        # Between the points the path bulges by an eighth of the second difference.
+        bulge = np.abs(np.diff(np.pad(z, 1, mode="edge"), 2)) / 8
+        slack = np.maximum(self.chord - bulge, 0.0)
         travelled = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(z)))))
-        keep = np.empty(z.size, dtype=np.int64)
         position = np.abs(x - x[0])
-        monotonic = bool((np.diff(position) > 0).all())
-        count = kernel.fewest(position if monotonic else travelled, z, slack, travelled[-1], keep)
-        return keep[:count]
+        along = position if (np.diff(position) > 0).all() else travelled
+        keep = np.empty(z.size, dtype=np.int64)
+        return keep[: kernel.fewest(along, z, slack, travelled[-1], keep)]
 
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes at the points of a path: C the azimuth from any start [rad], X and Z of the tip [mm]."""
