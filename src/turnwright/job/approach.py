@@ -201,6 +201,8 @@ def _plan_entry(job: Job, name: str, motion: Motion, before: Motion | None) -> E
     x0, y0 = float(motion.axes["X"][0]), float(motion.axes["Y"][0]) if "Y" in motion.axes else 0.0
     x0 += float(motion.axes["U"][0]) if "U" in motion.axes else 0.0
     heights = _contact_heights(part, tool, motion, turned, axes)
+    if motion.spindle_mode is not None:  # the tool cannot follow the azimuth
+        heights = np.full(heights.size, heights.max())
     path = heights + (axes["Z"][0] + axes.get("W", np.zeros(1))[0] - heights[0])
     z, fast = entry_shares(motion, heights) if FAST.keys() & axes.keys() else (heights, {})
     w = fast.get("W", np.zeros(turned.size))

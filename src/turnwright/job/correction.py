@@ -31,9 +31,10 @@ from turnwright.job.text import edit_text
 from turnwright.job.verdict import Verdict, judge_form
 from turnwright.machine import Machine
 from turnwright.metrology import Smooth, form_compensation, sum_tables
-from turnwright.part import evenly
+from turnwright.part import Part, evenly
 from turnwright.path import Motion
 from turnwright.progress import StageProgress
+from turnwright.strategy import revolve
 from turnwright.surface import Gridded
 from turnwright.tool import Tool, WavinessTable
 
@@ -217,6 +218,7 @@ class _Plan(NamedTuple):
     map: int  # number of the map whose draws test it
     draws: Draws
     proof: Proof
+    azimuthal_nm: float = 0.0  # rms of the form that varies with the azimuth, where spindle mode cannot follow it
 
     @property
     def cutoff(self) -> float | None:
@@ -420,12 +422,32 @@ def _plans(job: Job, diagnosis: Diagnosis, is_same_part: Sequence[bool]) -> Iter
         smooth = _sum_additions(
             [one for one in (form, residual_form) if one is not None and one.cutoff is not None], job.part.correction
         )
-        added = np.zeros(draws.x.size)
+        added, azimuthal_nm = np.zeros(draws.x.size), 0.0
+        if smooth is not None and job.servo(job.passes[-1]).spindle_mode is not None:
+            smooth, azimuthal_nm = _keep_symmetric_part(job.part, smooth)
         if smooth is not None:
             x, y = draws.places[:, 0], draws.places[:, 1]  # the addition is fixed to the part, at any pose of the map
             added = smooth.table.evaluate(x, y, 0)[0] - _addition_at(job, x, y)
         proof = prove(draws, added, sources=sources, beyond=beyond, min_effect_nm=min_effect_nm)
-        yield _Plan(likely=False, sources=sources, smooth=smooth, map=first, draws=draws, proof=proof)
+        yield _Plan(
+            likely=False, sources=sources, smooth=smooth, map=first, draws=draws, proof=proof, azimuthal_nm=azimuthal_nm
+        )  # fmt: skip
+
+
+def _keep_symmetric_part(part: Part, smooth: Smooth) -> tuple[Smooth, float]:
+    """Return an addition that a cut in spindle mode can follow, its mean over the azimuth, and the rms of the rest.
+
+    Beyond the largest circle within the table, the mean is that of the rim of the circle.
+    """
+    table = smooth.table
+    reach = float(min(-table.x[0], table.x[-1], -table.y[0], table.y[-1]))
+    mean = revolve(table, reach, np.mean)
+    x, y = np.meshgrid(table.x, table.y)
+    radius = np.minimum(np.hypot(x, y), reach)
+    symmetric = Gridded(x=table.x, y=table.y, z=mean.evaluate(radius, np.zeros(radius.shape), 0)[0])
+    x, y = evenly(part, MAX_PREDICTED_POINTS)
+    rest = table.evaluate(x, y, 0)[0] - symmetric.evaluate(x, y, 0)[0]
+    return smooth._replace(table=symmetric), float(np.sqrt(np.mean(rest**2))) * NM
 
 
 def _remove_outliers(residual: HeightMap, cutoff: float) -> HeightMap:
@@ -643,6 +665,11 @@ def _sentences(
     if plan.likely and stays:
         shown = ", ".join(f"{one.name} ({one.rms_nm:.3g} nm rms on the measured parts)" for one in stays)
         sentences.append(f"not corrected on this part: {shown}; cut it, measure it and correct it by its own map")
+    if plan.azimuthal_nm:
+        sentences.append(
+            f"in spindle mode only the part of the form that is symmetric about the axis is corrected: "
+            f"{plan.azimuthal_nm:.3g} nm rms vary with the azimuth and stay, a slow tool servo can correct them"
+        )
     if form and plan.draws.unmeasured:
         sentences.append(
             f"the map does not cover {plan.draws.unmeasured:.0%} of the part: its form is not corrected there, and the "

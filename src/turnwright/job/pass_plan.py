@@ -15,6 +15,7 @@ from turnwright.errors import InputError
 from turnwright.generation import generate_points
 from turnwright.job.schema import Job, PassTable
 from turnwright.motion import drive
+from turnwright.part import Part
 from turnwright.path import Motion, Path, Spiral
 from turnwright.placing import place
 from turnwright.progress import Progress, StageProgress
@@ -62,10 +63,15 @@ class PassPlan:
         return self.job.servo(self.cut)
 
     @cached_property
+    def target(self) -> Part:
+        """The part that the tool is placed on."""
+        return self.servo.target(self.job.part)
+
+    @cached_property
     def spiral(self) -> Spiral:
         """The spiral of the tool tip in plan view."""
         with self._watch.stage("plan") as update:
-            spiral = self.servo.spiral(self.job.part.aimed, self.job.tool, progress=update)
+            spiral = self.servo.spiral(self.target, self.job.tool, progress=update)
         if self.job.machine.controller.interpolation == "hermite":
             return spiral
         return replace(spiral, radius_rate=None, y_rate=None)  # only Hermite blocks use rates
@@ -90,7 +96,7 @@ class PassPlan:
         """The path of the tool tip in contact with the part."""
         spiral = self.spiral
         with self._watch.stage("place") as update:
-            return place(spiral, self.job.part.aimed, self.job.tool, along=self.servo.along, progress=update)
+            return place(spiral, self.target, self.job.tool, along=self.servo.along, progress=update)
 
     @cached_property
     def planned(self) -> Motion:

@@ -175,10 +175,11 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
         servo = job.servo(cut)
         with watch.stage("plan") as update:
             # A job is checked while it is typed, so points are counted without computing all of them.
-            size, spiral = servo.extent(part, tool, progress=update)
+            target = servo.target(job.part)
+            size, spiral = servo.extent(target, tool, progress=update)
             if _widens(servo):
                 PassPlan(job, cut).require_steps()
-            place(spiral, part, tool, along=job.strategy.along)  # raises where the surface ends
+            place(spiral, target, tool, along=servo.along)  # raises where the surface ends
         profile, stated = servo.spindle_speeds, servo.spindle_rpm
         most = (machine if servo.spindle_mode is None else machine.in_spindle_mode()).spindle_rpm
         if stated is not None and stated > most:

@@ -30,7 +30,7 @@ from turnwright.part import Part
 from turnwright.pose import Pose
 from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED, dialect_of
 from turnwright.speed_profile import Speeds, check_one_speed
-from turnwright.strategy import STRATEGIES, Strategy
+from turnwright.strategy import STRATEGIES, Strategy, Turning
 from turnwright.surface import FAMILIES, Surface
 from turnwright.tool import Tool, Waviness, WavinessTable
 from turnwright.units import Angle, Count, Feed, Flag, Length, Size, Speed, Step, Text, Thickness, unit
@@ -100,6 +100,9 @@ class PassTable(Table):
     ----------
     name
         Name of the pass in the program and in all results.
+    kind
+        "turning" for a roughing pass in spindle mode before a finish with C as an axis; it needs its own spindle speed
+        and chord. It cuts a surface that is none of revolution at its highest height over the azimuth.
     feed
         Feed per revolution of the spindle, in this pass. [mm/rev]
     spindle_rpm
@@ -127,6 +130,7 @@ class PassTable(Table):
 
     key_names = MappingProxyType({"spindle_rpm": "spindle_speed"})
     name: Name
+    kind: Literal["turning"] | None = None
     feed: Feed | None = None
     spindle_rpm: Speed | None = None
     spindle_speeds: Speeds | None = None
@@ -142,7 +146,7 @@ class PassTable(Table):
     @property
     def choices(self) -> dict[str, Any]:
         """The values of the strategy that the pass replaces."""
-        names = (name for name in types_of(PassTable) if name not in ("name", "allowance", "depth"))
+        names = (name for name in types_of(PassTable) if name not in ("name", "kind", "allowance", "depth"))
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     def __post_init__(self) -> None:
@@ -630,10 +634,26 @@ class Job(Table):
 
     def servo(self, cut: PassTable) -> Strategy:
         """Return the strategy of one pass, with the values that the pass replaces."""
+        if cut.kind is not None and self.strategy.kind != cut.kind:
+            return self._rough_turning(cut)
         servo = self.strategy.with_fields(**cut.choices).adapted_to(self.tool, self.machine)
         if servo.spindle_speeds is not None:
             require_variable(self.machine)
         return servo
+
+    def _rough_turning(self, cut: PassTable) -> Turning:
+        """Return the strategy of a roughing pass in spindle mode."""
+        plan = self.strategy.spiral_strategy
+        choices: dict[str, Any] = {"feed": getattr(plan, "feed", None), **cut.choices}
+        if foreign := sorted(choices.keys() - types_of(Turning).keys()):
+            raise InputError(f"{', '.join(foreign)} is set, which a pass in spindle mode does not have: remove it")
+        if missing := [key for key in ("feed", "spindle_rpm", "chord") if choices.get(key) is None]:
+            keys = ", ".join(missing).replace("spindle_rpm", "spindle_speed")
+            raise InputError(f"it is turned in spindle mode and has no {keys}: state it in the pass")
+        if not cut.allowance:
+            raise InputError('it leaves no allowance, only roughing passes can be "turning": state it as strategy.kind')
+        shared = {name: getattr(self.strategy, name) for name in ("sense", "inside_out", "along")}
+        return Turning(**shared, **choices, symmetric_part=True)
 
     @property
     def reference(self) -> Surface:

@@ -6,7 +6,7 @@ from turnwright.strategy.elliptical import QuasiEllipticalToolServo, Valleys
 from turnwright.strategy.fast import FastToolServo
 from turnwright.strategy.hybrid import HybridToolServo
 from turnwright.strategy.slow import SlowToolServo
-from turnwright.strategy.turning import Turning, find_asymmetry
+from turnwright.strategy.turning import Turning, find_asymmetry, revolve
 
 __all__ = [
     "STRATEGIES",
@@ -19,4 +19,5 @@ __all__ = [
     "Turning",
     "Valleys",
     "find_asymmetry",
+    "revolve",
 ]

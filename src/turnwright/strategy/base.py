@@ -84,6 +84,10 @@ class Strategy(TableModel, ABC):
         """Feed and speed of a cut in spindle mode; ``None`` for a cut with C as an axis."""
         return None
 
+    def target(self, part: Part) -> Part:
+        """Return the part that the tool is placed on, the design with its correction added."""
+        return part.aimed
+
     def blocks(self, path: Path) -> Ints:
         """Return the indices of the points of a path that are points of its program. (m,)."""
         return np.arange(path.angle.size)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Annotated, Literal
 
@@ -20,11 +21,11 @@ from turnwright.progress import Progress
 from turnwright.strategy.base import Strategy
 from turnwright.strategy.ends import check_overrun, find_lead_in, require_overlap
 from turnwright.strategy.sampling import TURN, check_count
-from turnwright.surface import Surface
+from turnwright.surface import RadialTable, Surface
 from turnwright.tool import Tool
 from turnwright.units import Feed, Flag, Size, Speed, Thickness, unit
 
-__all__ = ["Turning", "find_asymmetry"]
+__all__ = ["Turning", "find_asymmetry", "revolve"]
 
 MERIDIAN_SAMPLES = 20_000
 """Samples of the meridian for the length of the path."""
@@ -38,6 +39,11 @@ MAX_PER_REV = 10_000
 SYMMETRY_RADII = 256
 MIN_AZIMUTHS, MAX_AZIMUTHS = 64, 4096
 SAMPLES_PER_FEATURE = 8
+REACH_FACTORS = (1.5, 1.2, 1.1, 1.05, 1.02)
+"""Reach of such a surface, as a multiple of the radius of the clear aperture; the first that its source allows."""
+
+TABLE_RADII = 400
+"""Steps of the meridian of a surface of revolution that is made from another surface."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +69,8 @@ class Turning(Strategy):
         left out. It needs a feed per revolution. [mm/s]
     feed_mode
         Feed in the program: "mm/min" (G94) or "mm/rev" (G95).
+    symmetric_part
+        Cut a surface that is none of revolution at its highest height over the azimuth, as a roughing pass may.
     lead_in, overrun
         As of `SlowToolServo`. [mm]
 
@@ -91,6 +99,7 @@ class Turning(Strategy):
     chord: Size
     surface_speed: Annotated[float, unit("mm/s", above=0.0)] | None = None
     feed_mode: Literal["mm/min", "mm/rev"] = "mm/min"
+    symmetric_part: Flag = False
     inside_out: Flag = False
     sense: Literal[1, -1] = 1
     along: Literal["z", "normal"] = "z"
@@ -109,6 +118,15 @@ class Turning(Strategy):
             feed=self.feed, spindle_rpm=self.spindle_rpm, surface_speed=self.surface_speed,
             per_rev=self.feed_mode == "mm/rev",
         )  # fmt: skip
+
+    def target(self, part: Part) -> Part:
+        """Return the part that the tool is placed on: a surface of revolution, with the mean of its correction."""
+        surface = part.surface
+        if self.symmetric_part and find_asymmetry(surface, part.radius) > self.chord:
+            surface = revolve(surface, part.radius, np.max)
+        if part.correction is not None:
+            surface = surface + revolve(part.correction, part.radius, np.mean)
+        return replace(part, surface=surface, correction=None)
 
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
         """Return the spiral that the tip leaves for a start at azimuth 0, with some points per revolution.
@@ -180,11 +198,32 @@ class Turning(Strategy):
 
 def find_asymmetry(surface: Surface, radius: float) -> float:
     """Return the largest departure of the height from its mean over the azimuth, within a radius. [mm]."""
-    needed = SAMPLES_PER_FEATURE * TURN * radius / surface.feature_size if surface.feature_size > 0 else MAX_AZIMUTHS
+    radii = radius * (1 - 1e-12) * np.sqrt((np.arange(SYMMETRY_RADII) + 1) / SYMMETRY_RADII)
+    return max(float(np.abs(z - z.mean()).max()) for z in _rings(surface, radii))
+
+
+def revolve(surface: Surface, radius: float, reduce: Callable[[Floats], float]) -> RadialTable:
+    """Return a surface of revolution from the heights of each ring, such as their mean, within a radius [mm]."""
+    angle = np.linspace(0, TURN, MIN_AZIMUTHS)
+    # The edge touches beyond the rim, if the surface goes on there.
+    reaches = (radius * factor for factor in REACH_FACTORS)
+    reach = next((one for one in reaches if _is_inside(surface, one * np.cos(angle), one * np.sin(angle))), radius)
+    radii = reach * np.arange(TABLE_RADII + 1) / TABLE_RADII
+    heights = map(reduce, _rings(surface, radii * (1 - 1e-12)))  # the surface may end at the rim
+    return RadialTable(points=tuple(zip(radii.tolist(), heights, strict=True)))
+
+
+def _is_inside(surface: Surface, x: Floats, y: Floats) -> bool:
+    inside = surface.inside(x, y)
+    return inside is None or bool(inside.all())
+
+
+def _rings(surface: Surface, radii: Floats) -> Iterator[Floats]:
+    """Yield the heights around the axis at some radii, as dense as the finest structure of the surface needs."""
+    farthest, size = float(radii.max()), surface.feature_size
+    needed = SAMPLES_PER_FEATURE * TURN * farthest / size if size > 0 else MAX_AZIMUTHS
     count = math.ceil(min(max(MIN_AZIMUTHS, needed), MAX_AZIMUTHS))
     angle = np.arange(count) * (TURN / count)
-    largest = 0.0
-    for r in radius * (1 - 1e-12) * np.sqrt((np.arange(SYMMETRY_RADII) + 1) / SYMMETRY_RADII):
-        z = np.asarray(surface.sag(r * np.cos(angle), r * np.sin(angle)))
-        largest = max(largest, float(np.abs(z - z.mean()).max()))
-    return largest
+    cosine, sine = np.cos(angle), np.sin(angle)
+    for radius in radii.tolist():
+        yield np.asarray(surface.evaluate(radius * cosine, radius * sine, 0)[0])

@@ -10,6 +10,7 @@ from turnwright.surface.gridded import Gridded
 from turnwright.surface.lens_array import LensArray
 from turnwright.surface.off_axis import OffAxis
 from turnwright.surface.polynomial import RadialPolynomial, XYPolynomial
+from turnwright.surface.radial_table import RadialTable
 from turnwright.surface.scattered import Scattered
 from turnwright.surface.sine_grid import SineGrid
 from turnwright.surface.toroid import Biconic, Toroid
@@ -31,6 +32,7 @@ __all__ = [
     "Placed",
     "Plane",
     "RadialPolynomial",
+    "RadialTable",
     "Scattered",
     "Series",
     "SineGrid",
