@@ -96,7 +96,6 @@ from .pose import (
     Pose as Pose,
 )
 from .post import (
-    inspect_nc as inspect_nc,
     read_nc as read_nc,
     write_nc as write_nc,
 )

@@ -62,7 +62,7 @@ def test_the_numbers_are_those_of_the_library(done):
         tw.check_limits(motion, machine).cycle_time_s
     )
     assert reported["access"]["nose_radius_limit"] == pytest.approx(tw.check_access(part, tool).nose_radius_limit)
-    (finish,) = tw.inspect_nc(done / "out" / "part.nc").passes
+    (finish,) = tw.post.inspect_nc(done / "out" / "part.nc").passes
     assert reported["program"]["hash"] == hashlib.sha256(finish.hash.encode()).hexdigest()
     x, y = (np.load(done / "out" / reported["predictions"][1]["axes"][name]) for name in "xy")
     z = np.load(done / "out" / reported["predictions"][1]["file"])
