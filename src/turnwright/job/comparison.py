@@ -172,6 +172,8 @@ def _strategies(
     shared: dict[str, Any] = {
         name: getattr(stated, name) for name in ("spindle_rpm", "spindle_speeds", "sense", "inside_out")
     }
+    if stated.spindle_mode is not None:  # its speed is not one of C as an axis
+        shared["spindle_rpm"] = None
     plain = _plain(stated)
     ends: dict[str, Any] = {}
     if isinstance(plain, SlowToolServo):

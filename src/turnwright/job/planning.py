@@ -164,7 +164,7 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
     Raises
     ------
     JobError
-        If a tolerance is not stated, or the strategy does not set its points by a chord.
+        If a tolerance is not stated, or the strategy does not set its points by a chord, or turns in spindle mode.
     LimitError
         If no plan meets them.
     """
@@ -173,6 +173,11 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
         raise JobError("a plan needs tolerances.form_pv and tolerances.sq, the job does not state both: add them")
     if not hasattr(job.strategy.spiral_strategy, "chord"):
         raise JobError(f"a plan needs a strategy with a chord, the {job.strategy.kind} has none: choose another kind")
+    if job.strategy.spindle_mode is not None:
+        raise JobError(
+            "plan chooses the speed of C as an axis, this job turns in spindle mode: state its feed and speed; cusps "
+            "are feed² / 8 nose_radius high"
+        )
     report = progress or (lambda _stage, _done, _total: None)
     controller = job.machine.controller
     stated = controller.interpolation
