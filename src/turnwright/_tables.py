@@ -116,6 +116,8 @@ class TableModel:
         fields |= {key: {"type": "string", "reads": name} for name, key in cls.file_keys.items()}
         fields = {cls.key_names.get(name, name): kind for name, kind in fields.items() if name not in cls.hidden}
         definition["properties"] = fields
+        if "required" in definition:
+            definition["required"] = [cls.key_names.get(name, name) for name in definition["required"]]
         for name, merged_class in merged_fields(cls).items():
             inner = handler.resolve_ref_schema(handler(adapter(merged_class).core_schema))
             definition["properties"] = inner["properties"] | {key: kind for key, kind in fields.items() if key != name}

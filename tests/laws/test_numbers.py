@@ -27,6 +27,7 @@ MACHINE = tw.Machine(
     name="t",
     axes=dict.fromkeys("CXYZ", AXIS),
     spindle_rpm=100.0,
+    spindle_mode_rpm=2000.0,
     block_rate_hz=1e3,
     squareness=1e-6,
     straightness=((0.0, 1.0), (0.0, 1e-6)),
@@ -76,6 +77,11 @@ EXAMPLES = [
     ADAPTIVE,
     ARC,
     tw.SlowToolServo(feed=0.01, chord=1e-6),
+    tw.Turning(
+        feed=0.01, spindle_rpm=900.0, chord=1e-6, surface_speed=500.0, feed_mode="mm/rev", lead_in=0.1, overrun=0.002
+    ),
+    tw.path.SpindleMode(feed=0.01, spindle_rpm=900.0, surface_speed=500.0, per_rev=True),
+    tw.surface.RadialTable(points=((0.0, 0.0), (1.0, 0.01), (2.0, 0.04), (3.0, 0.09), (4.0, 0.16))),
     tw.Tool(nose_radius=0.5, waviness=tw.WavinessTable(sweep=[-1, 0, 0.5, 1], deviation=[0, 1e-6, 0, 1e-6])),
     tw.WavinessTable(sweep=[-1, 0, 0.5, 1], deviation=[0, 1e-6, 0, 1e-6]),
     tw.Axis(

@@ -71,8 +71,16 @@ class Turning(Strategy):
         Feed in the program: "mm/min" (G94) or "mm/rev" (G95).
     symmetric_part
         Cut a surface that is none of revolution at its highest height over the azimuth, as a roughing pass may.
-    lead_in, overrun
-        As of `SlowToolServo`. [mm]
+    inside_out
+        Cut from the centre to the rim.
+    sense
+        +1 for M04, where the azimuth of the part under the tool grows; -1 for M03.
+    along
+        How the tool is placed on the surface: along "z" or along the "normal" of the surface.
+    lead_in
+        Distance outside the clear aperture at which the tip starts; the least one that cuts the rim if left out. [mm]
+    overrun
+        Distance beyond the axis at which the tip ends, or starts; at most one feed. [mm]
 
     Raises
     ------
@@ -88,7 +96,7 @@ class Turning(Strategy):
     >>> part, tool = Part(surface=Sphere(radius=50.0), radius=12.5), Tool(nose_radius=0.5)
     >>> spiral = Turning(feed=0.002, spindle_rpm=2000, chord=1e-6).spiral(part, tool)
     >>> round(spiral.turns)
-    6255
+    6319
     """
 
     kind = "turning"
