@@ -12,6 +12,7 @@ from turnwright._arrays import Compared, Floats, Ints, freeze, frozen, rounding,
 from turnwright._validate import check_cumulative, check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.machine import FAST, ROTARY, Machine
+from turnwright.progress import require_memory
 
 __all__ = ["Motion", "Path", "SpindleMode", "Spiral", "block_points"]
 
@@ -21,6 +22,12 @@ decimal of its program."""
 
 LINEARITY_TOL_RAD = 1e-9
 """The same for rotary axes."""
+
+MAX_SPINDLE_S = 3.6e6
+"""Longest cut in spindle mode, 1000 h; a longer one has a wrong unit."""
+
+BYTES_PER_POINT = 100
+"""Memory for a point of a motion in spindle mode while it is made."""
 
 POINTS_PER_REV = 12
 """Points of a motion in spindle mode per revolution, between which its straight lines turn unambiguously."""
@@ -175,7 +182,10 @@ class SpindleMode:
         if self.surface_speed is not None:
             positive(self.surface_speed, "surface_speed", "mm/s")
             if not self.per_rev:
-                raise InputError("surface_speed is set with a feed per minute, it needs a feed per revolution")
+                raise InputError(
+                    "surface_speed is set with a feed per minute, it needs a feed per revolution: set feed_mode to "
+                    '"mm/rev"'
+                )
 
     def omega(self, radius: Floats) -> Floats:
         """Return the spindle speed at positions of X. (n,) [rad/s]."""
@@ -199,6 +209,10 @@ class SpindleMode:
         their feeds differ. (n - 1,)
         """
         turns = self.turns(x, z) if turns is None else turns
+        points = float(turns.sum()) * POINTS_PER_REV
+        require_memory(
+            BYTES_PER_POINT * points, f"a cut of {turns.sum():.3g} revolutions", "check the units of feed and speed"
+        )
         if not (turns > 0).all():
             raise InputError("two points of a cut in spindle mode are equal, each block must move: remove one")
         parts = np.ceil(turns * POINTS_PER_REV).astype(np.int64)
@@ -208,6 +222,11 @@ class SpindleMode:
         angles, radius, height = (np.interp(number, blocks, values) for values in (turned, x, z))
         omega = self.omega(radius)
         time = np.concatenate(([0.0], np.cumsum(2 * np.diff(angles) / (omega[1:] + omega[:-1]))))
+        if time[-1] > MAX_SPINDLE_S:
+            raise InputError(
+                f"the cut takes {time[-1] / 3600:.3g} h, the limit is {MAX_SPINDLE_S / 3600:g} h: check the units of "
+                "feed and speed"
+            )
         axes = {"C": angle + sense * angles, "X": radius, "Z": height}
         return Motion(time=time, axes=axes, machine=machine, stated_blocks=blocks, spindle_mode=self)
 

@@ -101,6 +101,7 @@ def interpret(program, folder):
 def _cut(rows):
     place = rows[:, 2:5] * INCH
     length = np.linalg.norm(np.diff(rows[:, 2:5], axis=0), axis=1)
-    length = np.where(length > 0, length, np.abs(np.diff(rows[:, 5])))
+    # A feed of C alone is in deg, but given like one in mm.
+    length = np.where(length > 0, length, np.abs(np.diff(rows[:, 5])) / INCH)
     time = np.concatenate(([0.0], np.cumsum(60 * length / rows[1:, 6])))
     return *place.T, rows[:, 5], time

@@ -9,6 +9,7 @@ import turnwright as tw
 from turnwright.errors import InputError, LimitError, ProgramError
 from turnwright.machine import Axis, Controller, SecondOrder
 from turnwright.path import SpindleMode
+from turnwright.post import ProgramWarning
 from turnwright.strategy import find_asymmetry
 
 TOOL = tw.Tool(nose_radius=0.5, included=np.deg2rad(120))
@@ -202,6 +203,8 @@ def test_asymmetry_is_the_departure_from_the_mean_over_the_azimuth(rim):
         ({"spindle_rpm": 9000.0}, "spindle mode is 7000"),
         ({"surface_speed": 500.0}, "surface_speed"),
         ({"overrun": 1.0}, "overrun"),
+        ({"chord": 1.0}, "chord"),
+        ({"surface_speed": 1e-6, "feed_mode": "mm/rev"}, "units of feed and speed"),
     ],
 )
 def test_bad_input_is_refused(options, field):
@@ -218,3 +221,74 @@ def test_a_machine_or_dialect_without_spindle_mode_is_refused(tmp_path):
         tw.write_nc(motion, machine, tmp_path / "part.nc")
     with pytest.raises(InputError, match="feed per revolution"):
         SpindleMode(feed=0.01, spindle_rpm=100.0, surface_speed=10.0)
+
+
+def test_the_chord_holds_with_the_errors_of_the_machine():
+    """Oracle: straightness of a cosine; X and Z are linear between the points of the program."""
+    knots = np.linspace(-12, 12, 481)
+    machine = replace(MACHINE, straightness=(knots, 2e-4 * np.cos(np.pi * knots / 12)))
+    part = tw.Part(surface=tw.Plane(), radius=10.0)
+    servo = tw.Turning(feed=0.01, spindle_rpm=1000.0, chord=1e-6)
+    motion = tw.drive(tw.place(servo.spiral(part, TOOL), part, TOOL), servo, machine)
+    assert np.ptp(motion.axes["Z"] + machine.z_error(motion.axes["X"])) < 2.01e-6
+
+
+@pytest.mark.parametrize(
+    ("formula", "radius"), [("0.001*cos(40*rho)+0.0002*x", 8.0), ("0.005*sin(12*x)*sin(12*y)", 5.0), ("x*y/100", 5.0)]
+)
+def test_a_roughing_pass_stays_above_any_freeform(formula, radius):
+    """Oracle: heights at random points, on and between the rings that the target was made of."""
+    surface = tw.Expression(formula)
+    part = tw.Part(surface=surface, radius=radius)
+    servo = tw.Turning(feed=0.02, spindle_rpm=1000.0, chord=1e-5, symmetric_part=True)
+    target = servo.target(part)
+    random = np.random.default_rng(5)
+    r, angle = radius * np.sqrt(random.random(400_000)), TURN * random.random(400_000)
+    x, y = r * np.cos(angle), r * np.sin(angle)
+    assert (target.surface.sag(x, y) - surface.sag(x, y)).min() > -1e-9
+    motion = tw.drive(tw.place(servo.spiral(target, TOOL), target, TOOL), servo, MACHINE)
+    near = slice(0, 20_000)
+    cut = tw.generate_points(motion, TOOL, x=0.98 * x[near], y=0.98 * y[near])
+    assert (cut - surface.sag(0.98 * x[near], 0.98 * y[near])).min() > -1.1e-5  # the chord
+
+
+def test_small_features_are_found_or_refused():
+    def bump(size):
+        return tw.Expression(f"1e-3*exp(-((x-5)**2+(y-3)**2)/{size}**2)")
+
+    assert find_asymmetry(bump(0.3), 12.5) == pytest.approx(1e-3, rel=0.05)
+    with pytest.raises(InputError, match="too fine"):
+        find_asymmetry(bump(0.004), 12.5)
+    assert find_asymmetry(tw.Expression("1e-4*cos(300*rho)"), 12.5) == 0
+
+
+def test_a_steep_axis_does_not_set_the_points_of_the_whole_path():
+    part = tw.Part(surface=tw.Expression("-sqrt(16-(rho-4)**2)"), radius=7.0)
+    servo = tw.Turning(feed=0.01, spindle_rpm=1000.0, chord=1e-6)
+    assert servo.spiral(part, TOOL).angle.size < 40_000
+
+
+def test_foreign_cuts_in_spindle_mode_are_counted_and_bounded(tmp_path):
+    file = tmp_path / "hand.nc"
+    file.write_text("G21 G90\nG97 S1200 M3\nG94\nG0 X12 Z0\nG1 X6 F10\nG1 Z-0.5\nG1 X0\nG0 Z5\nM30\n")
+    with pytest.warns(ProgramWarning, match="only cut 2 is read") as warned:
+        tw.read_nc(file, MACHINE)
+    assert "does not turn C" not in str(warned[0].message)
+    assert tw.read_nc(file, MACHINE, name="cut 1").axes["X"][0] == 12
+    file.write_text("G21 G90\nG97 S1200 M3\nG95\nG0 X1000 Z0\nG1 X0 F0.000001\nM30\n")
+    with pytest.raises(ProgramError, match="feed"):
+        tw.read_nc(file, MACHINE)
+    file.write_text("G21 G90\nG50 S2000\nG96 S60 M3\nG95\nG0 X9 Z0\nG1 X5 F0.01\nG97\nG1 X0\nM30\n")
+    with pytest.raises(ProgramError, match="G96 and G97"):
+        tw.read_nc(file, MACHINE)
+
+
+def test_a_pass_may_have_its_own_spindle_speed():
+    job = tw.Job.read({
+        "part": {"surface": {"family": "sphere", "radius": "50 mm"}, "radius": "5 mm", "stock": "20 um"},
+        "tool": {"nose_radius": "0.5 mm", "included": "120 deg", "clearance": "12 deg"},
+        "machine": {"name": "nanoform"},
+        "strategy": {"kind": "turning", "feed": "10 um/rev", "spindle_speed": "1000 rpm", "chord": "1 nm"},
+        "passes": [{"name": "semi", "allowance": "3 um", "spindle_speed": "1500 rpm"}, {"name": "finish"}],
+    })  # fmt: skip
+    assert [job.servo(cut).spindle_mode.spindle_rpm for cut in job.passes] == [1500, 1000]

@@ -441,7 +441,7 @@ def _keep_symmetric_part(part: Part, smooth: Smooth) -> tuple[Smooth, float]:
     """
     table = smooth.table
     reach = float(min(-table.x[0], table.x[-1], -table.y[0], table.y[-1]))
-    mean = revolve(table, reach, np.mean)
+    mean = revolve(table, reach)
     x, y = np.meshgrid(table.x, table.y)
     radius = np.minimum(np.hypot(x, y), reach)
     symmetric = Gridded(x=table.x, y=table.y, z=mean.evaluate(radius, np.zeros(radius.shape), 0)[0])

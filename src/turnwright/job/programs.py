@@ -96,8 +96,9 @@ def rounding_effect(job: Job, motion: Motion, again: Motion) -> tuple[float, flo
     radius, angle = part.radius * (np.arange(96) + 0.5) / 96, clear_azimuths(36, motion.axes["C"])
     decimals = dialect_of(machine).decimals
     c, x, z = (0.5 * 10.0 ** -decimals[letter] for letter in "CXZ")
-    # In spindle mode the cusps may lie at any azimuth.
-    c = np.deg2rad(c) if motion.spindle_mode is None else np.pi
+    c = np.deg2rad(c)
+    if motion.spindle_mode is not None:  # decimals of feed and path add up to a difference in revolutions
+        c = float(np.abs(again.axes["C"][-1] - motion.axes["C"][-1])) + 1e-9
 
     def surface(one: Motion, **shifts: float) -> Floats:
         axes = {**one.axes, **{letter: one.axes[letter] + shift for letter, shift in shifts.items()}}

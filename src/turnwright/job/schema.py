@@ -28,7 +28,7 @@ from turnwright.machine import Machine
 from turnwright.motion import require_variable
 from turnwright.part import Part
 from turnwright.pose import Pose
-from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED, dialect_of
+from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED, dialect_of, require_spindle_modes
 from turnwright.speed_profile import Speeds, check_one_speed
 from turnwright.strategy import STRATEGIES, Strategy, Turning
 from turnwright.surface import FAMILIES, Surface
@@ -579,10 +579,7 @@ class Job(Table):
                 )
             names += cut.names(allowance)
             allowance = cut.allowance
-            try:
-                self.servo(cut)
-            except InputError as error:
-                raise JobError(f"strategy of the pass {cut.name!r}: {error}") from error
+            self._check_strategy(cut)
         _require_unique("passes", names)
         if self.strategy.along != "z" and self.strategy.moves_fast_tool:
             raise JobError(
@@ -602,8 +599,23 @@ class Job(Table):
                 )
         _ = self.actual_tool, self.actual_machine
 
+    def _check_strategy(self, cut: PassTable) -> None:
+        """Raise if a pass has no valid strategy, or machine or dialect cannot run it in spindle mode."""
+        try:
+            mode = self.servo(cut).spindle_mode
+            if mode is not None:
+                self.machine.in_spindle_mode()
+            require_spindle_modes(dialect_of(self.machine), [mode])
+        except InputError as error:
+            raise JobError(f"strategy of the pass {cut.name!r}: {error}") from error
+
     def _check_servos(self) -> None:
-        """Raise if tracking is simulated without servo data, or the program is precorrected without tracking."""
+        """Raise if tracking is simulated without servo data, or the program cannot be precorrected."""
+        if self.program.precorrect and self.strategy.spindle_mode is not None:
+            raise JobError(
+                "program.precorrect is true, a cut in spindle mode has too few points for it: leave it out, or cut "
+                "with C as an axis"
+            )
         if self.simulation.tracking:
             from turnwright.job.contributions import require_servos  # noqa: PLC0415 - imports the simulation
 

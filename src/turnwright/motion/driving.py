@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import pairwise
 from typing import Protocol
 
@@ -148,9 +149,9 @@ def _drive_spindle_mode(path: Path, servo: Servo, mode: SpindleMode, machine: Ma
             f"spindle_rpm is {mode.spindle_rpm:g} rev/min, the limit of {machine.name} in spindle mode is {most:g} "
             "rev/min: reduce it"
         )
-    points = servo.blocks(path)
-    x = path.radius[points]
-    z = path.z[points] - machine.z_error(x)
+    commanded = replace(path, z=path.z - machine.z_error(path.radius))
+    points = servo.blocks(commanded)
+    x, z = path.radius[points], commanded.z[points]
     return mode.motion(x, z, machine, sense=path.sense, angle=float(path.angle[0]))
 
 

@@ -21,6 +21,7 @@ from turnwright.post.header import (
     stop_instructions,
 )
 from turnwright.post.reader import read_nc
+from turnwright.post.spindle import require_spindle_modes
 from turnwright.post.sync import FastToolFiles, read_fast_tool, write_fast_tool
 from turnwright.post.table import read_table
 from turnwright.post.writer import FASTEST_PLUNGE, ProgramFiles, write_nc
@@ -49,6 +50,7 @@ __all__ = [
     "read_fast_tool",
     "read_nc",
     "read_table",
+    "require_spindle_modes",
     "stop_instructions",
     "write_fast_tool",
     "write_nc",

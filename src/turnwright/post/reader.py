@@ -403,11 +403,12 @@ class _Reader:
                 "move X while the spindle runs (M03 or M04 with S)"
             )
         others = sum(self.unnamed) - self.selected.blocks
+        ends = "a block that does not turn C" if self.selected.spindle is None else "a move of Z alone or a change of S"
         if self.requested is None and not self.selected.named and len(self.unnamed) > 1 and others > 0:
             self.warnings.append(
                 f"{self.path} has {len(self.unnamed)} unnamed cuts, only {self.selected.name} is read and {others} of "
-                f"{sum(self.unnamed)} blocks are skipped (a block that does not turn C ends a cut): give the name of "
-                "the cut to read"
+                f"{sum(self.unnamed)} blocks are skipped ({ends} ends a cut): give the name of the cut to read, such "
+                'as "cut 1"'
             )
         return self.selected, self.selected_digest
 
@@ -611,14 +612,14 @@ class _Reader:
             return
         if not cut.named and (cut.blocks > 1 or cut.timed):
             self.unnamed.append(cut.blocks)
-        if cut.blocks == 1 and not cut.named:
+        if cut.blocks == 1 and not cut.named and cut.spindle is None:
             self.cuts -= 1  # a single block positions C, and is a cut only if there is no other
         elif cut.name not in self.names:
             self.names.append(cut.name)
         if self.requested is not None and cut.name != self.requested:
             return
         previous = self.selected
-        if previous is not None and previous.blocks > 1 and cut.blocks == 1:
+        if previous is not None and previous.blocks > 1 and cut.blocks == 1 and cut.spindle is None:
             return
         if previous is not None and previous.blocks > 1 and cut.named and previous.name == cut.name:
             raise self._error(
@@ -820,6 +821,9 @@ class _Reader:
     def _follow_spindle(self, words: list[tuple[str, float]], codes: list[float]) -> None:
         """Follow speed and direction of the spindle in spindle mode; a change ends a cut."""
         spindle = self.spindle.follow(words, codes)
+        is_stated = any(letter == "S" for letter, _ in words)
+        if spindle.constant_surface != self.spindle.constant_surface and self.spindle.runs and not is_stated:
+            raise self._error("changes between G96 and G97 without an S, whose unit changes", "give an S in that block")
         if spindle != self.spindle:
             self._close()
             self.spindle = spindle

@@ -78,9 +78,9 @@ def require_spindle_modes(dialect: Dialect, modes: Iterable[SpindleMode | None])
         name = "spindle_start" if mode is None or mode.surface_speed is None else "surface_speed_start"
         if mode is not None and not getattr(dialect, name):
             what = "spindle mode" if name == "spindle_start" else "constant surface speed"
+            instead = "choose another strategy" if name == "spindle_start" else "leave out surface_speed"
             raise ProgramError(
-                f"the cut needs {what}, the dialect {dialect.name} has none: choose another strategy, or add {name} to "
-                "the dialect file"
+                f"the cut needs {what}, the dialect {dialect.name} has none: {instead}, or add {name} to its file"
             )
 
 

@@ -320,7 +320,8 @@ def _passes(
             start = approaches[name].start["C"] * factors["C"] + clocking
             turns = _turns_on(passes[-1] if passes else None, start, motion.sense * convention.c_sense)
             shifts = {**shifts, "C": clocking + 360.0 * turns}
-        _require_sizes(name, motion.axes, factors, shifts, "reaches", "mm or deg: check its unit")
+        numbers = {letter: one for letter, one in motion.axes.items() if letter != "C" or motion.spindle_mode is None}
+        _require_sizes(name, numbers, factors, shifts, "reaches", "mm or deg: check its unit")
         if velocity is not None:
             _require_sizes(name, velocity, factors, {}, "moves at", "mm/s or deg/s: check the time of its blocks")
         passes.append(

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
     from pydantic_core import CoreSchema
 
-__all__ = ["STRATEGIES", "Strategy"]
+__all__ = ["STRATEGIES", "Strategy", "outermost_turn"]
 
 STRATEGIES: dict[str, type[Strategy]] = {}
 """The strategies by the ``kind`` that a job file states; each class is added when its module is imported."""
@@ -105,8 +105,8 @@ class Strategy(TableModel, ABC):
         """Return the strategy with some fields replaced, its own or those of its plan, as a pass states them."""
         if foreign := sorted(fields.keys() - types_of(type(self)).keys()):
             raise InputError(f"{', '.join(foreign)} is set, which the {self.kind} does not have: remove it")
-        if fields.keys() & {"spindle_rpm", "spindle_speeds"}:
-            fields = {"spindle_rpm": None, "spindle_speeds": None, **fields}
+        if fields.keys() & (speeds := {"spindle_rpm", "spindle_speeds"} & types_of(type(self)).keys()):
+            fields = {**dict.fromkeys(speeds), **fields}
         if fields.keys() & {*self.ways}:
             fields = {**dict.fromkeys(self.ways), **fields}
         dataclass_self: Any = self  # a dataclass, as every strategy is
@@ -142,12 +142,7 @@ class Strategy(TableModel, ABC):
     def extent(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> tuple[int, Spiral]:
         """Return the number of points of `spiral`, and its outermost revolution with the point at the other end."""
         spiral = self.spiral(part, tool, progress=progress)
-        size = spiral.angle.size
-        inwards = spiral.radius[0] > spiral.radius[-1]
-        away = np.abs(spiral.angle - spiral.angle[0 if inwards else -1])
-        turn = np.flatnonzero(away <= 2 * np.pi)
-        at = np.unique([*turn, size - 1 if inwards else 0])
-        return size, spiral.select(at)
+        return spiral.angle.size, outermost_turn(spiral)
 
     @abstractmethod
     def axes(self, path: Path) -> dict[str, Floats]:
@@ -228,3 +223,12 @@ class Strategy(TableModel, ABC):
             place["properties"] = {"kind": {"type": "string", "const": cls.kind}, **fields}
             place["required"] = ["kind", *(key for key in place.get("required", ()) if key != "kind")]
         return schema
+
+
+def outermost_turn(spiral: Spiral) -> Spiral:
+    """Return the outermost revolution of a spiral with the point at the other end."""
+    size = spiral.angle.size
+    inwards = spiral.radius[0] > spiral.radius[-1]
+    away = np.abs(spiral.angle - spiral.angle[0 if inwards else -1])
+    turn = np.flatnonzero(away <= 2 * np.pi)
+    return spiral.select(np.unique([*turn, size - 1 if inwards else 0]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Annotated, Literal
@@ -17,8 +17,8 @@ from turnwright.errors import InputError
 from turnwright.part import Part
 from turnwright.path import POINTS_PER_REV, Path, SpindleMode, Spiral
 from turnwright.placing import Tips, touch_down
-from turnwright.progress import Progress
-from turnwright.strategy.base import Strategy
+from turnwright.progress import Progress, require_memory
+from turnwright.strategy.base import Strategy, outermost_turn
 from turnwright.strategy.ends import check_overrun, find_lead_in, require_overlap
 from turnwright.strategy.sampling import TURN, check_count
 from turnwright.surface import RadialTable, Surface
@@ -33,17 +33,19 @@ MERIDIAN_SAMPLES = 20_000
 BULGE_FRACTION = 0.05
 """Bulge of the path between samples, as a fraction of the chord."""
 
-MAX_PER_REV = 10_000
-"""Most samples of the path per revolution; a slope discontinuity does not need more."""
+MAX_CHORD_MM = 0.1
+"""Largest chord; larger values are taken for a wrong unit."""
 
-SYMMETRY_RADII = 256
-MIN_AZIMUTHS, MAX_AZIMUTHS = 64, 4096
-SAMPLES_PER_FEATURE = 8
-REACH_FACTORS = (1.5, 1.2, 1.1, 1.05, 1.02)
-"""Reach of such a surface, as a multiple of the radius of the clear aperture; the first that its source allows."""
+BYTES_PER_POINT = 400
+"""Memory for a point of a path with its contact and motion."""
 
-TABLE_RADII = 400
-"""Steps of the meridian of a surface of revolution that is made from another surface."""
+MIN_RINGS, MIN_AZIMUTHS, MAX_SAMPLES = 400, 64, 100_000_000
+"""Fewest rings and points around each, and most points, at which a surface is compared with one of revolution."""
+
+SAMPLES_PER_FEATURE = 6
+REACH_FACTORS = (1.2, 1.1, 1.05, 1.02)
+"""Reach of a surface of revolution made from another, as a multiple of the radius of the clear aperture; the first that
+its source allows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,6 +119,8 @@ class Turning(Strategy):
     def __post_init__(self) -> None:
         self._check_fields()
         check_overrun(self.overrun, self.feed)
+        if self.chord > MAX_CHORD_MM:
+            raise InputError(f"chord is {self.chord:g} mm, the limit is {MAX_CHORD_MM:g} mm: check its unit")
         _ = self.spindle_mode
 
     @property
@@ -131,9 +135,9 @@ class Turning(Strategy):
         """Return the part that the tool is placed on: a surface of revolution, with the mean of its correction."""
         surface = part.surface
         if self.symmetric_part and find_asymmetry(surface, part.radius) > self.chord:
-            surface = revolve(surface, part.radius, np.max)
+            surface = revolve(surface, part.radius, highest=True)
         if part.correction is not None:
-            surface = surface + revolve(part.correction, part.radius, np.mean)
+            surface = surface + revolve(part.correction, part.radius)
         return replace(part, surface=surface, correction=None)
 
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
@@ -149,20 +153,24 @@ class Turning(Strategy):
         require_overlap(edge, self.feed)
         start, end = part.radius + find_lead_in(part, edge, self.feed, self.lead_in), -edge.dx - self.overrun
         radius = np.linspace(end, start, MERIDIAN_SAMPLES + 1)
-        z = self._heights(part, edge, radius)
+        z, step = self._heights(part, edge, radius), radius[1] - radius[0]
         length = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(radius), np.diff(z)))))
-        turns = float(length[-1]) / self.feed
-        # Samples are so dense that the path bulges between them by a small fraction of the chord only.
-        bend = float(np.abs(np.diff(z, 2)).max(initial=0.0)) / (radius[1] - radius[0]) ** 2
-        finest = self.feed * math.sqrt(bend / (8 * BULGE_FRACTION * self.chord))
-        per_rev = min(max(POINTS_PER_REV, math.ceil(finest)), MAX_PER_REV)
-        check_count(turns * per_rev, "the feed and of the chord")
-        count = max(math.ceil(turns * per_rev), 1)
+        # Between points so dense the path bulges by a small fraction of the chord only.
+        bend = np.abs(np.diff(np.pad(z, 1, mode="edge"), 2)) / step**2
+        finest = np.sqrt(np.maximum(bend[1:], bend[:-1]) / (8 * BULGE_FRACTION * self.chord))
+        points = np.maximum(np.diff(length) / self.feed * POINTS_PER_REV, step * finest)
+        number = np.concatenate(([0.0], np.cumsum(points)))
+        check_count(number[-1], "the feed and of the chord")
+        require_memory(BYTES_PER_POINT * number[-1], f"a path of {number[-1]:.3g} points", "use a larger feed or chord")
+        count = max(math.ceil(number[-1]), 1)
         if progress is not None:
             progress(0, count + 1)
-        turned = np.linspace(0.0, turns, count + 1)
-        inner = np.interp(turned * self.feed, length, radius)
-        return Spiral(angle=self.sense * TURN * turned, radius=inner if self.inside_out else inner[::-1])
+        at = np.linspace(0.0, number[-1], count + 1)
+        inner = np.interp(at, number, radius)
+        turned = np.interp(inner, radius, length) / self.feed
+        if not self.inside_out:
+            inner, turned = inner[::-1], turned[-1] - turned[::-1]
+        return Spiral(angle=self.sense * TURN * turned, radius=inner)
 
     def _heights(self, part: Part, edge: Edge, radius: Floats) -> Floats:
         """Return the tip height in contact; for a path along the normal, the surface as a length of the path. (n,)."""
@@ -174,28 +182,29 @@ class Turning(Strategy):
         if off > self.chord:
             raise InputError(
                 f"the surface departs from a surface of revolution by {off * 1e6:.4g} nm, in spindle mode the limit is "
-                f"the chord, {self.chord * 1e6:.4g} nm: use a slow tool servo, or cut its symmetric part"
+                f"the chord, {self.chord * 1e6:.4g} nm: use a slow tool servo"
             )
 
     def extent(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> tuple[int, Spiral]:
         """Return the number of points of the program, and the outermost revolution with the point at the other end."""
         edge, spiral = tool.cutting_edge(self.sense), self.spiral(part, tool, progress=progress)
-        reverse = slice(None) if self.inside_out else slice(None, None, -1)
-        z = self._heights(part, edge, spiral.radius[reverse])[reverse]
-        _, ends = super(Turning, self).extent(part, tool, progress=progress)
-        return self._find_blocks(spiral.radius, z).size, ends
+        order = slice(None) if self.inside_out else slice(None, None, -1)
+        z = self._heights(part, edge, spiral.radius[order])[order]
+        return self._find_blocks(spiral.radius, z).size, outermost_turn(spiral)
 
     def blocks(self, path: Path) -> Ints:
         """Return the indices of the points of the program: the fewest within the chord. (m,)."""
         return self._find_blocks(path.radius, path.z)
 
     def _find_blocks(self, x: Floats, z: Floats) -> Ints:
-        # Between the points the path bulges by an eighth of the second difference.
-        bulge = np.abs(np.diff(np.pad(z, 1, mode="edge"), 2)) / 8
-        slack = np.maximum(self.chord - bulge, 0.0)
         travelled = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(z)))))
         position = np.abs(x - x[0])
         along = position if (np.diff(position) > 0).all() else travelled
+        # Between two points the path bulges by at most a quarter of the step times the change of slope.
+        step = np.diff(along)
+        bend = np.abs(np.diff(np.diff(z) / step))
+        bulge = step * np.maximum(np.append(bend, 0.0), np.append(0.0, bend)) / 4
+        slack = np.maximum(self.chord - np.maximum(np.append(bulge, 0.0), np.append(0.0, bulge)), 0.0)
         keep = np.empty(z.size, dtype=np.int64)
         return keep[: kernel.fewest(along, z, slack, travelled[-1], keep)]
 
@@ -205,20 +214,47 @@ class Turning(Strategy):
 
 
 def find_asymmetry(surface: Surface, radius: float) -> float:
-    """Return the largest departure of the height from its mean over the azimuth, within a radius. [mm]."""
-    radii = radius * (1 - 1e-12) * np.sqrt((np.arange(SYMMETRY_RADII) + 1) / SYMMETRY_RADII)
-    return max(float(np.abs(z - z.mean()).max()) for z in _rings(surface, radii))
+    """Return the largest departure of the height from its mean over the azimuth, within a radius. [mm].
+
+    Raises
+    ------
+    InputError
+        If the surface may have structure too fine to be sampled.
+    """
+    if surface.of_revolution:
+        return 0.0
+    radii = radius * (1 - 1e-12) * (np.arange(_count_rings(surface, radius)) + 1.0)
+    return max(float(np.abs(z - z.mean()).max()) for z in _rings(surface, radii / radii.size))
 
 
-def revolve(surface: Surface, radius: float, reduce: Callable[[Floats], float]) -> RadialTable:
-    """Return a surface of revolution from the heights of each ring, such as their mean, within a radius [mm]."""
+def revolve(surface: Surface, radius: float, *, highest: bool = False) -> RadialTable:
+    """Return a surface of revolution with the mean height of each ring, or nowhere below the highest, in a radius [mm].
+
+    Raises
+    ------
+    InputError
+        If the surface may have structure too fine to be sampled.
+    """
     angle = np.linspace(0, TURN, MIN_AZIMUTHS)
     # The edge touches beyond the rim, if the surface goes on there.
     reaches = (radius * factor for factor in REACH_FACTORS)
     reach = next((one for one in reaches if _is_inside(surface, one * np.cos(angle), one * np.sin(angle))), radius)
-    radii = reach * np.arange(TABLE_RADII + 1) / TABLE_RADII
-    heights = map(reduce, _rings(surface, radii * (1 - 1e-12)))  # the surface may end at the rim
-    return RadialTable(points=tuple(zip(radii.tolist(), heights, strict=True)))
+    count = _count_rings(surface, reach)
+    radii = reach * np.arange(count + 1) / count
+    rings = _rings(surface, radii * (1 - 1e-12))  # the surface may end at the rim
+    heights = np.array([_bound_highest(z) if highest else float(z.mean()) for z in rings])
+    table = RadialTable(points=tuple(zip(radii.tolist(), heights.tolist(), strict=True)))
+    if not highest:
+        return table
+    # Between rings the highest height may lie above the spline, and is no smooth function.
+    rise = float(np.abs(np.diff(heights, 2)).max(initial=0.0)) / 2
+    return RadialTable(points=tuple(zip(radii.tolist(), (heights + rise).tolist(), strict=True)))
+
+
+def _bound_highest(z: Floats) -> float:
+    """Return an upper bound of heights around a ring from samples: by the parabola through the highest three."""
+    before, after = np.roll(z, 1), np.roll(z, -1)
+    return float((z + np.abs(before - 2 * z + after) / 8).max())
 
 
 def _is_inside(surface: Surface, x: Floats, y: Floats) -> bool:
@@ -226,11 +262,23 @@ def _is_inside(surface: Surface, x: Floats, y: Floats) -> bool:
     return inside is None or bool(inside.all())
 
 
+def _count_rings(surface: Surface, radius: float) -> int:
+    """Return the number of rings that resolve the structure of a surface."""
+    size = surface.feature_size
+    needed = SAMPLES_PER_FEATURE * radius / size if size > 0 else math.inf
+    around = TURN * needed
+    if max(needed, MIN_RINGS) * max(around, MIN_AZIMUTHS) > MAX_SAMPLES:
+        raise InputError(
+            f"the surface has structure of {size:.3g} mm, too fine to find out within {radius:g} mm whether it is one "
+            "of revolution: state it as one, such as a formula in rho or a radial table, or use a slow tool servo"
+        )
+    return math.ceil(max(needed, MIN_RINGS))
+
+
 def _rings(surface: Surface, radii: Floats) -> Iterator[Floats]:
-    """Yield the heights around the axis at some radii, as dense as the finest structure of the surface needs."""
-    farthest, size = float(radii.max()), surface.feature_size
-    needed = SAMPLES_PER_FEATURE * TURN * farthest / size if size > 0 else MAX_AZIMUTHS
-    count = math.ceil(min(max(MIN_AZIMUTHS, needed), MAX_AZIMUTHS))
+    """Yield the heights around the axis at some radii."""
+    around = SAMPLES_PER_FEATURE * TURN * float(radii.max()) / surface.feature_size
+    count = math.ceil(max(MIN_AZIMUTHS, around)) if not surface.of_revolution else 1
     angle = np.arange(count) * (TURN / count)
     cosine, sine = np.cos(angle), np.sin(angle)
     for radius in radii.tolist():

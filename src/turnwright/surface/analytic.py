@@ -204,6 +204,11 @@ class OnConic(Surface):
         return None if self._squared <= 0 else 1 - self._squared * (x * x + y * y) > 0
 
     @property
+    def of_revolution(self) -> bool:
+        """Whether the surface is known to be one of revolution about the axis."""
+        return True
+
+    @property
     def domain(self) -> str:
         """The domain of the surface in words."""
         return "the whole plane" if np.isinf(self.reach) else f"the disc of radius {self.reach:.6g} mm about its axis"

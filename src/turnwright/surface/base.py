@@ -173,6 +173,11 @@ class Surface(Family, Value, ABC):
         return self.piece(np.zeros(1), np.zeros(1)) is not None
 
     @property
+    def of_revolution(self) -> bool:
+        """Whether the surface is known to be one of revolution about the axis."""
+        return False
+
+    @property
     def feature_size(self) -> float:
         """Length over which the curvature changes noticeably; sampling must be well below it. [mm]."""
         return float("inf")

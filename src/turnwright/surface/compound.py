@@ -71,6 +71,11 @@ class Sum(Surface):
         for term in self.terms:
             term.require_disc(radius, what)
 
+    @property
+    def of_revolution(self) -> bool:
+        """Whether every term is known to be one of revolution."""
+        return all(term.of_revolution for term in self.terms)
+
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the sums of the terms' heights and derivatives. See `Surface.evaluate`."""
         total = self.terms[0].evaluate(x, y, order)

@@ -50,6 +50,11 @@ class Plane(Surface):
         check_numbers(self)
         object.__setattr__(self, "slope", finite_tuple(self.slope, "the slope of a plane", 2))
 
+    @property
+    def of_revolution(self) -> bool:
+        """Whether the surface is known to be one of revolution about the axis."""
+        return not any(self.slope)
+
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
         constants = (*self.slope, 0.0, 0.0, 0.0)[: (0, 2, 5)[order]]

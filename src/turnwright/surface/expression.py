@@ -185,6 +185,11 @@ class Expression(Surface):
         """The feature size, where it is an estimate."""
         return ("feature_size",) if isinstance(self.feature_size, _Estimate) else ()
 
+    @property
+    def of_revolution(self) -> bool:
+        """Whether the surface is known to be one of revolution about the axis."""
+        return not {name for kind, name in self._steps if kind == "name"} & {"x", "y", "phi"}
+
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the height and its derivatives, nan outside the domain. See `Surface.evaluate`."""
         out = np.empty(((1, 3, 6)[order], x.size))

@@ -195,6 +195,11 @@ class Forbes(OnConic):
         """The normalisation radius over the degree, or the length of the conic if that is smaller. [mm]."""
         return min(self.conic_length, self.norm_radius / max(self._degree, 1))
 
+    @property
+    def of_revolution(self) -> bool:
+        """Whether the surface is known to be one of revolution about the axis."""
+        return self.kind != "q2d"
+
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
         departure: list[tuple[Any, ...]] = [(polynomials.disc, 1 / self.norm_radius, *self._sum)]

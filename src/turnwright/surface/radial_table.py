@@ -66,10 +66,15 @@ class RadialTable(Surface):
         check_numbers(self)
         if radius.size < MIN_POINTS:
             raise InputError(f"points of a radial table are {radius.size}, it needs {MIN_POINTS} or more: add some")
-        if not np.isfinite(table).all() or radius[0] != 0 or not (np.diff(radius) > 0).all():
+        if radius[0] != 0:
             raise InputError(
-                f"points of a radial table begin at the radius {radius[0]:g} mm, the radii must be finite and ascend "
-                "from 0 mm: sort the table, and begin it on the axis"
+                f"points of a radial table begin at the radius {radius[0]:g} mm, they must begin at 0 mm: add the "
+                "height on the axis"
+            )
+        if not (ascending := np.diff(radius) > 0).all():
+            raise InputError(
+                f"points of a radial table have the radius {radius[int(ascending.argmin()) + 1]:g} mm after "
+                f"{radius[int(ascending.argmin())]:g} mm, the radii must ascend: sort them, and remove repeated ones"
             )
         both, heights = np.concatenate((-radius[:0:-1], radius)), np.concatenate((height[:0:-1], height))
         spline = CubicSpline(both, heights)
@@ -99,6 +104,11 @@ class RadialTable(Surface):
         return (
             z, ratio * x, ratio * y, ratio + excess * cosine**2, excess * cosine * sine, ratio + excess * sine**2,
         )  # fmt: skip
+
+    @property
+    def of_revolution(self) -> bool:
+        """Whether the surface is known to be one of revolution about the axis."""
+        return True
 
     def inside(self, x: Floats, y: Floats) -> Bools:
         """Return the mask of points within the table."""
