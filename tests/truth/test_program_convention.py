@@ -44,7 +44,7 @@ def motion(lathe, sense=1, count=700):
 def words(path):
     """Numbers of the cutting blocks, as the controller sees them, with an independent reader."""
     blocks = []
-    for line in path.read_text().split("\nG93\n")[1].splitlines():
+    for line in path.read_text().split("\nG93\n")[-1].splitlines():
         bare = re.sub(r"\(.*?\)", "", line)
         found = {letter: Decimal(number) for letter, number in re.findall(r"([CXYZ])(-?\d+\.\d+)", bare)}
         if len(found) >= 3 and "C" in found:
@@ -79,7 +79,7 @@ def test_formats_of_the_two_dialects(tmp_path):
         lathe = machine(dialect)
         write_nc(motion(lathe), lathe, tmp_path / "part.nc")
         text = (tmp_path / name).read_text()
-        cut = text.split("G93\n")[1].split("\nG94")[0].splitlines()
+        cut = text.split("G93\n")[-1].split("\nG94")[0].splitlines()
         assert len(cut) == 699
         assert all(re.fullmatch(pattern, line) for line in cut)
         assert sum(" F" in line for line in cut) == (1 if dialect == "nanotech" else 699)
@@ -100,7 +100,7 @@ def test_tool_comes_and_goes_above_the_part(tmp_path, z_sign):
     lathe = machine("generic", z_sign=z_sign)
     cut = motion(lathe)
     write_nc(cut, lathe, tmp_path / "part.nc", clearance=3.0)
-    before, after = (tmp_path / "part.nc").read_text().split("G93\n")
+    before, _, after = (tmp_path / "part.nc").read_text().rpartition("G93\n")
     heights = [z_sign * float(z) for z in re.findall(r"^G1 Z(-?[\d.]+)", before, re.MULTILINE)]
     assert heights[0] == pytest.approx(cut.axes["Z"].max() + 3.0, abs=1e-6)
     assert heights == sorted(heights, reverse=True)

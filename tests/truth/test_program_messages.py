@@ -309,7 +309,7 @@ def test_options_that_make_no_sense(tmp_path, options, message):
 
 def test_unknown_dialect(tmp_path):
     with pytest.raises(
-        ProgramError, match="dialect 'klingon' is not known, Turnwright writes generic, nanotech"
+        ProgramError, match="dialect 'klingon' is not known, Turnwright writes fanuc-30i, generic, "
     ) as error:
         write_nc(motion(), machine("klingon"), tmp_path / "part.nc")
     sentence(error)

@@ -37,19 +37,33 @@ def write_programs(
     notes = f"material {stated}" if stated else ""
     header = ProgramHeader(design=part.name, tool=job.tool.name, notes=notes)
     shared: dict[str, Any] = {
-        "header": header, "clearance": max(one.clearance for one in entries.values()), "progress": update,
+        "header": header, "start": job.program.start, "progress": update,
+        "clearance": max(one.clearance for one in entries.values()),
         "depth": {name: one.depth for name, one in entries.items()}, "plunge_feed": job.program.plunge_feed,
         "entry_heights": {name: one.heights for name, one in entries.items()},
     }  # fmt: skip
     by = job.program.fast_tool
     if by is None:
-        return write_nc(motions, machine, file, max_lines=job.program.max_lines, **shared)
+        done = write_nc(motions, machine, file, max_lines=job.program.max_lines, **shared)
+        return done if job.program.dry_run is None else _add_dry_run(job, motions, file, done, shared)
     (motion,) = motions.values()
     for each in ("depth", "entry_heights"):
         (shared[each],) = shared[each].values()  # the program of a fast tool has one pass, named by `write_fast_tool`
     both = write_fast_tool(motion, machine, file, by=by, rate_hz=job.program.fast_tool_rate, **shared)
     size = both.program.bytes + both.table.stat().st_size
     return replace(both.program, files=(*both.program.files, both.table), bytes=size)
+
+
+def _add_dry_run(
+    job: Job, motions: dict[str, Motion], file: File, done: ProgramFiles, shared: dict[str, Any]
+) -> ProgramFiles:
+    """Write the same program higher; return the files of both."""
+    height = job.program.dry_run or 0.0
+    higher = {name: replace(one, axes={**one.axes, "Z": one.axes["Z"] + height}) for name, one in motions.items()}
+    notes = f"dry run, {height:g} mm above the cut"
+    shared = shared | {"header": replace(shared["header"], notes=notes), "progress": None}
+    dry = write_nc(higher, job.machine, file.with_stem(f"{file.stem}-dry"), max_lines=job.program.max_lines, **shared)
+    return replace(done, files=(*done.files, *dry.files), bytes=done.bytes + dry.bytes)
 
 
 def read_back(job: Job, file: File, name: str, update: Progress | None = None) -> Motion:

@@ -28,7 +28,7 @@ from turnwright.machine import Machine
 from turnwright.motion import require_variable
 from turnwright.part import Part
 from turnwright.pose import Pose
-from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED, dialect_of, require_spindle_modes
+from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED, ProgramStart, dialect_of, require_spindle_modes
 from turnwright.speed_profile import Speeds, check_one_speed
 from turnwright.strategy import STRATEGIES, Strategy, Turning
 from turnwright.surface import FAMILIES, Surface
@@ -454,6 +454,14 @@ class ProgramTable(Table):
         Heights per second of a table by time. [Hz]
     precorrect
         Whether the program compensates the predicted tracking errors of the servos.
+    work_offset
+        Work offset that the program selects; the operator selects it if left out.
+    tool_call
+        Words that call the tool with its offset, such as "T0101"; the operator selects it if left out.
+    auxiliary
+        Functions that are on during the program, by their names in the dialect, such as "mist".
+    dry_run
+        Height by which a second program, NAME-dry, runs above the first, to try it in air. [mm]
     plunge_feed
         Fastest plunge into the material while C turns, where a pass cannot begin outside the blank. [mm/s]
     """
@@ -463,10 +471,20 @@ class ProgramTable(Table):
     fast_tool: Literal["position", "time"] | None = None
     fast_tool_rate: Annotated[float, unit("Hz", above=0.0)] | None = None
     precorrect: Flag = False
+    work_offset: Literal["G54", "G55", "G56", "G57", "G58", "G59"] | None = None
+    tool_call: Text = ""
+    auxiliary: tuple[Text, ...] = ()
+    dry_run: Size | None = None
     plunge_feed: Annotated[float, unit("mm/s", above=0.0)] = PLUNGE_FEED
+
+    @property
+    def start(self) -> ProgramStart:
+        """What the program selects before its first move."""
+        return ProgramStart(work_offset=self.work_offset or "", tool_call=self.tool_call, auxiliary=self.auxiliary)
 
     def __post_init__(self) -> None:
         check_numbers(self)
+        _ = self.start
         if self.plunge_feed > FASTEST_PLUNGE:
             raise JobError(
                 f"plunge_feed is {self.plunge_feed * 60:g} mm/min, the limit is {FASTEST_PLUNGE * 60:g} mm/min: check "
@@ -553,7 +571,7 @@ class Job(Table):
     def __post_init__(self) -> None:
         check_numbers(self)
         try:
-            dialect_of(self.machine)
+            self.program.start.lines(dialect_of(self.machine))
         except InputError as error:
             raise JobError(f"machine: {error}") from error
         self._check_passes()
@@ -639,6 +657,8 @@ class Job(Table):
                 f"{f'{rate:g} Hz' if rate else 'not stated'} with the {self.strategy.kind}: a fast tool needs "
                 '"position", or "time" and a rate in Hz, any other strategy needs neither'
             )
+        if moves and self.program.dry_run is not None:
+            raise JobError("program.dry_run is stated, a fast tool has no dry run: leave it out")
         if moves and (len(self.passes) > 1 or self.passes[0].repeats(self.part.stock) > 1):
             raise JobError(
                 "a job with a fast tool table must have 1 pass, this one has several: write one job for each pass"

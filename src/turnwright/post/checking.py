@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from turnwright.errors import ProgramError
 from turnwright.machine import Axis, Controller, Machine
-from turnwright.path import Motion
+from turnwright.path import Motion, SpindleMode
 from turnwright.post.dialect import Dialect
 from turnwright.post.reader import read_nc
 from turnwright.post.writer import write_nc
@@ -27,6 +27,9 @@ POINTS_PER_REV = 90
 
 HEIGHTS = {"rough": 0.01, "finish": 0.0}
 """Height of each test pass. [mm]"""
+
+RADII = np.linspace(5.0, -0.01, 21)
+"""Points of a test cut in spindle mode. [mm]"""
 
 TIME_RATIO = 1e-3
 """Largest relative difference of the time of a pass that is read back."""
@@ -45,7 +48,8 @@ class DialectCheck:
     time_ratio
         Largest relative difference of the time of a pass.
     programs
-        Number of programs: both senses of rotation, with and without Y, in one file and with sub-programs.
+        Number of programs: both senses of rotation, with and without Y, in one file and with sub-programs; and in
+        spindle mode, at constant spindle speed and constant surface speed, as far as the dialect has them.
     lines
         First lines of a cut, as written.
     """
@@ -97,9 +101,45 @@ def check_dialect(name: str) -> DialectCheck:
                 again = read_nc(path, machine, name=one)
                 time_ratio = max(time_ratio, _compare(dialect, one, again, motion, differences))
             lines = lines or _first_lines(done.files[-1], dialect)
+        modes = _spindle_modes(dialect)
+        for mode, sense in product(modes, (1, -1)):
+            motion = mode.motion(RADII, 0.1 - 0.03 * RADII + 0.01 * RADII**2, machine, sense=sense)
+            write_nc(motion, machine, path, depth=0.02)
+            _compare_spindle(dialect, read_nc(path, machine), motion, differences)
     return DialectCheck(
-        dialect=dialect, differences=differences, time_ratio=time_ratio, programs=len(cases), lines=lines
+        dialect=dialect,
+        differences=differences,
+        time_ratio=time_ratio,
+        programs=len(cases) + 2 * len(modes),
+        lines=lines,
     )
+
+
+def _spindle_modes(dialect: Dialect) -> list[SpindleMode]:
+    """Return the modes of a cut in spindle mode that a dialect can write."""
+    plain = SpindleMode(feed=0.01, spindle_rpm=777.5)
+    modes = [plain, replace(plain, per_rev=True)] if dialect.spindle_start else []
+    return [*modes, replace(plain, per_rev=True, surface_speed=150.0)] if dialect.surface_speed_start else modes
+
+
+def _compare_spindle(dialect: Dialect, again: Motion, motion: Motion, differences: dict[str, float]) -> None:
+    """Add to the differences those of a cut in spindle mode; raise if one is too large."""
+    at, was = again.blocks, motion.blocks
+    if at.size != was.size or again.sense != motion.sense or again.spindle_mode is None:
+        raise ProgramError(
+            f"dialect {dialect.name}: a cut in spindle mode of {was.size} points and sense {motion.sense} reads "
+            f"back as {at.size} and {again.sense}: correct spindle_start, feed_per_min and feed_per_rev"
+        )
+    for letter in "XZ":
+        off = float(np.abs(again.axes[letter][at] - motion.axes[letter][was]).max())
+        differences[letter] = max(differences.get(letter, 0.0), off)
+    for what, values in {"time": (again.time, motion.time), "revolutions": (again.axes["C"], motion.axes["C"])}.items():
+        ratio = abs(float(np.ptp(values[0]) / np.ptp(values[1])) - 1)
+        if ratio > TIME_RATIO:
+            raise ProgramError(
+                f"dialect {dialect.name}: the {what} of a cut in spindle mode differ by {ratio:.1%} after reading "
+                "back: correct spindle_start, surface_speed_start, feed_per_min and feed_per_rev"
+            )
 
 
 def _motion(machine: Machine, sense: int, axes: str, height: float) -> Motion:

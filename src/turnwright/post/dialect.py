@@ -20,7 +20,7 @@ from turnwright.errors import InputError, ProgramError, quote
 from turnwright.units import Count, Flag, Text, Time, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from turnwright.machine import Machine
 
@@ -39,7 +39,8 @@ FEED_FORM = re.compile(r"(\.\d)?[fg]")
 """Forms of a feed in a line of a dialect."""
 
 PLACEHOLDERS = MappingProxyType({
-    "call": frozenset({"file"}), "feed_move": frozenset({"words", "feed", "note"}), "rapid_move": frozenset({"words"}),
+    "begin": frozenset({"file"}), "call": frozenset({"file"}),
+    "feed_move": frozenset({"words", "feed", "note"}), "rapid_move": frozenset({"words"}),
     "spindle_start": frozenset({"direction", "speed"}),
     "surface_speed_start": frozenset({"direction", "speed", "surface_speed"}),
 })  # fmt: skip
@@ -67,6 +68,8 @@ class Dialect(TableModel):
         Whether G93 needs an F in every block; otherwise F is modal.
     block
         Text before the words of every cutting block.
+    begin, end
+        Lines before the header of every file, with its name in ``{file}``, and after its last block.
     setup
         Lines before the first move.
     cut_begin, cut_resume
@@ -94,6 +97,8 @@ class Dialect(TableModel):
         The same for a constant ``{surface_speed}`` in m/min, with the highest ``{speed}``.
     spindle_end
         Lines that stop it.
+    auxiliary
+        Functions of the machine that a job can name, such as mist or vacuum: the words that switch each on and off.
     feed_per_min, feed_per_rev
         Word that makes F a feed per minute, and per revolution.
     velocities
@@ -118,6 +123,8 @@ class Dialect(TableModel):
     feed_decimals: Annotated[int, plain()]
     feed_every_block: Flag
     block: Text = ""
+    begin: tuple[Text, ...] = ()
+    end: tuple[Text, ...] = ()
     setup: tuple[Text, ...]
     cut_begin: tuple[Text, ...] = ("G93",)
     cut_resume: tuple[Text, ...] = ("G93 G1",)
@@ -133,6 +140,7 @@ class Dialect(TableModel):
     spindle_start: tuple[Text, ...] = ()
     surface_speed_start: tuple[Text, ...] = ()
     spindle_end: tuple[Text, ...] = ("M05",)
+    auxiliary: Mapping[str, tuple[Text, Text]] = field(default_factory=dict)
     feed_per_min: Text = "G94"
     feed_per_rev: Text = "G95"
     velocities: Flag = False
@@ -145,6 +153,7 @@ class Dialect(TableModel):
         positive(self.longest_block, "longest_block", "s")
         object.__setattr__(self, "decimals", MappingProxyType(dict(self.decimals)))
         object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
+        object.__setattr__(self, "auxiliary", MappingProxyType(dict(self.auxiliary)))
         if not self.name.replace("-", "").replace("_", "").isalnum() or not self.name.isascii():
             raise InputError(f"name is {quote(self.name)}, letters, digits, - and _ are allowed: change it")
         if not {"C", "X", "Z"} <= set(self.decimals) <= AXES:
@@ -163,12 +172,13 @@ class Dialect(TableModel):
             )
         if self.always_call and not self.call:
             raise InputError("always_call is true and call is empty: state the call of a sub-program")
-        for place in ("block", "setup", "cut_begin", "cut_resume", "cut_end", "feed_move", "rapid_move", "call",
-                      "program_end", "call_end", "comment", "spindle_start", "surface_speed_start", "spindle_end",
-                      "feed_per_min", "feed_per_rev"):  # fmt: skip
+        for place, words in self.auxiliary.items():
+            _check_lines(f"auxiliary.{place}", words)
+        for place in ("block", "begin", "end", "setup", "cut_begin", "cut_resume", "cut_end", "feed_move", "rapid_move",
+                      "call", "program_end", "call_end", "comment", "spindle_start", "surface_speed_start",
+                      "spindle_end", "feed_per_min", "feed_per_rev"):  # fmt: skip
             value = getattr(self, place)
-            for line in (value,) if isinstance(value, str) else value:
-                _check_line(place, line)
+            _check_lines(place, (value,) if isinstance(value, str) else value)
 
     @staticmethod
     def known() -> tuple[str, ...]:
@@ -182,7 +192,7 @@ class Dialect(TableModel):
         Parameters
         ----------
         name
-            "generic", "nanotech", "pmac", or the path of a ``.toml`` file of the fields.
+            One of `known`, or the path of a ``.toml`` file of the fields.
 
         Raises
         ------
@@ -227,9 +237,18 @@ class Dialect(TableModel):
         """Return the lines of a rapid move, after which feed moves continue."""
         return [line.format(words=words) for line in self.rapid_move]
 
+    def first_lines(self, file: str) -> list[str]:
+        """Return the lines before the header of a file."""
+        return [line.format(file=file) for line in self.begin]
+
     def commented(self, rows: Sequence[str]) -> list[str]:
         """Return lines with the text that begins a comment before their brackets."""
         return [row.replace("(", f"{self.comment}(", 1) if self.comment else row for row in rows]
+
+
+def _check_lines(place: str, lines: Iterable[str]) -> None:
+    for line in lines:
+        _check_line(place, line)
 
 
 def _check_line(place: str, line: str) -> None:

@@ -15,18 +15,30 @@ import numpy as np
 
 from turnwright._arrays import Floats, Ints
 from turnwright._kernels import text as kernel
-from turnwright.errors import ProgramError
+from turnwright._validate import one_of
+from turnwright.errors import InputError, ProgramError, quote
 from turnwright.machine import Machine
 from turnwright.post.approach import Approach, entry_words
 from turnwright.post.convention import axis_signs, convention_line, reading
 from turnwright.post.dialect import Dialect
 
-__all__ = ["ProgramHeader", "ProgramInfo", "ProgramPass", "ProgramWarning", "inspect_nc"]
+__all__ = [
+    "WORK_OFFSETS", "ProgramHeader", "ProgramInfo", "ProgramPass", "ProgramStart", "ProgramWarning", "inspect_nc",
+]  # fmt: skip
 
 SIGNATURE = "( TURNWRIGHT PROGRAM 1 )"
 SUB_SIGNATURE = "( TURNWRIGHT SUB-PROGRAM 1 )"
 ENTRY = ", ENTRY"
 """Suffix of the name of a pass where its plunge begins, whose blocks are not part of the cut."""
+BEGIN = re.compile(r"(?:[%O<][^\n]{0,80}\n){0,3}")
+"""Lines that a dialect may have before the signature: a percent sign, and the number or name of the program."""
+
+BEGIN_BYTES = 512
+"""Bytes of a file in which its signature begins."""
+
+WORK_OFFSETS = ("G54", "G55", "G56", "G57", "G58", "G59")
+"""Work offsets that a program can select."""
+
 NO_HASH = "0" * 64
 SOFTWARE = f"TURNWRIGHT {version('turnwright')}"
 BOM = b"\xef\xbb\xbf"
@@ -125,6 +137,49 @@ class ProgramInfo:
     passes: tuple[ProgramPass, ...]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProgramStart:
+    """What a program selects before its first move.
+
+    Parameters
+    ----------
+    work_offset
+        Work offset, "G54" to "G59"; empty where the operator selects it.
+    tool_call
+        Words that call the tool with its offset, such as "T0101" or "T1 M06"; empty where the operator selects it.
+    auxiliary
+        Functions of the dialect that are switched on before the first move, and off after the last.
+
+    Raises
+    ------
+    InputError
+        If the work offset is another, or a tool call has other characters than capital letters, digits and blanks.
+    """
+
+    work_offset: str = ""
+    tool_call: str = ""
+    auxiliary: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.work_offset:
+            one_of(self.work_offset, "work_offset", WORK_OFFSETS)
+        if not re.fullmatch(r"([A-Z][0-9.]+( [A-Z][0-9.]+)*)?", self.tool_call):
+            raise InputError(
+                f"tool_call is {quote(self.tool_call)}, words of a capital letter and a number are allowed: correct "
+                'it, such as "T0101"'
+            )
+
+    def lines(self, dialect: Dialect) -> tuple[list[str], list[str]]:
+        """Return the lines at the start and at the end of a program."""
+        if unknown := [name for name in self.auxiliary if name not in dialect.auxiliary]:
+            raise ProgramError(
+                f"auxiliary names {quote(unknown[0])}, the dialect {dialect.name} has "
+                f"{', '.join(dialect.auxiliary) or 'none'}: add it to the dialect file, or correct it"
+            )
+        on, off = ([dialect.auxiliary[name][k] for name in self.auxiliary] for k in (0, 1))
+        return [*filter(None, (self.work_offset, self.tool_call)), *on], list(dict.fromkeys(off))
+
+
 def plain(text: str) -> str:
     """Return text that is allowed in a controller's comment."""
     one_line = " ".join(text.split()).translate(str.maketrans("()", "[]"))
@@ -170,6 +225,7 @@ def lines(
     begins: Sequence[str],
     links_s: float,
     spindle: Sequence[str],
+    start: ProgramStart,
 ) -> list[str]:
     """Return the header as comment lines.
 
@@ -204,15 +260,15 @@ def lines(
         *(c_lines if has_c else []),
         convention_comment,
         f"( SPINDLE: {_spindle_line(spindle)}; M03 IS CLOCKWISE SEEN FROM BEHIND THE SPINDLE )",
-        "( BEFORE THE START: SELECT WORK OFFSET AND TOOL )",
+        *_before_start(start),
     ]
-    for cut, approach, begin, start in zip(passes, approaches, begins, spindle, strict=True):
+    for cut, approach, begin, turning in zip(passes, approaches, begins, spindle, strict=True):
         written.append(f"( ENTRY {cut.name}: {entry_words(approach).upper()} )")
-        if not dialect.wrapped and not start:
+        if not dialect.wrapped and not turning:
             written.append(f"( APPROACH {cut.name}: BEGINS AT {begin} )")
         c = "GROWS" if cut.sense * convention.c_sense > 0 else "FALLS"
         written.append(
-            f"( TURNS {cut.name}: {plain(start) if start else f'C {c}'}, SEEN FROM THE TOOL "
+            f"( TURNS {cut.name}: {plain(turning) if turning else f'C {c}'}, SEEN FROM THE TOOL "
             f"THE PART TURNS {'CLOCKWISE, AS M04' if cut.sense > 0 else 'COUNTER-CLOCKWISE, AS M03'} )"
         )
         written.append(
@@ -230,6 +286,12 @@ def lines(
     return written
 
 
+def _before_start(start: ProgramStart) -> list[str]:
+    selected = {"WORK OFFSET": start.work_offset, "TOOL": start.tool_call}
+    missing = [what for what, words in selected.items() if not words]
+    return [f"( BEFORE THE START: SELECT {' AND '.join(missing)} )"] if missing else []
+
+
 def _spindle_line(spindle: Sequence[str]) -> str:
     if not any(spindle):
         return "C AXIS, NO M03 OR M04"
@@ -243,11 +305,18 @@ CUT = re.compile(
 )
 
 
+def is_signed(head: bytes, *signatures: str) -> bool:
+    """Return whether a file that begins with these bytes has one of the signatures."""
+    text = head.removeprefix(BOM).decode("latin-1").replace("\r", "")
+    return text[BEGIN.match(text).end() :].lstrip("; ").startswith(signatures)  # type: ignore[union-attr]
+
+
 def read_info(path: Path, signature: str = SIGNATURE) -> ProgramInfo | None:
     """Return the contents of a file's header, or ``None`` if the file does not begin with the signature."""
     require_regular(path)
     with path.open("rb") as file:
-        text = file.read(1 << 18).removeprefix(BOM).decode("latin-1")
+        text = file.read(1 << 18).removeprefix(BOM).decode("latin-1").replace("\r\n", "\n")
+    text = text[BEGIN.match(text).end() :]  # type: ignore[union-attr]
     rows = [row.lstrip("; \t").rstrip() for row in text.splitlines()]
     if not rows or rows[0] != signature:
         return None

@@ -25,6 +25,7 @@ from turnwright.path import Motion, SpindleMode
 from turnwright.post.convention import axis_signs, convention_line, motion_of, reading
 from turnwright.post.dialect import Dialect, dialect_of
 from turnwright.post.header import (
+    BEGIN_BYTES,
     BOM,
     ENTRY,
     SIGNATURE,
@@ -33,6 +34,7 @@ from turnwright.post.header import (
     ProgramPass,
     ProgramWarning,
     bytes_to_hash,
+    is_signed,
     read_info,
 )
 from turnwright.post.macro import Macros
@@ -107,6 +109,12 @@ TOKEN = re.compile(r"([A-Z])\s*(?:([+-]?(?:\d+\.?\d*|\.\d+))|(\[|[+-]?#))", re.I
 SPEED = re.compile(r":([+-]?(?:\d+\.?\d*|\.\d+))")
 NATIVE = re.compile(r"(ABS|LINEAR|RAPID|DWELL\s*\d+\.?\d*|PVT\s*(\d+\.?\d*|\.\d+))")
 """Statements of a controller with velocities (PVT)."""
+NAME = re.compile(r"<[A-Z0-9.+_-]{1,80}>")
+"""The name of a program file."""
+
+LIMIT = re.compile(r"LIMS\s*=\s*(\d+\.?\d*)")
+"""The highest spindle speed under G96 on some controllers."""
+
 ASSIGN = re.compile(r"#\s*(\d{1,9})\s*=(.*)")
 WHILE = re.compile(r"WHILE\s*\[(.+)\]\s*DO\s*(\d{1,9})", re.IGNORECASE)
 END = re.compile(r"END\s*(\d{1,9})", re.IGNORECASE)
@@ -425,8 +433,8 @@ class _Reader:
         outer, self.state[LINES] = self.state[LINES], 0
         before, loops, self.coded = self.real.copy(), set(self.loops), False
         with path.open("rb") as file:
-            head = file.read(64)
-        has_signature = head.removeprefix(BOM).lstrip(b"; ").startswith((SIGNATURE.encode(), SUB_SIGNATURE.encode()))
+            head = file.read(BEGIN_BYTES)
+        has_signature = is_signed(head, SIGNATURE, SUB_SIGNATURE)
         begin = len(BOM) if head.startswith(BOM) else 0  # of the buffer, in the file
         for text_bytes, data, end in self._buffers(path):
             at = 0
@@ -684,7 +692,11 @@ class _Reader:
         self.coded = True
         if len(bare) > 512:
             raise self._error("is longer than 512 characters without its comments", "give a program of plain blocks")
-        if not (self.dialect.velocities and self._native(bare)) and not self._statement(bare):
+        if limit := LIMIT.fullmatch(bare):
+            self.spindle = self.spindle._replace(highest=float(limit[1]))
+        elif NAME.fullmatch(bare) or (self.dialect.velocities and self._native(bare)) or self._statement(bare):
+            return
+        else:
             self._words(bare)
 
     def _apply_block_delete(self, text: str) -> str:

@@ -23,7 +23,16 @@ from turnwright.path import Motion
 from turnwright.post.approach import PLUNGE_FEED, entry_path, entry_shares
 from turnwright.post.convention import convention_line, reading, short_steps, to_part_axes
 from turnwright.post.dialect import Dialect, dialect_of
-from turnwright.post.header import NO_HASH, SOFTWARE, ProgramHeader, inspect_nc, plain, program_hash, require_regular
+from turnwright.post.header import (
+    NO_HASH,
+    SOFTWARE,
+    ProgramHeader,
+    ProgramStart,
+    inspect_nc,
+    plain,
+    program_hash,
+    require_regular,
+)
 from turnwright.post.reader import read_nc
 from turnwright.post.writer import CHUNK_POINTS, ProgramFiles, _disk_error, _velocity, write_nc
 from turnwright.progress import Progress
@@ -89,6 +98,7 @@ def write_fast_tool(
     by: Literal["position", "time"],
     rate_hz: float | None = None,
     header: ProgramHeader | None = None,
+    start: ProgramStart | None = None,
     clearance: float = 5.0,
     depth: float | Mapping[str, float | None] | None = 0.0,
     plunge_feed: float = PLUNGE_FEED,
@@ -115,7 +125,7 @@ def write_fast_tool(
         Synchronisation of the table.
     rate_hz
         Heights per second, by time only. [Hz]
-    header, clearance, depth, plunge_feed, entry_heights, progress
+    header, start, clearance, depth, plunge_feed, entry_heights, progress
         See `write_nc`; the heights are the sum of Z and W, at the angles of `turnwright.post.entry_path`. Without them
         lathe and fast tool are extrapolated; the extrapolation error of the fast tool does not slow the plunge down.
 
@@ -153,8 +163,8 @@ def write_fast_tool(
                 file.write(_head(motion, machine, dialect, counts, rate_hz, path, (NO_HASH, NO_HASH)))
                 digest = _body(file, rows, decimals)
             program = write_nc(
-                motion.lathe(), machine, path, header=header, clearance=clearance, depth=depth, plunge_feed=plunge_feed,
-                entry_heights=lathe_heights, progress=progress,
+                motion.lathe(), machine, path, header=header, start=start, clearance=clearance, depth=depth,
+                plunge_feed=plunge_feed, entry_heights=lathe_heights, progress=progress,
             )  # fmt: skip
             with hidden.open("r+b") as file:
                 file.write(_head(motion, machine, dialect, counts, rate_hz, path, (digest, program.hash)))

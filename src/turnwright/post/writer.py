@@ -37,12 +37,15 @@ from turnwright.post.approach import (
 from turnwright.post.convention import axis_signs
 from turnwright.post.dialect import MIN_LINES, Dialect, dialect_of
 from turnwright.post.header import (
+    BEGIN_BYTES,
     ENTRY,
     NO_HASH,
     SUB_SIGNATURE,
     ProgramHeader,
     ProgramPass,
+    ProgramStart,
     bytes_to_hash,
+    is_signed,
     language,
     lines,
     program_hash,
@@ -143,6 +146,7 @@ def write_nc(
     path: str | PathLike[str],
     *,
     header: ProgramHeader | None = None,
+    start: ProgramStart | None = None,
     clearance: float = 5.0,
     depth: float | Mapping[str, float | None] | None = 0.0,
     plunge_feed: float = PLUNGE_FEED,
@@ -172,6 +176,8 @@ def write_nc(
         The main program. Sub-programs are in the same folder: part.nc, part.finish.001.nc, ...
     header
         Design, tool, date and notes for the header.
+    start
+        Work offset, tool call and auxiliary functions; none by default.
     clearance
         Height of approach and retract above the highest point of the pass; more than the stock. [mm]
     depth
@@ -240,7 +246,7 @@ def write_nc(
     try:
         header = header or ProgramHeader()
         header = replace(header, date=header.date or datetime.now(UTC).date().isoformat())
-        job = _Job(folder, path, dialect, machine, header, limit, progress)
+        job = _Job(folder, path, dialect, machine, header, start or ProgramStart(), limit, progress)
         written = job.write(passes)
         _put_in_place(folder, path.parent, [path.name, *written], _find_stale_files(path, written))
         return job.summary(written)
@@ -393,6 +399,7 @@ class _Job:
     dialect: Dialect
     machine: Machine
     header: ProgramHeader
+    start: ProgramStart
     limit: int
     progress: Progress | None
     lines: int = 0
@@ -418,7 +425,8 @@ class _Job:
             for one in passes
         ]
         self.links_s = link_seconds([(one.approach, one.motion) for one in passes], self.machine)
-        main = [*self.dialect.setup]
+        begin, end = self.start.lines(self.dialect)
+        main = [*self.dialect.setup, *begin]
         blocks = self.total + sum(
             plunge.time.size
             for one in passes
@@ -447,7 +455,7 @@ class _Job:
                     self._text(file, [*self.dialect.cut_begin])
                     self.entries[index] = self._entry(one, self._cut(one, [(file, 1, one.motion.time.size)]))
                     self._text(file, self._retract(one))
-                self._text(file, [self.dialect.program_end])
+                self._text(file, [*end, self.dialect.program_end, *self.dialect.end])
                 file.seek(0)
                 file.write("\n".join(self.dialect.commented(self._head())).encode())
             else:
@@ -457,13 +465,21 @@ class _Job:
                     subs += names
                     main += [f"( PASS {index + 1} OF {len(passes)} )"]
                     main += [self.dialect.call.format(file=name) for name in names]
-                self._text(file, [*self._head(), *main, self.dialect.program_end])
+                self._text(file, [*self._head(), *main, *end, self.dialect.program_end, *self.dialect.end])
         return subs
 
     def _head(self) -> list[str]:
         approaches = list(self.approaches.values())
-        return lines(
-            self.header, self.machine, self.dialect, self.entries, approaches, self.begins, self.links_s, self.spindle
+        return self.dialect.first_lines(self.path.name) + lines(
+            self.header,
+            self.machine,
+            self.dialect,
+            self.entries,
+            approaches,
+            self.begins,
+            self.links_s,
+            self.spindle,
+            self.start,
         )
 
     def summary(self, written: list[str]) -> ProgramFiles:
@@ -561,10 +577,12 @@ class _Job:
         for k, (name, part) in enumerate(zip(names, parts, strict=True)):
             number = f", PART {k + 1} OF {len(names)}" if len(names) > 1 else ""
             with (self.folder / name).open("wb") as file:
-                self._text(file, [SUB_SIGNATURE, f"( PASS: {one.name}{number} )"])
+                begin = self.dialect.first_lines(name)
+                self._text(file, [*begin, SUB_SIGNATURE, f"( PASS: {one.name}{number} )"])
                 self._text(file, [*language(self.machine, self.dialect), *(self._approach(one) if k == 0 else [])])
                 self._text(file, part)
                 self._text(file, [*(self._retract(one) if k == len(names) - 1 else []), self.dialect.call_end])
+                self._text(file, [*self.dialect.end])
         return names, digest
 
     def _sub_programs(self, one: _Pass) -> tuple[list[str], str]:
@@ -581,7 +599,8 @@ class _Job:
                 entry = plunge[k * each : (k + 1) * each]
                 with (self.folder / name).open("wb") as file:
                     part = f", PART {k + 1} OF {len(names)}" if len(names) > 1 else ""
-                    self._text(file, [SUB_SIGNATURE, f"( PASS: {one.name}{part} )"])
+                    begin = self.dialect.first_lines(name)
+                    self._text(file, [*begin, SUB_SIGNATURE, f"( PASS: {one.name}{part} )"])
                     self._text(file, [*language(self.machine, self.dialect), *(self._approach(one) if k == 0 else [])])
                     if entry:
                         self._text(file, [*self._plunge_begins(one), *entry])
@@ -592,6 +611,7 @@ class _Job:
                         self._text(file, [*(self.dialect.cut_begin if begins else self.dialect.cut_resume)])
                         yield file, max(first, 1), min(last, points)
                     self._text(file, [*(self._retract(one) if k == len(names) - 1 else []), self.dialect.call_end])
+                    self._text(file, [*self.dialect.end])
 
         return names, self._cut(one, files())
 
@@ -720,7 +740,7 @@ def _find_stale_files(path: Path, written: list[str]) -> list[str]:
     for entry in path.parent.iterdir():
         if pattern.fullmatch(entry.name) and entry.name not in written and entry.is_file():
             with entry.open("rb") as file:
-                if file.read(len(SUB_SIGNATURE)) == SUB_SIGNATURE.encode():
+                if is_signed(file.read(BEGIN_BYTES), SUB_SIGNATURE):
                     stale.append(entry.name)
     return stale
 
