@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 from laws import examples
 from turnwright.errors import ProgramError
 from turnwright.machine import Axis, Convention, Machine
-from turnwright.path import Motion
+from turnwright.path import Motion, SpindleMode
 from turnwright.post import ProgramHeader, ProgramWarning, inspect_nc, read_nc, write_nc
 
 DECIMALS = {"nanotech": {"C": 5, "X": 6, "Y": 6, "Z": 6}, "generic": {"C": 6, "X": 6, "Y": 6, "Z": 6}}
@@ -151,7 +151,7 @@ def test_one_changed_digit_is_never_silent(tmp_path_factory, data):
     done = write_nc(motion, machine, path)
     file = done.files[-1]
     text = file.read_text()
-    start = text.index("G93\n") + 4
+    start = text.rindex("G93\n") + 4
     cut = range(start, text.index("G94", start))
     digits = [i for i in cut if text[i].isdigit() and text[i - 1] != "G"]  # G8 for G1 would change no number
     at = data.draw(st.sampled_from(digits))
@@ -205,3 +205,53 @@ def test_anything_is_read_or_refused(tmp_path_factory, pieces, dialect):
         except ProgramError as error:
             if str(path) not in str(error):
                 raise
+
+
+@st.composite
+def turning(draw, machine):
+    """A cut in spindle mode along any polyline whose X falls."""
+    count = draw(st.integers(2, 60))
+    random = np.random.default_rng(draw(st.integers(0, 2**32)))
+    x = 8 - np.cumsum(random.uniform(1e-3, 0.1, count))
+    per_rev = draw(st.booleans())
+    mode = SpindleMode(
+        feed=draw(st.floats(1e-3, 0.1)), spindle_rpm=draw(st.floats(10, 5000)), per_rev=per_rev,
+        surface_speed=draw(st.floats(10, 5000)) if per_rev and machine.dialect == "generic" else None,
+    )  # fmt: skip
+    return mode.motion(x, random.normal(0, 2, count), machine, sense=draw(st.sampled_from([1, -1])))
+
+
+@examples(40)
+@given(st.data())
+def test_cuts_in_spindle_mode_come_back(tmp_path_factory, data):
+    machine = data.draw(machines())
+    motion = data.draw(turning(machine))
+    path = tmp_path_factory.mktemp("program") / "part.nc"
+    done = write_nc(motion, machine, path)
+    read = read_nc(path, machine)
+    assert read.sense == motion.sense
+    for letter in "XZ":
+        off = read.axes[letter][read.blocks] - motion.axes[letter][motion.blocks]
+        assert np.abs(off).max() <= 0.5e-6 + 1e-12
+    turns, planned = (np.abs(np.diff(one.axes["C"][one.blocks])) for one in (read, motion))
+    length = np.hypot(*(np.diff(motion.axes[letter][motion.blocks]) for letter in "XZ"))
+    # Both ends of a block, feed and speed are rounded.
+    assert (np.abs(turns / planned - 1) <= 2e-6 / length + 1e-4).all()
+
+    file = done.files[-1]
+    text = file.read_text()
+    # From the start of the spindle on; the tool has come down before the first block of the cut.
+    speed, first = (
+        re.search(r"S[\d.]+ M0[34]", text[text.index("\n( PASS") :]),
+        re.search(r"\nG9[45]\n(?=G1 X)", text).end(),
+    )
+    start = text.index("\n( PASS") + speed.start()
+    cut = [*range(start, start + len(speed[0])), *range(first, text.index("\nG94", first))]
+    digits = [i for i in cut if text[i].isdigit() and text[i - 1] != "G"]
+    at = data.draw(st.sampled_from(digits))
+    other = data.draw(st.sampled_from([d for d in "0123456789" if d != text[at]]))
+    file.write_text(text[:at] + other + text[at + 1 :])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises((ProgramError, ProgramWarning), match=re.escape(str(path.parent))):
+            read_nc(path, machine)

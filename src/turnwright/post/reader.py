@@ -38,7 +38,7 @@ from turnwright.post.header import (
     read_info,
 )
 from turnwright.post.macro import Macros
-from turnwright.post.spindle import Spindle
+from turnwright.post.spindle import Spindle, turning_number
 from turnwright.progress import Progress
 
 __all__ = ["read_nc"]
@@ -583,7 +583,8 @@ class _Reader:
                     kernel.quantise(part[5 + row], scale, 0.0, 0, units, each * column + 1)
             self.digest.update(bytes_to_hash(units, part[4]))
 
-    def _open(self, *, timed: bool) -> _Cut:
+    def _open(self, *, timed: bool, turning: float = 0.0) -> _Cut:
+        """Begin a cut; ``turning`` stands for the spindle in the hash of a cut in spindle mode."""
         self.cuts += 1
         # As many points as the header states, limited by the length of the text, plus one, so that the array is not
         # enlarged when full.
@@ -595,7 +596,7 @@ class _Reader:
             rows=_allocate(capacity, self.height),
         )
         cut.rows[:4, 0] = self.real[:4]
-        cut.rows[4, 0] = 0.0
+        cut.rows[4, 0] = turning
         cut.shifts.append((0, self.shift.copy()))
         self.cut = cut
         self.state[OPEN] = 1
@@ -1045,7 +1046,7 @@ class _Reader:
             after = self.real.copy()
             self.real[:4] = before
             self.real[0] = 0.0
-            cut = self._open(timed=True)
+            cut = self._open(timed=True, turning=turning_number(mode, spindle.sense))
             cut.spindle, cut.mode = spindle, mode
             self.real[:] = after
         rows, first = self._free_columns()

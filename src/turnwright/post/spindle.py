@@ -15,7 +15,9 @@ from turnwright.path import SpindleMode
 from turnwright.post.dialect import Dialect
 from turnwright.post.header import bytes_to_hash
 
-__all__ = ["Spindle", "position_word", "require_spindle_modes", "spindle_lines", "start_spindle"]
+__all__ = [
+    "Spindle", "position_word", "require_spindle_modes", "spindle_lines", "start_spindle", "turning_number",
+]  # fmt: skip
 
 DECIMALS = 6
 """Decimals of speeds and feeds in spindle mode."""
@@ -92,7 +94,9 @@ def start_spindle(dialect: Dialect, mode: SpindleMode, sense: int) -> list[str]:
     return [line.format(direction=direction, **speeds) for line in lines]
 
 
-def spindle_lines(name: str, units: Mapping[str, Ints], mode: SpindleMode, dialect: Dialect) -> tuple[list[str], str]:
+def spindle_lines(
+    name: str, units: Mapping[str, Ints], mode: SpindleMode, sense: int, dialect: Dialect
+) -> tuple[list[str], str]:
     """Return the lines of a cut, and the hash of its points, see `ProgramPass`.
 
     ``units`` are the positions by axis letter in units of the last decimal. Each (n,)
@@ -106,7 +110,9 @@ def spindle_lines(name: str, units: Mapping[str, Ints], mode: SpindleMode, diale
             "chord"
         )
     columns = [units.get(letter, np.zeros(x.size, dtype=np.int64)) for letter in dialect.letters({**units, "C": 0})]
-    digest = hashlib.sha256(bytes_to_hash(np.stack(columns, axis=1), np.concatenate(([0.0], turns)))).hexdigest()
+    digest = hashlib.sha256(
+        bytes_to_hash(np.stack(columns, axis=1), np.concatenate(([turning_number(written, sense)], turns)))
+    ).hexdigest()
     words = [
         [position_word(letter, one, dialect.decimals[letter]) for one in units[letter].tolist()] for letter in units
     ]
@@ -122,7 +128,14 @@ def _written_feed(mode: SpindleMode) -> tuple[str, SpindleMode]:
         raise ProgramError(
             f"feed {mode.feed:g} mm/rev at {mode.spindle_rpm:g} rev/min is 0 with {DECIMALS} decimals: check the units"
         )
-    return feed, replace(mode, feed=float(feed) if mode.per_rev else float(feed) / float(speed))
+    surface = None if mode.surface_speed is None else float(_decimal(mode.surface_speed / MM_PER_S)) * MM_PER_S
+    per_rev = float(feed) if mode.per_rev else float(feed) / float(speed)
+    return feed, replace(mode, feed=per_rev, spindle_rpm=float(speed), surface_speed=surface)
+
+
+def turning_number(mode: SpindleMode, sense: int) -> float:
+    """Return a number that stands for direction and speed of the spindle in the hash of a cut."""
+    return sense * (mode.spindle_rpm + 1e6 * (mode.surface_speed or 0.0))
 
 
 def position_word(letter: str, units: int, places: int) -> str:

@@ -564,7 +564,7 @@ class _Job:
             for letter in one.letters
             if letter != "C"
         }
-        rows, digest = spindle_lines(one.name, units, mode, self.dialect)
+        rows, digest = spindle_lines(one.name, units, mode, one.motion.sense, self.dialect)
         self._count(points.size)
         return rows, digest
 
