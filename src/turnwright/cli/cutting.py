@@ -22,7 +22,7 @@ from turnwright.cli.shared import (
     warn,
     write_edited,
 )
-from turnwright.errors import InputError, JobError
+from turnwright.errors import GougeError, InputError, JobError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -209,7 +209,7 @@ def backplot(
 ) -> None:
     """Simulate the surface produced by any NC program."""
     session: Session = context.obj
-    from turnwright.job import Job, judge, predict, steps_of_prediction  # noqa: PLC0415
+    from turnwright.job import Job, find_wrong_move, judge, predict, steps_of_prediction  # noqa: PLC0415
     from turnwright.motion import check_limits  # noqa: PLC0415
     from turnwright.progress import Step  # noqa: PLC0415
 
@@ -220,6 +220,10 @@ def backplot(
         steps = (read, *steps_of_prediction(recipe, tracking=track or None))
         with show_progress(session.stop, steps) as progress:
             motion = _read(program, recipe, cut, progress, block_delete=block_delete)
+            is_program = program.suffix.lower() != ".csv"
+            wrong = find_wrong_move(recipe, program, block_delete=block_delete) if is_program else ""
+            if wrong and "gouge" not in recipe.accept:
+                raise GougeError(f'{program.name}: {wrong} (or accept it in the job: accept = ["gouge"])')
             limits = check_limits(motion, recipe.machine)
             predictions = predict(recipe, motion, tracking=track or None, progress=progress)
         if folder is not None:
@@ -235,7 +239,13 @@ def backplot(
         f"{limits.nearest} is nearest to its limit"
     )
     _print_predictions(session, predictions)
-    warn([*limits.findings, *(remark for prediction in predictions for remark in prediction.remarks)])
+    warn(
+        [
+            *limits.findings,
+            *filter(None, [wrong]),
+            *(remark for prediction in predictions for remark in prediction.remarks),
+        ]
+    )
     if out is not None:
         session.echo(f"maps: {out / 'maps'}")
         session.echo(f"report: {out / 'report.html'}")

@@ -5,6 +5,7 @@ from turnwright.job.comparison import Candidate, Comparison, compare
 from turnwright.job.contributions import ErrorBreakdown, break_down_error, has_servos, without_servos
 from turnwright.job.correction import Correction, correct
 from turnwright.job.finish_terms import Finish, finish
+from turnwright.job.links import find_wrong_move
 from turnwright.job.measurement import Measured, diagnose, measure, read_measurement
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.pipeline import Pipeline
@@ -65,6 +66,7 @@ __all__ = [
     "diagnose",
     "edit_text",
     "faults",
+    "find_wrong_move",
     "finish",
     "finishing_motion",
     "has_servos",

@@ -446,8 +446,8 @@ def _keep_symmetric_part(part: Part, smooth: Smooth) -> tuple[Smooth, float]:
     radius = np.minimum(np.hypot(x, y), reach)
     symmetric = Gridded(x=table.x, y=table.y, z=mean.evaluate(radius, np.zeros(radius.shape), 0)[0])
     x, y = evenly(part, MAX_PREDICTED_POINTS)
-    rest = table.evaluate(x, y, 0)[0] - symmetric.evaluate(x, y, 0)[0]
-    return smooth._replace(table=symmetric), float(np.sqrt(np.mean(rest**2))) * NM
+    residual = table.evaluate(x, y, 0)[0] - symmetric.evaluate(x, y, 0)[0]
+    return smooth._replace(table=symmetric), float(np.sqrt(np.mean(residual**2))) * NM
 
 
 def _remove_outliers(residual: HeightMap, cutoff: float) -> HeightMap:

@@ -21,7 +21,7 @@ from turnwright.post.header import (
     inspect_nc,
     stop_instructions,
 )
-from turnwright.post.reader import read_nc
+from turnwright.post.reader import Move, read_moves, read_nc
 from turnwright.post.spindle import require_spindle_modes
 from turnwright.post.sync import FastToolFiles, read_fast_tool, write_fast_tool
 from turnwright.post.table import read_table
@@ -36,6 +36,7 @@ __all__ = [
     "Dialect",
     "DialectCheck",
     "FastToolFiles",
+    "Move",
     "ProgramFiles",
     "ProgramHeader",
     "ProgramInfo",
@@ -50,6 +51,7 @@ __all__ = [
     "inspect_nc",
     "plan_approach",
     "read_fast_tool",
+    "read_moves",
     "read_nc",
     "read_table",
     "require_spindle_modes",

@@ -13,6 +13,7 @@ from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from string import ascii_lowercase, ascii_uppercase
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +42,7 @@ from turnwright.post.macro import Macros
 from turnwright.post.spindle import Spindle, turning_number
 from turnwright.progress import Progress
 
-__all__ = ["read_nc"]
+__all__ = ["Move", "read_moves", "read_nc"]
 
 BUFFER_BYTES = 1 << 20
 UPPERCASE = str.maketrans(ascii_lowercase, ascii_uppercase)
@@ -54,6 +55,9 @@ MAX_CALL_DEPTH = 8
 MAX_CALLS = 1000
 """Calls of one file; nested calls would otherwise multiply without limit."""
 MAX_NUMBER = 1e9
+MAX_MOVES = 100_000
+NO_NAME = "\x00"
+"""Name that no pass has."""
 COPY_AGAIN = "copy all files of the program again from where they were written"
 """Remedy for an incomplete program."""
 AXES = "CXYZ"
@@ -195,6 +199,58 @@ def read_nc(
             stacklevel=2,
         )
     return _motion(path, cut, header_pass, machine)
+
+
+class Move(NamedTuple):
+    """A move of a program outside its cuts, in the axes of the part.
+
+    Parameters
+    ----------
+    line
+        Number of its line in its file.
+    is_rapid
+        Whether it is one in rapid (G0).
+    start, end
+        C [rad], X and Z [mm] before and after it; nan where a position is not known.
+    turns
+        Whether the part rotates: the spindle runs, or C turns in this move.
+    cuts
+        Number of cuts before it.
+    """
+
+    line: int
+    is_rapid: bool
+    start: tuple[float, float, float]
+    end: tuple[float, float, float]
+    turns: bool
+    cuts: int
+
+
+def read_moves(path: str | PathLike[str], machine: Machine, *, block_delete: bool | None = None) -> tuple[Move, ...]:
+    """Return the moves of a whole program outside its cuts, in their order, see `read_nc`.
+
+    Raises
+    ------
+    ProgramError
+        As `read_nc`; and if there are more than `MAX_MOVES`.
+    """
+    path, signs = Path(path), axis_signs(machine)
+    with reading(path), ThreadPoolExecutor(1) as pool:
+        reader = _Reader(
+            path, dialect_of(machine), name=NO_NAME, header_pass=None, block_delete=block_delete, pool=pool,
+            progress=None,
+        )  # fmt: skip
+        reader.run()
+
+    def place(position: Floats) -> tuple[float, float, float]:
+        c, x, _, z = position.tolist()
+        turned = np.deg2rad(c) * signs["C"] - signs["C"] * machine.convention.clocking
+        return float(turned), x * signs["X"], z * signs["Z"]
+
+    return tuple(
+        Move(line, rapid, place(start), place(end), turns, cuts)
+        for line, rapid, start, end, turns, cuts in reader.moves
+    )
 
 
 def _pass_in_header(
@@ -354,6 +410,7 @@ class _Reader:
         self.begun: set[str] = set()  # axes whose first coordinate was set by G92
         self.lost: set[str] = set()  # axes whose position in the part's coordinates is unknown
         self.spindle = Spindle()
+        self.moves: list[tuple[int, bool, Floats, Floats, bool, int]] = []
         self.work_offset = 54.0
         self.tool = self.length = 0.0  # T and H in force
         self.tool_change = ""  # change of tool or length since the last cut
@@ -1004,10 +1061,19 @@ class _Reader:
             step[2] = 0.0
         if "C" in axes:
             self.spindle = self.spindle._replace(sense=0)  # C is an axis
+        blocks = 0 if self.cut is None else self.cut.blocks
         if self.spindle.runs:
             self._turn(before, step)
         else:
             self._move_c(before, step)
+        if self.cut is None or self.cut.blocks == blocks:
+            self._note_move(before, turns=self.spindle.runs or bool(abs(step[0]) > 0))
+
+    def _note_move(self, before: Floats, *, turns: bool) -> None:
+        if len(self.moves) == MAX_MOVES:
+            raise self._error(f"is the {MAX_MOVES:,}th move outside a cut", "give a program of fewer passes")
+        line, rapid = int(self.state[LINES]), not self.state[LINEAR]
+        self.moves.append((line, rapid, before + self.shift, self.real[:4] + self.shift, turns, self.cuts))
 
     def _move_c(self, before: Floats, step: Floats) -> None:
         """Follow a move with C as an axis: a feed move of C is a cut, all others position the tool."""
@@ -1036,8 +1102,8 @@ class _Reader:
             return
         spindle, feed, per_rev = self.spindle, float(self.real[FEED]), self.state[FEED_MODE] == 95
         if not feed > 0 or self.state[FEED_MODE] == 93:
-            given = f"a feed of {feed:g}" if feed <= 0 else "no feed" if np.isnan(feed) else "a block time (G93)"
-            raise self._error(f"cuts in spindle mode with {given}", "give an F above 0 under G94 or G95")
+            words = f"a feed of {feed:g}" if feed <= 0 else "no feed" if np.isnan(feed) else "a block time (G93)"
+            raise self._error(f"cuts in spindle mode with {words}", "give an F above 0 under G94 or G95")
         if spindle.constant_surface and not (per_rev and spindle.highest > 0):
             missing = "the highest spindle speed" if per_rev else "a feed per revolution (G95)"
             raise self._error(f"cuts at constant surface speed (G96) without {missing}", "state it")

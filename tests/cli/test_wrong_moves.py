@@ -1,0 +1,54 @@
+"""Moves of a program outside its cuts: those of Turnwright are safe, a wrong one is refused with its place."""
+
+import re
+
+import pytest
+
+import turnwright as tw
+from turnwright.cli import main
+from turnwright.job import Pipeline, find_wrong_move
+
+PART = {"surface": {"family": "sphere", "radius": "50 mm"}, "radius": "5 mm", "stock": "50 um"}
+TOOL = {"nose_radius": "0.5 mm", "included": "120 deg", "clearance": "12 deg"}
+TURNING = {"kind": "turning", "feed": "20 um/rev", "spindle_speed": "1000 rpm", "chord": "10 nm"}
+SLOW = {"kind": "slow tool servo", "feed": "50 um/rev", "spindle_speed": "60 rpm", "points_per_rev": 60}
+PASSES = [{"name": "rough", "allowance": "10 um", "depth": "20 um"}, {"name": "finish"}]
+PARTS = [{}, {"surface": {"family": "sphere", "radius": "-40 mm"}}, {"blank": {"radius": "5.2 mm"}}]
+
+
+def job_of(strategy, machine="nanoform", **more):
+    table = {"part": {**PART, **more}, "tool": TOOL, "machine": {"name": machine}, "strategy": strategy}
+    return tw.Job.read({**table, "passes": PASSES})
+
+
+@pytest.mark.parametrize("machine", ["nanoform", "nanotech-350fg"])
+@pytest.mark.parametrize("more", PARTS)
+@pytest.mark.parametrize("strategy", [TURNING, SLOW, {**SLOW, "inside_out": True}])
+def test_programs_of_turnwright_have_no_wrong_move(tmp_path, strategy, machine, more):
+    job = job_of(strategy, machine, **more)
+    assert find_wrong_move(job, Pipeline(job, out=tmp_path).program.files[0]) == ""
+
+
+WRONG = {
+    "retract down": (r"G1 Z[\d.]+ F100 \(CLEAR OF THE PART\)\n(?=M05)", r"G1 Z-1 F100\n", "finished surface"),
+    "through the part": (r"G1 Z[\d.]+ F500 \(CLEAR OF THE PART\)\n", r"G0 X0 Z-0.3\n", "X 0 mm"),
+    "into the stock at rest": (r"(G97[^\n]+\n)(G1 Z)[\d.]+( F100)", r"G1 Z0.27 F100\n\1G1 Z0.4 F100", "stock"),
+    "in rapid across": (r"G1 X[\d.]+ F500\n", r"G0 X-8\nG0 Z-0.1\nG0 X5.01\n", "in rapid"),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "place"), WRONG.values(), ids=WRONG)
+def test_a_wrong_move_is_refused_with_its_place(tmp_path, capsys, old, new, place):
+    job = job_of(TURNING)
+    file = Pipeline(job, out=tmp_path).program.files[0]
+    text, count = re.subn(old, new, file.read_text(), count=1)
+    assert count == 1
+    file.write_text(text)
+    job.dump(tmp_path / "job.toml")
+    assert main(["backplot", str(file), "--job", str(tmp_path / "job.toml")]) == 2
+    message = " ".join(capsys.readouterr().err.split())
+    assert place in message
+    assert re.search(r"line \d+ moves the tool to X", message)
+    job.replace("accept", ["gouge"]).dump(tmp_path / "job.toml")
+    assert main(["backplot", str(file), "--job", str(tmp_path / "job.toml")]) == 0
+    assert "moves the tool to X" in " ".join(capsys.readouterr().err.split())
