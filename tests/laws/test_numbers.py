@@ -274,7 +274,7 @@ ANSWERS = """
     LearnedMaterial Lenslet Lenslets Limits Measured Move Outcome OutlierRemoval PartShape Pass Plan PoseCandidate
     Prediction Preview ProfileRoughness ProgramFiles ProgramInfo ProgramPass Proof Registration Result Roughness
     Sensitivity Series Slopes Spectrum Stretch Tightening TiledMap ToleranceStudy Trial TurnedEdge TurningCentre
-    Undetermined Verdict ZernikeFit
+    ProgramStart Undetermined Verdict ZernikeFit
 """
 """Classes that only functions make: there nan and infinity say what could not be found."""
 

@@ -40,6 +40,7 @@ MAX_SEGMENTS = 6
 
 COMMENT = re.compile(r"\([^()]*\)|;.*$")
 WORD = re.compile(r"([CXYZ])\s*([+-]?(?:\d+\.?\d*|\.\d+))")
+SPINDLE = re.compile(r"\bM0?[34]\b")
 PASS = re.compile(rb"PASS: ([^,)\n]*)(, ENTRY)?")
 
 
@@ -91,8 +92,13 @@ def lines(out: str, first: int, count: int) -> dict[str, Any]:
 
 
 def nearest_line(out: str, x: float, y: float) -> dict[str, Any]:
-    """Return the line of the finishing pass after which the tip is nearest to a point in the part frame [mm]."""
+    """Return the line of the finishing pass after which the tip is nearest to a point in the part frame [mm].
+
+    In spindle mode it is the nearest in its distance from the axis.
+    """
     index = _Index(Path(out))
+    if any(SPINDLE.search(COMMENT.sub("", text)) for text in index.read(index.finish, CONTEXT_LINES)):
+        x, y = math.hypot(x, y), 0.0
     axes = _Axes(index.machine)
     tips = index.tips
     use = np.flatnonzero((np.arange(tips.shape[0]) * index.stride >= index.finish) & np.isfinite(tips).all(axis=1))
@@ -171,17 +177,20 @@ class _Axes:
         self.convention = machine.convention
 
     def followed(self, texts: Iterable[str]) -> Iterator[tuple[float, float, float] | None]:
-        """Yield the tip position after each line; ``None`` for a line without motion."""
+        """Yield the tip position after each line; ``None`` for a line without motion.
+
+        In spindle mode, without a C, it is at azimuth 0.
+        """
         at: dict[str, float] = {}
         for text in texts:
             words = WORD.findall(COMMENT.sub("", text))
             at |= {letter: float(value) for letter, value in words}
-            yield self.tip(at) if words and {"C", "X", "Z"} <= at.keys() else None
+            yield self.tip(at) if words and {"X", "Z"} <= at.keys() else None
 
     def tip(self, at: dict[str, float]) -> tuple[float, float, float]:
         """Return the tip position in the part frame. [mm]."""
         way = self.convention
-        angle = (math.radians(at["C"]) - way.clocking) * way.c_sense
+        angle = (math.radians(at["C"]) - way.clocking) * way.c_sense if "C" in at else 0.0
         x, y = at["X"] * way.x_side, at.get("Y", 0.0)
         cosine, sine = math.cos(angle), math.sin(angle)
         return x * cosine - y * sine, x * sine + y * cosine, at["Z"] * way.z_sign
@@ -219,6 +228,6 @@ def _tips_at(files: list[Path], offsets: Any, owners: Any, axes: _Axes) -> Float
                 stream.seek(int(offsets[row]))
                 text = COMMENT.sub("", stream.readline(1 << 16).decode("ascii", "replace"))
                 words = {letter: float(value) for letter, value in WORD.findall(text)}
-                if {"C", "X", "Z"} <= words.keys():
+                if {"X", "Z"} <= words.keys():
                     tips[row] = axes.tip(words)
     return tips
