@@ -60,6 +60,9 @@ def test_a_dry_run_is_the_program_higher(tmp_path, kind):
         ({"tool_call": "T0101\nM30"}, "tool_call"),
         ({"auxiliary": ["vacuum"]}, "auxiliary"),
         ({"dry_run": "0 mm"}, "dry_run"),
+        ({"dry_run": "20 um"}, "part.stock"),
+        ({"tool_call": "G0 X0 Z0"}, "tool_call"),
+        ({"tool_call": "M03 S500"}, "tool_call"),
     ],
 )
 def test_a_wrong_start_is_refused(program, field):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
-from turnwright.errors import InputError, LimitError, ProgramError
+from turnwright.errors import InputError, JobError, LimitError, ProgramError
 from turnwright.machine import Axis, Controller, SecondOrder
 from turnwright.path import SpindleMode
 from turnwright.post import ProgramWarning
@@ -249,7 +249,7 @@ def test_a_roughing_pass_stays_above_any_freeform(formula, radius):
     motion = tw.drive(tw.place(servo.spiral(target, TOOL), target, TOOL), servo, MACHINE)
     near = slice(0, 20_000)
     cut = tw.generate_points(motion, TOOL, x=0.98 * x[near], y=0.98 * y[near])
-    assert (cut - surface.sag(0.98 * x[near], 0.98 * y[near])).min() > -1.1e-5  # the chord
+    assert (cut - surface.sag(0.98 * x[near], 0.98 * y[near])).min() > -1e-9
 
 
 def test_small_features_are_found_or_refused():
@@ -292,3 +292,5 @@ def test_a_pass_may_have_its_own_spindle_speed():
         "passes": [{"name": "semi", "allowance": "3 um", "spindle_speed": "1500 rpm"}, {"name": "finish"}],
     })  # fmt: skip
     assert [job.servo(cut).spindle_mode.spindle_rpm for cut in job.passes] == [1500, 1000]
+    with pytest.raises(JobError, match="allowance"):
+        job.replace("passes.semi.chord", "5 um")

@@ -36,7 +36,7 @@ from turnwright.post import GAP, MOST_CLEARANCE, Approach, entry_path, entry_sha
 from turnwright.tool import Tool
 from turnwright.units import say_length
 
-__all__ = ["Entry", "Material", "entries_of", "finished_material"]
+__all__ = ["Entry", "blank_heights", "entries_of"]
 
 TURN = 2 * math.pi
 MIN_AZIMUTHS, MAX_AZIMUTHS = 180, 1440
@@ -106,7 +106,7 @@ def entries_of(job: Job, motions: Mapping[str, Motion]) -> dict[str, Entry]:
 
 
 @dataclass(frozen=True, slots=True)
-class Material:
+class _Material:
     """Heights of the material before a pass, on radial lines around the axis. (n_angle, n_radius), -inf outside."""
 
     radius: Floats
@@ -250,7 +250,7 @@ def _plan_entry(job: Job, name: str, motion: Motion, before: Motion | None) -> E
     )  # fmt: skip
 
 
-def _radial_section(part: Part, material: Material, azimuth: float) -> dict[str, Floats]:
+def _radial_section(part: Part, material: _Material, azimuth: float) -> dict[str, Floats]:
     count = material.angle.size
     nearest = round(azimuth / TURN * count) % count
     line, height, finished = [], [], []
@@ -280,7 +280,7 @@ def _sag(part: Part, radius: Floats, angle: float) -> Floats:
     return np.asarray(part.surface.sag(inside * math.cos(angle), inside * math.sin(angle)))
 
 
-def _blank(part: Part, radius: Floats, angle: Floats, wider: float) -> Floats:
+def blank_heights(part: Part, radius: Floats, angle: Floats, wider: float) -> Floats:
     """Return the top of the blank on radial lines, with its radius enlarged by ``wider``. (n_angle, n_radius)."""
     rim = part.radius * (1 - 1e-12)
     inside = np.minimum(radius, rim)
@@ -300,7 +300,9 @@ def _azimuths(part: Part, radius: float) -> Floats:
     return np.asarray(np.arange(count) * (TURN / count), dtype=np.float64)
 
 
-def _material_before(part: Part, tool: Tool, before: Motion | None, x0: float, angle: Floats, wider: float) -> Material:
+def _material_before(
+    part: Part, tool: Tool, before: Motion | None, x0: float, angle: Floats, wider: float
+) -> _Material:
     """Return the material before a pass, under the edge at its first point."""
     edge = tool.cutting_edge()
     flank = max(edge.flank_slope, 0.05)
@@ -310,30 +312,14 @@ def _material_before(part: Part, tool: Tool, before: Motion | None, x0: float, a
     if part.blank is not None and low < part.blank.reach + wider < high:
         end = part.blank.reach + wider
         radius = np.union1d(radius, [end, np.nextafter(end, np.inf)])
-    height = _blank(part, radius, angle, wider)
+    height = blank_heights(part, radius, angle, wider)
     if before is not None:
         previous = generate_polar(before, tool, radius=radius, angle=angle).z
         height = np.minimum(height, np.where(np.isnan(previous), np.inf, previous))
-    return Material(radius, angle, height)
-
-
-def finished_material(part: Part, tool: Tool, x0: float, stock: float) -> Material:
-    """Return the finished surface within the clear aperture, raised by some stock, under the edge at a radius."""
-    edge = tool.cutting_edge()
-    reach = 2 * edge.half_width
-    low, high = (x0 - reach, x0 + reach) if x0 > reach else (0.0, max(x0 + reach, reach - x0))
-    radius = np.linspace(low, max(high, low + reach), RADIAL_STEPS // 3 + 1)
-    angle = _azimuths(part, min(max(abs(x0), 0.0), part.radius))[::2]
-    height = np.full((angle.size, radius.size), -np.inf)
-    inside = radius <= part.radius
-    if inside.any():
-        cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
-        at = np.minimum(radius[inside], part.radius * (1 - 1e-12))
-        height[:, inside] = np.asarray(part.surface.sag(at * cosine, at * sine)) + stock
-    return Material(radius, angle, height)
+    return _Material(radius, angle, height)
 
 
 def _top(part: Part, x0: float) -> float:
     """Return the greatest height of the blank, out to its radius or to the tool. [mm]."""
     far = part.blank.reach if part.blank is not None else max(part.radius, x0)
-    return float(_blank(part, np.linspace(0, far, 401), _azimuths(part, far), 0.0).max())
+    return float(blank_heights(part, np.linspace(0, far, 401), _azimuths(part, far), 0.0).max())

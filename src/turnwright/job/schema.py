@@ -571,9 +571,13 @@ class Job(Table):
     def __post_init__(self) -> None:
         check_numbers(self)
         try:
-            self.program.start.lines(dialect_of(self.machine))
+            dialect = dialect_of(self.machine)
         except InputError as error:
             raise JobError(f"machine: {error}") from error
+        try:
+            self.program.start.lines(dialect)
+        except InputError as error:
+            raise JobError(f"program: {error}") from error
         self._check_passes()
         self._check_servos()
 
@@ -620,12 +624,18 @@ class Job(Table):
     def _check_strategy(self, cut: PassTable) -> None:
         """Raise if a pass has no valid strategy, or machine or dialect cannot run it in spindle mode."""
         try:
-            mode = self.servo(cut).spindle_mode
+            servo = self.servo(cut)
+            chord, mode = getattr(servo.spiral_strategy, "chord", None), servo.spindle_mode
             if mode is not None:
                 self.machine.in_spindle_mode()
             require_spindle_modes(dialect_of(self.machine), [mode])
         except InputError as error:
             raise JobError(f"strategy of the pass {cut.name!r}: {error}") from error
+        if cut.allowance and chord is not None and chord > cut.allowance:
+            raise JobError(
+                f"chord of the pass {cut.name!r} is {chord:g} mm, more than its allowance of {cut.allowance:g} mm, so "
+                "that it may cut below the finished surface: reduce the chord"
+            )
 
     def _check_servos(self) -> None:
         """Raise if tracking is simulated without servo data, or the program cannot be precorrected."""
@@ -656,6 +666,10 @@ class Job(Table):
                 f"program.fast_tool is {repr(by) if by else 'not stated'} and fast_tool_rate "
                 f"{f'{rate:g} Hz' if rate else 'not stated'} with the {self.strategy.kind}: a fast tool needs "
                 '"position", or "time" and a rate in Hz, any other strategy needs neither'
+            )
+        if (height := self.program.dry_run) is not None and height <= self.part.stock:
+            raise JobError(
+                f"program.dry_run is {height:g} mm, it must be above part.stock, {self.part.stock:g} mm: increase it"
             )
         if moves and self.program.dry_run is not None:
             raise JobError("program.dry_run is stated, a fast tool has no dry run: leave it out")

@@ -36,6 +36,9 @@ BEGIN = re.compile(r"(?:[%O<][^\n]{0,80}\n){0,3}")
 BEGIN_BYTES = 512
 """Bytes of a file in which its signature begins."""
 
+TOOL_WORD = r"(?:[THD]\d{1,8}|M0?6|G43)"
+"""Word of a tool call."""
+
 WORK_OFFSETS = ("G54", "G55", "G56", "G57", "G58", "G59")
 """Work offsets that a program can select."""
 
@@ -146,14 +149,15 @@ class ProgramStart:
     work_offset
         Work offset, "G54" to "G59"; empty where the operator selects it.
     tool_call
-        Words that call the tool with its offset, such as "T0101" or "T1 M06"; empty where the operator selects it.
+        Words that call the tool with its offset, T, M6, G43, H and D, such as "T0101" or "T1 M06"; empty where the
+        operator selects it.
     auxiliary
         Functions of the dialect that are switched on before the first move, and off after the last.
 
     Raises
     ------
     InputError
-        If the work offset is another, or a tool call has other characters than capital letters, digits and blanks.
+        If the work offset is another, or a tool call has other words.
     """
 
     work_offset: str = ""
@@ -163,10 +167,10 @@ class ProgramStart:
     def __post_init__(self) -> None:
         if self.work_offset:
             one_of(self.work_offset, "work_offset", WORK_OFFSETS)
-        if not re.fullmatch(r"([A-Z][0-9.]+( [A-Z][0-9.]+)*)?", self.tool_call):
+        if not re.fullmatch(f"({TOOL_WORD}( {TOOL_WORD})*)?", self.tool_call):
             raise InputError(
-                f"tool_call is {quote(self.tool_call)}, words of a capital letter and a number are allowed: correct "
-                'it, such as "T0101"'
+                f"tool_call is {quote(self.tool_call)}, the words T, M6, G43, H and D are allowed: correct it, such as "
+                '"T0101"'
             )
 
     def lines(self, dialect: Dialect) -> tuple[list[str], list[str]]:
@@ -176,7 +180,12 @@ class ProgramStart:
                 f"auxiliary names {quote(unknown[0])}, the dialect {dialect.name} has "
                 f"{', '.join(dialect.auxiliary) or 'none'}: add it to the dialect file, or correct it"
             )
-        on, off = ([dialect.auxiliary[name][k] for name in self.auxiliary] for k in (0, 1))
+        if dialect.velocities and (self.work_offset or self.tool_call):
+            raise ProgramError(
+                f"work_offset or tool_call is stated, programs of the dialect {dialect.name} are native statements "
+                "without them: leave them out"
+            )
+        on, off = ([dialect.auxiliary[name][k] for name in dict.fromkeys(self.auxiliary)] for k in (0, 1))
         return [*filter(None, (self.work_offset, self.tool_call)), *on], list(dict.fromkeys(off))
 
 

@@ -202,7 +202,7 @@ def read_nc(
 
 
 class Move(NamedTuple):
-    """A move of a program outside its cuts, in the axes of the part.
+    """A move of a program outside its cuts with C as an axis, in the axes of the part.
 
     Parameters
     ----------
@@ -215,7 +215,9 @@ class Move(NamedTuple):
     turns
         Whether the part rotates: the spindle runs, or C turns in this move.
     cuts
-        Number of cuts before it.
+        Number of cuts with C as an axis before it.
+    spindle_cut
+        Number of the cut in spindle mode of which it is a block; 0 for other moves.
     """
 
     line: int
@@ -224,10 +226,11 @@ class Move(NamedTuple):
     end: tuple[float, float, float]
     turns: bool
     cuts: int
+    spindle_cut: int
 
 
 def read_moves(path: str | PathLike[str], machine: Machine, *, block_delete: bool | None = None) -> tuple[Move, ...]:
-    """Return the moves of a whole program outside its cuts, in their order, see `read_nc`.
+    """Return the moves of a whole program in their order, without the blocks of cuts with C as an axis, see `read_nc`.
 
     Raises
     ------
@@ -248,8 +251,8 @@ def read_moves(path: str | PathLike[str], machine: Machine, *, block_delete: boo
         return float(turned), x * signs["X"], z * signs["Z"]
 
     return tuple(
-        Move(line, rapid, place(start), place(end), turns, cuts)
-        for line, rapid, start, end, turns, cuts in reader.moves
+        Move(line, rapid, place(start), place(end), turns, cuts, spindle_cut)
+        for line, rapid, start, end, turns, cuts, spindle_cut in reader.moves
     )
 
 
@@ -410,7 +413,8 @@ class _Reader:
         self.begun: set[str] = set()  # axes whose first coordinate was set by G92
         self.lost: set[str] = set()  # axes whose position in the part's coordinates is unknown
         self.spindle = Spindle()
-        self.moves: list[tuple[int, bool, Floats, Floats, bool, int]] = []
+        self.moves: list[tuple[int, bool, Floats, Floats, bool, int, int]] = []
+        self.c_cuts = 0  # cuts with C as an axis
         self.work_offset = 54.0
         self.tool = self.length = 0.0  # T and H in force
         self.tool_change = ""  # change of tool or length since the last cut
@@ -1066,14 +1070,16 @@ class _Reader:
             self._turn(before, step)
         else:
             self._move_c(before, step)
-        if self.cut is None or self.cut.blocks == blocks:
+        if self.spindle.runs or self.cut is None or self.cut.blocks == blocks:
             self._note_move(before, turns=self.spindle.runs or bool(abs(step[0]) > 0))
 
     def _note_move(self, before: Floats, *, turns: bool) -> None:
         if len(self.moves) == MAX_MOVES:
             raise self._error(f"is the {MAX_MOVES:,}th move outside a cut", "give a program of fewer passes")
         line, rapid = int(self.state[LINES]), not self.state[LINEAR]
-        self.moves.append((line, rapid, before + self.shift, self.real[:4] + self.shift, turns, self.cuts))
+        spindle_cut = self.cuts if self.cut is not None and self.cut.spindle is not None else 0
+        place = self.real[:4] + self.shift
+        self.moves.append((line, rapid, before + self.shift, place, turns, self.c_cuts, spindle_cut))
 
     def _move_c(self, before: Floats, step: Floats) -> None:
         """Follow a move with C as an axis: a feed move of C is a cut, all others position the tool."""
@@ -1144,6 +1150,7 @@ class _Reader:
             after = self.real.copy()
             self.real[:4] = before
             self._open(timed=inverse)
+            self.c_cuts += 1
             self.real[:] = after
         rows, first = self._free_columns()
         rows[:4, first] = self.real[:4]

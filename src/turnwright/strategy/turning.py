@@ -135,7 +135,7 @@ class Turning(Strategy):
         """Return the part that the tool is placed on: a surface of revolution, with the mean of its correction."""
         surface = part.surface
         if self.symmetric_part and find_asymmetry(surface, part.radius) > self.chord:
-            surface = revolve(surface, part.radius, highest=True)
+            surface = revolve(surface, part.radius, above=self.chord)
         if part.correction is not None:
             surface = surface + revolve(part.correction, part.radius)
         return replace(part, surface=surface, correction=None)
@@ -227,8 +227,10 @@ def find_asymmetry(surface: Surface, radius: float) -> float:
     return max(float(np.abs(z - z.mean()).max()) for z in _rings(surface, radii / radii.size))
 
 
-def revolve(surface: Surface, radius: float, *, highest: bool = False) -> RadialTable:
-    """Return a surface of revolution with the mean height of each ring, or nowhere below the highest, in a radius [mm].
+def revolve(surface: Surface, radius: float, *, above: float | None = None) -> RadialTable:
+    """Return a surface of revolution with the mean height of each ring within a radius [mm].
+
+    With ``above`` it lies at least by this height above the highest of each ring. [mm]
 
     Raises
     ------
@@ -242,12 +244,12 @@ def revolve(surface: Surface, radius: float, *, highest: bool = False) -> Radial
     count = _count_rings(surface, reach)
     radii = reach * np.arange(count + 1) / count
     rings = _rings(surface, radii * (1 - 1e-12))  # the surface may end at the rim
-    heights = np.array([_bound_highest(z) if highest else float(z.mean()) for z in rings])
+    heights = np.array([_bound_highest(z) if above is not None else float(z.mean()) for z in rings])
     table = RadialTable(points=tuple(zip(radii.tolist(), heights.tolist(), strict=True)))
-    if not highest:
+    if above is None:
         return table
     # Between rings the highest height may lie above the spline, and is no smooth function.
-    rise = float(np.abs(np.diff(heights, 2)).max(initial=0.0)) / 2
+    rise = float(np.abs(np.diff(heights, 2)).max(initial=0.0)) / 2 + above
     return RadialTable(points=tuple(zip(radii.tolist(), (heights + rise).tolist(), strict=True)))
 
 
