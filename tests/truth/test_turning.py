@@ -283,6 +283,14 @@ def test_foreign_cuts_in_spindle_mode_are_counted_and_bounded(tmp_path):
         tw.read_nc(file, MACHINE)
 
 
+def test_only_a_list_of_moves_has_a_limit_of_moves(tmp_path):
+    file = tmp_path / "long.nc"
+    file.write_text("G21 G90\nG97 S1200 M3\nG95\n" + "G0 X9 Z5\nG0 X12 Z5\n" * 50_001 + "G1 X5 F0.01\nM30\n")
+    assert tw.read_nc(file, MACHINE).axes["X"][-1] == 5
+    with pytest.raises(ProgramError, match="100,000th move"):
+        tw.post.read_moves(file, MACHINE)
+
+
 def test_a_pass_may_have_its_own_spindle_speed():
     job = tw.Job.read({
         "part": {"surface": {"family": "sphere", "radius": "50 mm"}, "radius": "5 mm", "stock": "20 um"},

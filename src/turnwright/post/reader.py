@@ -243,7 +243,9 @@ def read_moves(path: str | PathLike[str], machine: Machine, *, block_delete: boo
             path, dialect_of(machine), name=NO_NAME, header_pass=None, block_delete=block_delete, pool=pool,
             progress=None,
         )  # fmt: skip
+        reader.moves = []
         reader.run()
+        moves = reader.moves
 
     def place(position: Floats) -> tuple[float, float, float]:
         c, x, _, z = position.tolist()
@@ -252,7 +254,7 @@ def read_moves(path: str | PathLike[str], machine: Machine, *, block_delete: boo
 
     return tuple(
         Move(line, rapid, place(start), place(end), turns, cuts, spindle_cut)
-        for line, rapid, start, end, turns, cuts, spindle_cut in reader.moves
+        for line, rapid, start, end, turns, cuts, spindle_cut in moves
     )
 
 
@@ -320,13 +322,17 @@ class _Cut:
     """First column, and shift of the part's C, X, Y, Z relative to the program's from there on. (4,) [deg, mm]"""
 
 
+def _apply_shifts(cut: _Cut) -> None:
+    """Turn the positions of a cut from the program's coordinates into the part's, in place."""
+    for (start, shift), (stop, _) in pairwise([*cut.shifts, (cut.points, np.zeros(4))]):
+        for k in np.flatnonzero(shift):
+            cut.rows[k, start:stop] += shift[k]
+
+
 def _spindle_motion(path: Path, cut: _Cut, machine: Machine) -> Motion:
     """Return the motion of a cut in spindle mode."""
     assert cut.spindle is not None and cut.mode is not None  # noqa: S101, PT018 - for the type checker
     rows, signs = cut.rows[:, : cut.points], axis_signs(machine)
-    for (start, shift), (stop, _) in pairwise([*cut.shifts, (cut.points, np.zeros(4))]):
-        rows[1, start:stop] += shift[1]
-        rows[3, start:stop] += shift[3]
     x, z = rows[1] * signs["X"], rows[3] * signs["Z"]
     try:
         return cut.mode.motion(x, z, machine, sense=cut.spindle.sense, turns=rows[4, 1:])
@@ -335,14 +341,12 @@ def _spindle_motion(path: Path, cut: _Cut, machine: Machine) -> Motion:
 
 
 def _motion(path: Path, cut: _Cut, header_pass: ProgramPass | None, machine: Machine) -> Motion:
-    if cut.spindle is not None:
-        return _spindle_motion(path, cut, machine)
     dialect = dialect_of(machine)
     rows = cut.rows[:, : cut.points]
     within_one_turn = bool(rows[0].min() >= 0 and rows[0].max() <= 360)
-    for (start, shift), (stop, _) in pairwise([*cut.shifts, (cut.points, np.zeros(4))]):
-        for k in np.flatnonzero(shift):
-            rows[k, start:stop] += shift[k]
+    _apply_shifts(cut)
+    if cut.spindle is not None:
+        return _spindle_motion(path, cut, machine)
     axes: dict[str, Floats] = {letter: rows[k] for k, letter in enumerate(AXES) if letter != "Y" or cut.has_y}
     first = header_pass.first_c if header_pass else rows[0, 0] - 360 * np.rint(cut.shifts[0][1][0] / 360)
     # A cumulative C is exact for blocks of any angle; one that rolls over takes the short way.
@@ -413,7 +417,7 @@ class _Reader:
         self.begun: set[str] = set()  # axes whose first coordinate was set by G92
         self.lost: set[str] = set()  # axes whose position in the part's coordinates is unknown
         self.spindle = Spindle()
-        self.moves: list[tuple[int, bool, Floats, Floats, bool, int, int]] = []
+        self.moves: list[tuple[int, bool, Floats, Floats, bool, int, int]] | None = None  # recorded where requested
         self.c_cuts = 0  # cuts with C as an axis
         self.work_offset = 54.0
         self.tool = self.length = 0.0  # T and H in force
@@ -1074,6 +1078,8 @@ class _Reader:
             self._note_move(before, turns=self.spindle.runs or bool(abs(step[0]) > 0))
 
     def _note_move(self, before: Floats, *, turns: bool) -> None:
+        if self.moves is None:
+            return
         if len(self.moves) == MAX_MOVES:
             raise self._error(f"is the {MAX_MOVES:,}th move outside a cut", "give a program of fewer passes")
         line, rapid = int(self.state[LINES]), not self.state[LINEAR]
