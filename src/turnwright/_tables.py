@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from functools import cache
 from pathlib import Path
@@ -286,15 +287,15 @@ class Numbers:
         return core_schema.list_schema(core_schema.float_schema(strict=True))
 
 
-class Keyed:
+class Keyed(ABC):
     """Annotation of a value that a file has as a table."""
 
     __slots__ = ()
 
     @property
+    @abstractmethod
     def keys(self) -> Mapping[str, Any]:
         """The keys of the table, with their types."""
-        raise NotImplementedError
 
     def name_of(self, key: str) -> str:
         """Return the name in the value that belongs to a key of the table."""

@@ -13,6 +13,7 @@ from turnwright._validate import check_cumulative, check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.machine import FAST, ROTARY, Machine
 from turnwright.progress import require_memory
+from turnwright.speed_profile import time_over_angle
 
 __all__ = ["Motion", "Path", "SpindleMode", "Spiral", "block_points"]
 
@@ -220,8 +221,7 @@ class SpindleMode:
         turned = np.concatenate(([0.0], np.cumsum(turns))) * (2 * np.pi)
         number = np.arange(blocks[-1] + 1)
         angles, radius, height = (np.interp(number, blocks, values) for values in (turned, x, z))
-        omega = self.omega(radius)
-        time = np.concatenate(([0.0], np.cumsum(2 * np.diff(angles) / (omega[1:] + omega[:-1]))))
+        time = time_over_angle(angles, self.omega(radius))
         if time[-1] > MAX_SPINDLE_S:
             raise InputError(
                 f"the cut takes {time[-1] / 3600:.3g} h, the limit is {MAX_SPINDLE_S / 3600:g} h: check the units of "

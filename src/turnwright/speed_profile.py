@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler
     from pydantic_core import CoreSchema
 
-__all__ = ["SpeedProfile", "Speeds", "check_one_speed"]
+__all__ = ["SpeedProfile", "Speeds", "check_one_speed", "time_over_angle"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -64,6 +64,14 @@ class SpeedProfile(Value):
         """Return the spindle speed at positions of X. (n,) [rad/s]."""
         omega: Floats = np.sqrt(np.interp(radius, self.radius, (self.spindle_rpm * (2 * np.pi / 60)) ** 2))
         return omega
+
+
+def time_over_angle(angle: Floats, omega: Floats) -> Floats:
+    """Return the time at angles that grow, at speeds with a constant acceleration in between. (n,) [s].
+
+    ``angle`` [rad] and ``omega`` [rad/s] are (n,).
+    """
+    return np.concatenate([[0.0], np.cumsum(2 * np.diff(angle) / (omega[1:] + omega[:-1]))])
 
 
 def check_one_speed(owner: Any) -> None:

@@ -142,6 +142,19 @@ def test_another_hand_reads_the_same(tmp_path_factory, data):
     assert (again.time == before.time).all()
 
 
+def assert_no_digit_is_silent(data, file, places, path, machine):
+    """Change one digit of a file at one of some places, and read the program."""
+    text = file.read_text()
+    digits = [i for i in places if text[i].isdigit() and text[i - 1] != "G"]  # G8 for G1 would change no number
+    at = data.draw(st.sampled_from(digits))
+    other = data.draw(st.sampled_from([d for d in "0123456789" if d != text[at]]))
+    file.write_text(text[:at] + other + text[at + 1 :])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises((ProgramError, ProgramWarning), match=re.escape(str(path.parent))):
+            read_nc(path, machine)
+
+
 @examples(40)
 @given(st.data())
 def test_one_changed_digit_is_never_silent(tmp_path_factory, data):
@@ -153,14 +166,7 @@ def test_one_changed_digit_is_never_silent(tmp_path_factory, data):
     text = file.read_text()
     start = text.rindex("G93\n") + 4
     cut = range(start, text.index("G94", start))
-    digits = [i for i in cut if text[i].isdigit() and text[i - 1] != "G"]  # G8 for G1 would change no number
-    at = data.draw(st.sampled_from(digits))
-    other = data.draw(st.sampled_from([d for d in "0123456789" if d != text[at]]))
-    file.write_text(text[:at] + other + text[at + 1 :])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        with pytest.raises((ProgramError, ProgramWarning), match=re.escape(str(path.parent))):
-            read_nc(path, machine)
+    assert_no_digit_is_silent(data, file, cut, path, machine)
 
 
 @examples(25)
@@ -247,11 +253,4 @@ def test_cuts_in_spindle_mode_come_back(tmp_path_factory, data):
     )
     start = text.index("\n( PASS") + speed.start()
     cut = [*range(start, start + len(speed[0])), *range(first, text.index("\nG94", first))]
-    digits = [i for i in cut if text[i].isdigit() and text[i - 1] != "G"]
-    at = data.draw(st.sampled_from(digits))
-    other = data.draw(st.sampled_from([d for d in "0123456789" if d != text[at]]))
-    file.write_text(text[:at] + other + text[at + 1 :])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        with pytest.raises((ProgramError, ProgramWarning), match=re.escape(str(path.parent))):
-            read_nc(path, machine)
+    assert_no_digit_is_silent(data, file, cut, path, machine)

@@ -28,7 +28,7 @@ from turnwright.machine import Machine
 from turnwright.motion import require_variable
 from turnwright.part import Part
 from turnwright.pose import Pose
-from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED, ProgramStart, dialect_of, require_spindle_modes
+from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED, ProgramStart, WorkOffset, dialect_of, require_spindle_modes
 from turnwright.speed_profile import Speeds, check_one_speed
 from turnwright.strategy import STRATEGIES, Strategy, Turning
 from turnwright.surface import FAMILIES, Surface
@@ -471,7 +471,7 @@ class ProgramTable(Table):
     fast_tool: Literal["position", "time"] | None = None
     fast_tool_rate: Annotated[float, unit("Hz", above=0.0)] | None = None
     precorrect: Flag = False
-    work_offset: Literal["G54", "G55", "G56", "G57", "G58", "G59"] | None = None
+    work_offset: WorkOffset | None = None
     tool_call: Text = ""
     auxiliary: tuple[Text, ...] = ()
     dry_run: Size | None = None
@@ -580,6 +580,7 @@ class Job(Table):
             raise JobError(f"program: {error}") from error
         self._check_passes()
         self._check_servos()
+        self._check_dry_run()
 
     def _check_passes(self) -> None:
         """Raise unless each pass cuts deeper than the one before, and all patches are on the part."""
@@ -667,16 +668,20 @@ class Job(Table):
                 f"{f'{rate:g} Hz' if rate else 'not stated'} with the {self.strategy.kind}: a fast tool needs "
                 '"position", or "time" and a rate in Hz, any other strategy needs neither'
             )
-        if (height := self.program.dry_run) is not None and height <= self.part.stock:
-            raise JobError(
-                f"program.dry_run is {height:g} mm, it must be above part.stock, {self.part.stock:g} mm: increase it"
-            )
-        if moves and self.program.dry_run is not None:
-            raise JobError("program.dry_run is stated, a fast tool has no dry run: leave it out")
         if moves and (len(self.passes) > 1 or self.passes[0].repeats(self.part.stock) > 1):
             raise JobError(
                 "a job with a fast tool table must have 1 pass, this one has several: write one job for each pass"
             )
+
+    def _check_dry_run(self) -> None:
+        """Raise if a dry run is not above the stock, or is to be that of a fast tool."""
+        height = self.program.dry_run
+        if height is not None and height <= self.part.stock:
+            raise JobError(
+                f"program.dry_run is {height:g} mm, it must be above part.stock, {self.part.stock:g} mm: increase it"
+            )
+        if height is not None and self.strategy.moves_fast_tool:
+            raise JobError("program.dry_run is stated, a fast tool has no dry run: leave it out")
 
     def servo(self, cut: PassTable) -> Strategy:
         """Return the strategy of one pass, with the values that the pass replaces."""

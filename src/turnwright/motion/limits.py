@@ -14,6 +14,7 @@ from turnwright._arrays import Floats, Ints, only_read
 from turnwright._kernels import limits as limits_kernel, tracking as tracking_kernel
 from turnwright.machine import FAST, ROTARY, Axis, Machine
 from turnwright.path import Motion, block_points
+from turnwright.speed_profile import time_over_angle
 
 __all__ = [
     "LIMIT_TOL",
@@ -268,10 +269,7 @@ class Course(NamedTuple):
 
     def at_speed(self, omega: float | Floats) -> Course:
         """Return the course, whose time is the spindle angle, at a speed of constant acceleration. [rad/s]."""
-        if isinstance(omega, float):
-            time = self.time / omega
-        else:
-            time = np.concatenate([[0.0], np.cumsum(2 * np.diff(self.time) / (omega[1:] + omega[:-1]))])
+        time = self.time / omega if isinstance(omega, float) else time_over_angle(self.time, omega)
         return Course(time, self.axes, {letter: omega * values for letter, values in self.velocity.items()})
 
     @property

@@ -18,6 +18,7 @@ from turnwright.post.header import (
     ProgramPass,
     ProgramStart,
     ProgramWarning,
+    WorkOffset,
     inspect_nc,
     stop_instructions,
 )
@@ -43,6 +44,7 @@ __all__ = [
     "ProgramPass",
     "ProgramStart",
     "ProgramWarning",
+    "WorkOffset",
     "check_dialect",
     "dialect_of",
     "entry_path",

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -23,14 +24,14 @@ from turnwright.post.convention import axis_signs, convention_line, reading
 from turnwright.post.dialect import Dialect
 
 __all__ = [
-    "WORK_OFFSETS", "ProgramHeader", "ProgramInfo", "ProgramPass", "ProgramStart", "ProgramWarning", "inspect_nc",
+    "ProgramHeader", "ProgramInfo", "ProgramPass", "ProgramStart", "ProgramWarning", "WorkOffset", "inspect_nc",
 ]  # fmt: skip
 
 SIGNATURE = "( TURNWRIGHT PROGRAM 1 )"
 SUB_SIGNATURE = "( TURNWRIGHT SUB-PROGRAM 1 )"
 ENTRY = ", ENTRY"
 """Suffix of the name of a pass where its plunge begins, whose blocks are not part of the cut."""
-BEGIN = re.compile(r"(?:[%O<][^\n]{0,80}\n){0,3}")
+BEGIN = re.compile(r"\A(?:[%O<][^\n]{0,80}\n){0,3}")
 """Lines that a dialect may have before the signature: a percent sign, and the number or name of the program."""
 
 BEGIN_BYTES = 512
@@ -39,7 +40,7 @@ BEGIN_BYTES = 512
 TOOL_WORD = r"(?:[THD]\d{1,8}|M0?6|G43)"
 """Word of a tool call."""
 
-WORK_OFFSETS = ("G54", "G55", "G56", "G57", "G58", "G59")
+WorkOffset: TypeAlias = Literal["G54", "G55", "G56", "G57", "G58", "G59"]
 """Work offsets that a program can select."""
 
 NO_HASH = "0" * 64
@@ -166,7 +167,7 @@ class ProgramStart:
 
     def __post_init__(self) -> None:
         if self.work_offset:
-            one_of(self.work_offset, "work_offset", WORK_OFFSETS)
+            one_of(self.work_offset, "work_offset", get_args(WorkOffset))
         if not re.fullmatch(f"({TOOL_WORD}( {TOOL_WORD})*)?", self.tool_call):
             raise InputError(
                 f"tool_call is {quote(self.tool_call)}, the words T, M6, G43, H and D are allowed: correct it, such as "
@@ -314,18 +315,21 @@ CUT = re.compile(
 )
 
 
+def _from_signature(head: bytes) -> str:
+    """Return the text of a file without the lines that a dialect may have before the signature."""
+    return BEGIN.sub("", head.removeprefix(BOM).decode("latin-1").replace("\r\n", "\n"), count=1)
+
+
 def is_signed(head: bytes, *signatures: str) -> bool:
     """Return whether a file that begins with these bytes has one of the signatures."""
-    text = head.removeprefix(BOM).decode("latin-1").replace("\r", "")
-    return text[BEGIN.match(text).end() :].lstrip("; ").startswith(signatures)  # type: ignore[union-attr]
+    return _from_signature(head).lstrip("; ").startswith(signatures)
 
 
 def read_info(path: Path, signature: str = SIGNATURE) -> ProgramInfo | None:
     """Return the contents of a file's header, or ``None`` if the file does not begin with the signature."""
     require_regular(path)
     with path.open("rb") as file:
-        text = file.read(1 << 18).removeprefix(BOM).decode("latin-1").replace("\r\n", "\n")
-    text = text[BEGIN.match(text).end() :]  # type: ignore[union-attr]
+        text = _from_signature(file.read(1 << 18))
     rows = [row.lstrip("; \t").rstrip() for row in text.splitlines()]
     if not rows or rows[0] != signature:
         return None

@@ -11,6 +11,7 @@ import tempfile
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from io import BytesIO
@@ -575,15 +576,20 @@ class _Job:
         parts = [rows[k : k + each] for k in range(0, len(rows), each)]
         names = [f"{self.path.stem}.{_file_part(one.name)}.{k + 1:03d}{self.path.suffix}" for k in range(len(parts))]
         for k, (name, part) in enumerate(zip(names, parts, strict=True)):
-            number = f", PART {k + 1} OF {len(names)}" if len(names) > 1 else ""
-            with (self.folder / name).open("wb") as file:
-                begin = self.dialect.first_lines(name)
-                self._text(file, [*begin, SUB_SIGNATURE, f"( PASS: {one.name}{number} )"])
-                self._text(file, [*language(self.machine, self.dialect), *(self._approach(one) if k == 0 else [])])
+            with self._sub_program(one, name, k, len(names)) as file:
                 self._text(file, part)
-                self._text(file, [*(self._retract(one) if k == len(names) - 1 else []), self.dialect.call_end])
-                self._text(file, [*self.dialect.end])
         return names, digest
+
+    @contextmanager
+    def _sub_program(self, one: _Pass, name: str, k: int, count: int) -> Iterator[BinaryIO]:
+        """Yield the file of the sub-program ``k`` of ``count`` of a pass, with its first lines; add its last."""
+        with (self.folder / name).open("wb") as file:
+            part = f", PART {k + 1} OF {count}" if count > 1 else ""
+            self._text(file, [*self.dialect.first_lines(name), SUB_SIGNATURE, f"( PASS: {one.name}{part} )"])
+            self._text(file, [*language(self.machine, self.dialect), *(self._approach(one) if k == 0 else [])])
+            yield file
+            self._text(file, [*(self._retract(one) if k == count - 1 else []), self.dialect.call_end])
+            self._text(file, [*self.dialect.end])
 
     def _sub_programs(self, one: _Pass) -> tuple[list[str], str]:
         if one.motion.spindle_mode is not None:
@@ -597,11 +603,7 @@ class _Job:
             for k, name in enumerate(names):
                 first, last = k * each - len(plunge) + 1, (k + 1) * each - len(plunge) + 1
                 entry = plunge[k * each : (k + 1) * each]
-                with (self.folder / name).open("wb") as file:
-                    part = f", PART {k + 1} OF {len(names)}" if len(names) > 1 else ""
-                    begin = self.dialect.first_lines(name)
-                    self._text(file, [*begin, SUB_SIGNATURE, f"( PASS: {one.name}{part} )"])
-                    self._text(file, [*language(self.machine, self.dialect), *(self._approach(one) if k == 0 else [])])
+                with self._sub_program(one, name, k, len(names)) as file:
                     if entry:
                         self._text(file, [*self._plunge_begins(one), *entry])
                     if last > 1:
@@ -610,8 +612,6 @@ class _Job:
                         self._text(file, [f"( PASS: {one.name} )"] if begins and plunge else [])
                         self._text(file, [*(self.dialect.cut_begin if begins else self.dialect.cut_resume)])
                         yield file, max(first, 1), min(last, points)
-                    self._text(file, [*(self._retract(one) if k == len(names) - 1 else []), self.dialect.call_end])
-                    self._text(file, [*self.dialect.end])
 
         return names, self._cut(one, files())
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Annotated, Literal
 
@@ -213,6 +214,7 @@ class Turning(Strategy):
         return {"C": path.angle, "X": path.radius, "Z": path.z}
 
 
+@lru_cache(maxsize=8)  # a job asks for it in every pass, and whenever it is checked
 def find_asymmetry(surface: Surface, radius: float) -> float:
     """Return the largest departure of the height from its mean over the azimuth, within a radius. [mm].
 
@@ -227,6 +229,7 @@ def find_asymmetry(surface: Surface, radius: float) -> float:
     return max(float(np.abs(z - z.mean()).max()) for z in _rings(surface, radii / radii.size))
 
 
+@lru_cache(maxsize=8)
 def revolve(surface: Surface, radius: float, *, above: float | None = None) -> RadialTable:
     """Return a surface of revolution with the mean height of each ring within a radius [mm].
 
