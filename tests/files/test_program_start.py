@@ -74,3 +74,6 @@ def test_a_run_with_a_dry_run_is_reported(tmp_path):
     job_of(**START).dump(tmp_path / "job.toml")
     assert main(["run", str(tmp_path / "job.toml"), "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "part-dry.nc").exists()
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Retract in Z first" in page
+    assert "set C by whole turns" not in page  # the spindle runs freely

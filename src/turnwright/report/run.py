@@ -80,6 +80,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
             met = "tool access and machine limits met"
         grade, word, why = "warn" if unevaluated else "good", "Ready to cut", "; ".join([met, *unevaluated])
     count = len(result.warnings)
+    has_c = not all(cut.limits.spindle_mode for cut in result.passes)
     page = Page(
         kind="Run",
         job=result.job,
@@ -133,7 +134,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
                 ["Size", f"{program.bytes / 1e6:.3g} MB"],
                 ["Cutting time", _duration(program.minutes * 60)],
                 ["Approaches, plunges and retracts", _duration(program.links_minutes * 60)],
-                ["After a stop", ". ".join(stop_instructions(dialect_of(result.machine))) + "."],
+                ["After a stop", ". ".join(stop_instructions(dialect_of(result.machine), has_c=has_c)) + "."],
                 ["SHA-256", Cell(program.hash, "code")],
                 [
                     "Surface change by rounding in the program",
