@@ -177,7 +177,9 @@ def touch_down(surface: Surface, edge: Edge, tips: Tips, rim: float, progress: P
     def work(start: int, stop: int) -> None:
         nonlocal unique
         part = slice(start, stop)
-        unique = unique and find_tangents(contact, limit or 0.0, tips.select(part), out.select(part))
+        # Other threads may write it meanwhile: a chunk that fails must never be overwritten by one that does not.
+        if unique and not find_tangents(contact, limit or 0.0, tips.select(part), out.select(part)):
+            unique = False
 
     if unique:
         run_chunks(work, tips.angle.size, CHUNK, progress)
