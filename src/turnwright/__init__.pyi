@@ -12,6 +12,7 @@ from . import (
     material as material,
     metrology as metrology,
     motion as motion,
+    outline as outline,
     part as part,
     path as path,
     placing as placing,
@@ -80,6 +81,7 @@ from .motion import (
     check_limits as check_limits,
     drive as drive,
 )
+from .outline import Outline as Outline
 from .part import (
     Blank as Blank,
     Part as Part,

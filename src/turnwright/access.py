@@ -193,8 +193,14 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
     if sense not in (-1, 1):
         raise InputError(f"sense is {sense!r}, it must be 1 or -1: give the direction of the azimuth under the tool")
 
+    part = part.continued
+
     def shape(radius: Floats, angle: Floats) -> Reach:
-        return _reach(part, tool, sense, radius, angle)
+        reach = _reach(part, tool, sense, radius, angle)
+        if part.outline is None:
+            return reach
+        on = part.covers(radius * np.cos(angle), radius * np.sin(angle))
+        return Reach(*(np.where(on, one, np.nan) for one in reach))
 
     places, report = _places(part), progress or (lambda _done, _total: None)
     starts = range(0, places.radius.size, CHUNK_POINTS)
@@ -206,7 +212,7 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
         parts.append(shape(places.radius[chunk], places.angle[chunk]))
     sampled = Reach(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
     report(total - 1, total)
-    maxima = _find_maxima(shape, sampled, places, part.radius)
+    maxima = _find_maxima(shape, sampled, places, part.reach)
     (curvature, curved), (high, at_high), (minus_low, at_low), (steep, climbing), (minus_fall, falling) = maxima
     report(total, total)
 
@@ -308,10 +314,11 @@ def largest_depth(
     [mm] are ignored.
     """
     count = np.arange(DEPTH_POINTS)
-    square = nearest**2 + (part.radius**2 - nearest**2) * (count + 0.5) / DEPTH_POINTS
+    square = nearest**2 + (part.reach**2 - nearest**2) * (count + 0.5) / DEPTH_POINTS
     ring = np.linspace(0, TURN, RING_POINTS, endpoint=False)
-    radius = np.concatenate([np.sqrt(square), np.full(RING_POINTS, part.radius), np.full(RING_POINTS, nearest)])
+    radius = np.concatenate([np.sqrt(square), np.full(RING_POINTS, part.reach), np.full(RING_POINTS, nearest)])
     angle = np.concatenate([count * GOLDEN_ANGLE, ring, ring])
+    part = part.continued
     done, total = 0, radius.size + REFINEMENTS * MAX_STARTS * REFINEMENT_STEPS.size**2
 
     def measure(radius: Floats, angle: Floats) -> Floats:
@@ -319,17 +326,19 @@ def largest_depth(
         before = done
         report = None if progress is None else (lambda count, _all: progress(before + count, total))
         gap = _outer_gap(part, tool, side, sense, radius, angle, report)
+        if part.outline is not None and nearest < part.reach:
+            gap = np.where(part.covers(radius * np.cos(angle), radius * np.sin(angle)), gap, np.inf)
         done += radius.size
         return gap
 
     gap = measure(radius, angle)
-    step = part.radius / math.sqrt(DEPTH_POINTS)
+    step = part.reach / math.sqrt(DEPTH_POINTS)
     for _ in range(REFINEMENTS):
         best = np.argsort(gap, kind="stable")[:MAX_STARTS]
         radius, angle, gap = radius[best], angle[best], gap[best]
         offsets = step * REFINEMENT_STEPS
         outward, along = (offset.ravel() for offset in np.meshgrid(offsets, offsets))
-        near_radius = np.clip(np.add.outer(radius, outward), nearest, part.radius).ravel()
+        near_radius = np.clip(np.add.outer(radius, outward), nearest, part.reach).ravel()
         near_angle = (angle[:, None] + along / np.maximum(radius, step)[:, None]).ravel()
         radius, angle = np.append(radius, near_radius), np.append(angle, near_angle)
         gap = np.append(gap, measure(near_radius, near_angle))
@@ -345,12 +354,12 @@ def _outer_gap(
     part: Part, tool: Tool, side: int, sense: int, radius: Floats, angle: Floats, progress: Progress | None
 ) -> Floats:
     """Return the smallest gap between finished surface and edge beyond its cutting part. (n,) [mm]."""
-    tip = touch(part.surface, tool, angle=angle, radius=radius, sense=sense, rim=part.radius, progress=progress).z
+    tip = touch(part.surface, tool, angle=angle, radius=radius, sense=sense, rim=part.reach, progress=progress).z
     end = tool.arc[1] if side > 0 else tool.arc[0]
     u, v, e = tool.edge(np.array([end, end + side]), sense)
     begin = (tool.edge_length or 0.0) / math.hypot(u[1] - u[0], v[1] - v[0], e[1] - e[0])
     # The flank is straight and is followed across the whole part.
-    last = begin + 2 * part.radius / abs(u[1] - u[0])
+    last = begin + 2 * part.reach / abs(u[1] - u[0])
     along = begin + (last - begin) * np.linspace(0, 1, FLANK_POINTS) ** 2
     out = radius[:, None] + u[0] + along * (u[1] - u[0])
     lateral = v[0] + along * (v[1] - v[0])
@@ -366,15 +375,15 @@ def _outer_gap(
 def _extended_surface(part: Part, x: Floats, y: Floats) -> Floats:
     """Return the finished surface; beyond the clear aperture at the slope of the rim, level where it falls. [mm]."""
     distance = np.hypot(x, y)
-    beyond = distance > part.radius
-    shrink = np.where(beyond, part.radius * (1 - 1e-12) / np.where(beyond, distance, 1.0), 1.0)
+    beyond = distance > part.reach
+    shrink = np.where(beyond, part.reach * (1 - 1e-12) / np.where(beyond, distance, 1.0), 1.0)
     flat_x, flat_y = np.ascontiguousarray((x * shrink).ravel()), np.ascontiguousarray((y * shrink).ravel())
     with np.errstate(all="ignore"):
         z = part.surface.evaluate(flat_x, flat_y, 0)[0].reshape(x.shape)
         over = np.flatnonzero(beyond.ravel())
         _, zx, zy = part.surface.evaluate(flat_x[over], flat_y[over], 1)
-    slope = (zx * flat_x[over] + zy * flat_y[over]) / part.radius
-    z.ravel()[over] += np.maximum(slope, 0.0) * (distance.ravel()[over] - part.radius)
+    slope = (zx * flat_x[over] + zy * flat_y[over]) / part.reach
+    z.ravel()[over] += np.maximum(slope, 0.0) * (distance.ravel()[over] - part.reach)
     return z
 
 
@@ -446,9 +455,9 @@ MEASURES: tuple[Callable[[Reach], Floats], ...] = (
 
 
 def _places(part: Part) -> _Places:
-    finest = math.sqrt(math.pi / MAX_GRID_POINTS) * part.radius
-    step = max(min(part.radius / 48, part.surface.feature_size / 8), finest)
-    rings = np.linspace(0, part.radius, math.ceil(part.radius / step) + 1)
+    finest = math.sqrt(math.pi / MAX_GRID_POINTS) * part.reach
+    step = max(min(part.reach / 48, part.surface.feature_size / 8), finest)
+    rings = np.linspace(0, part.reach, math.ceil(part.reach / step) + 1)
     counts = np.maximum(np.ceil(TURN * rings / step), 64).astype(np.int64)
     radius = np.repeat(rings, counts)
     rank = np.arange(radius.size) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -545,14 +554,18 @@ def _borders(part: Part, tool: Tool, places: _Places) -> list[AccessFinding]:
     """Find valleys and steps where a radial line passes from one piece of the surface to the next."""
     surface = part.surface
     # Full diameters, to find a valley through the centre too.
-    along = np.linspace(-part.radius, part.radius, 2 * math.ceil(part.radius / places.step) + 1)
-    azimuths = min(math.ceil(math.pi * part.radius / places.step), 2 * MAX_GRID_POINTS // along.size)
+    along = np.linspace(-part.reach, part.reach, 2 * math.ceil(part.reach / places.step) + 1)
+    azimuths = min(math.ceil(math.pi * part.reach / places.step), 2 * MAX_GRID_POINTS // along.size)
     angle, radius = np.meshgrid(np.arange(azimuths) * (math.pi / azimuths), along, indexing="ij")
     c, s = np.cos(angle), np.sin(angle)
     number = surface.piece(radius * c, radius * s)
     if number is None:
         return []
-    ray, ring = np.nonzero(number[:, 1:] != number[:, :-1])
+    changes = number[:, 1:] != number[:, :-1]
+    if part.outline is not None:
+        on = part.covers(radius * c, radius * s)
+        changes &= on[:, 1:] & on[:, :-1]
+    ray, ring = np.nonzero(changes)
     c, s, inner = c[ray, 0], s[ray, 0], number[ray, ring]
     low, high = radius[ray, ring], radius[ray, ring + 1]
     for _ in range(60):

@@ -1,21 +1,38 @@
-"""The part: nominal surface, clear aperture, material, stock and blank."""
+"""The part: nominal surface, outline, material, stock and blank."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
 
-from turnwright._arrays import Floats
+from turnwright._arrays import Bools, Floats
 from turnwright._tables import TableModel, read_by
 from turnwright._validate import check_numbers, positive
-from turnwright.errors import InputError
+from turnwright.errors import DomainError, InputError
+from turnwright.heightmap import HeightMap
 from turnwright.material import Material
+from turnwright.outline import Outline
+from turnwright.outlined import Bounded, Continued
 from turnwright.surface import Gridded, Surface
 from turnwright.units import Size, Text, Thickness
 
-__all__ = ["Blank", "Part", "evenly"]
+__all__ = ["OVERLAP_FEEDS", "OVERLAP_MM", "Blank", "Part", "evenly"]
+
+OVERLAP_MM = 0.05
+"""Distance outside the outline to which the tool cuts: more than the errors of a machine and the setting of a tool."""
+
+OVERLAP_FEEDS = 1.5
+"""Additional distance in feeds: the neighbouring revolutions form the surface up to half a feed from a contact."""
+
+OUTLINE_SAMPLES, GRID_SAMPLES, POLE_COLUMNS = 2000, 201, 16
+"""Samples along an outline, and along each side of its box, where the surface must be defined; and those of a row in
+which poles are searched."""
+
+MAX_DENSITY = 1000
+"""Largest number of points of the disc for each point of the part; an outline with less area gets fewer points."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +74,11 @@ class Part(TableModel):
     surface
         The finished surface z = f(x, y), with the vertex at the origin and the spindle along z.
     radius
-        Semi-diameter of the clear aperture. [mm]
+        Semi-diameter of the clear aperture, for a disc on the axis. [mm]
+    outline
+        Clear aperture of any other shape, in place of ``radius``.
+    air_clearance
+        Height above the stock at which the tool crosses air outside the outline. [mm]
     stock
         Thickness of material above the finished surface before the first pass. [mm]
     material
@@ -77,13 +98,16 @@ class Part(TableModel):
     Raises
     ------
     InputError
-        If the radius is not positive, the stock is negative, or the blank is smaller than the part.
+        If not exactly one of radius and outline is given, the radius is not positive, the stock is negative, or the
+        blank is smaller than the part.
     DomainError
         If the surface is not defined everywhere in the clear aperture.
     """
 
     surface: Surface
-    radius: Size
+    radius: Size | None = None
+    outline: Outline | None = None
+    air_clearance: Size = 0.1
     stock: Thickness = 0.0
     material: Annotated[str, read_by("material")] = ""
     material_note: Text = ""
@@ -93,15 +117,64 @@ class Part(TableModel):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        positive(self.radius, "part radius", "mm")
-        if self.blank is not None and self.blank.reach < self.radius:
+        if (self.radius is None) == (self.outline is None):
             raise InputError(
-                f"the blank reaches {self.blank.reach:g} mm from the axis, it must reach at least the radius of the "
-                f"clear aperture, {self.radius:g} mm: give the radius of the blank"
+                f"the part has {'neither radius nor' if self.outline is None else 'both radius and'} outline, it needs "
+                "one of them: radius for a disc on the axis, outline for any other clear aperture"
+            )
+        if self.radius is not None:
+            positive(self.radius, "part radius", "mm")
+        positive(self.air_clearance, "air_clearance", "mm")
+        if self.blank is not None and self.blank.reach < self.reach:
+            raise InputError(
+                f"the blank reaches {self.blank.reach:g} mm from the axis, it must reach at least as far as the "
+                f"clear aperture, {self.reach:g} mm: give the radius of the blank"
             )
         if self.stock < 0:
             raise InputError(f"stock is {self.stock:g} mm, it cannot be below 0 mm: give the thickness to remove")
-        self.surface.require_disc(self.radius, "the radius of the clear aperture")
+        if self.outline is None:
+            self.surface.require_disc(self.reach, "the radius of the clear aperture")
+        else:
+            _require_on(self.surface, self.outline)
+
+    @property
+    def border(self) -> Outline:
+        """The outline, that of a disc included."""
+        return Outline(disc=self.radius) if self.outline is None else self.outline
+
+    @property
+    def reach(self) -> float:
+        """Largest distance of the clear aperture from the axis. [mm]."""
+        return self.border.reach if self.radius is None else self.radius
+
+    @property
+    def nearest(self) -> float:
+        """Smallest distance of the clear aperture from the axis. [mm]."""
+        return 0.0 if self.outline is None else self.outline.nearest
+
+    @property
+    def leaves_air(self) -> bool:
+        """Whether the tool crosses air within a revolution: the outline is not a disc or an annulus on the axis."""
+        return self.outline is not None and not self.outline.is_centred
+
+    def covers(self, x: Floats, y: Floats) -> Bools:
+        """Return the mask of points on the clear aperture."""
+        if self.radius is not None:
+            return np.asarray(np.hypot(x, y) <= self.radius)
+        return self.border.covers(x, y)
+
+    def heights(self, x: Floats, y: Floats) -> Floats:
+        """Return the finished heights of points, nan outside the clear aperture. [mm]."""
+        on = self.covers(x, y)
+        z = np.full(np.shape(x), np.nan)
+        z[on] = self.surface.sag(x[on], y[on])
+        return z
+
+    def form_error(self, made: HeightMap) -> HeightMap:
+        """Return a map minus the finished surface, nan outside an outline; a disc is evaluated wherever the map is."""
+        if self.outline is None:
+            return made.minus(self.surface)
+        return replace(made, z=made.z - self.heights(*made.points()), name=f"{made.name} error".strip())
 
     @property
     def design(self) -> Part:
@@ -112,8 +185,23 @@ class Part(TableModel):
     def aimed(self) -> Part:
         """The part that the tool path is planned for: the design with its correction added."""
         if self.correction is None:
+            return self.continued
+        return replace(self, surface=self.surface + self.correction, correction=None).continued
+
+    def bounded(self, margin: float) -> Part:
+        """Return the part with its surface defined only within a margin of its outline; a disc as it is. [mm]."""
+        if self.outline is None:
             return self
-        return replace(self, surface=self.surface + self.correction, correction=None)
+        return replace(self, surface=Bounded(surface=self.surface, outline=self.outline, margin=margin))
+
+    @property
+    def continued(self) -> Part:
+        """The part with its surface continued outside its outline, on a disc only where it is undefined."""
+        if self.outline is None or isinstance(self.surface, Continued):
+            return self
+        if self.outline.is_centred and _covers_disc(self.surface, self.reach):
+            return self
+        return replace(self, surface=Continued(surface=self.surface, outline=self.outline))
 
     @property
     def substance(self) -> Material | None:
@@ -132,6 +220,53 @@ class Part(TableModel):
 
 def evenly(part: Part, count: int) -> tuple[Floats, Floats]:
     """Return points of equal density over a part (a Fibonacci, or sunflower, lattice). Each (count,) [mm]."""
-    number = np.arange(count) + 0.5
-    radius, angle = part.radius * np.sqrt(number / count), np.pi * (1 + np.sqrt(5)) * number
-    return radius * np.cos(angle), radius * np.sin(angle)
+    least, total = part.nearest**2, count
+    while True:
+        number = np.arange(total) + 0.5
+        radius, angle = np.sqrt(least + (part.reach**2 - least) * number / total), np.pi * (1 + np.sqrt(5)) * number
+        x, y = radius * np.cos(angle), radius * np.sin(angle)
+        if part.outline is None:
+            return x, y
+        on = np.flatnonzero(part.covers(x, y))
+        if on.size >= count or total > MAX_DENSITY * count:
+            few = on[:: max(on.size // count, 1)]
+            return x[few], y[few]
+        total = min(int(total * 1.05 * count / max(on.size, 1)) + 1, 4 * total)
+
+
+@lru_cache(maxsize=64)
+def _covers_disc(surface: Surface, radius: float) -> bool:
+    """Return whether a surface is defined on the whole disc about the axis."""
+    try:
+        surface.require_disc(radius, "")
+    except DomainError:
+        return False
+    return True
+
+
+def _require_on(surface: Surface, outline: Outline) -> None:
+    """Raise unless the surface is defined everywhere on an outline."""
+    (x_low, x_high), (low, high) = ((float(one.min()), float(one.max())) for one in outline.curves(OUTLINE_SAMPLES)[0])
+    x, y = (
+        one.ravel()
+        for one in np.meshgrid(np.linspace(x_low, x_high, GRID_SAMPLES), np.linspace(low, high, GRID_SAMPLES))
+    )
+    inside = outline.distance(x, y) < 0
+    edge_x, edge_y = outline.border(OUTLINE_SAMPLES)
+    x, y = np.append(x[inside], edge_x), np.append(y[inside], edge_y)
+    defined = surface.inside(x, y)
+    if defined is not None and not defined.all():
+        k = int(np.argmin(defined))
+        raise DomainError(
+            f"the outline includes x = {x[k]:.6g} mm, y = {y[k]:.6g} mm, where {type(surface).__name__} is not "
+            f"defined, its domain is {surface.domain}: move or shrink the outline, or extend the surface"
+        )
+    rows = x.size // POLE_COLUMNS * POLE_COLUMNS
+    starts = (one[:rows].reshape(-1, POLE_COLUMNS) for one in (x, y))
+    pole_x, pole_y = surface.poles(next(starts), next(starts), outline.reach / 16)
+    poles = np.flatnonzero(outline.covers(pole_x, pole_y) & (np.hypot(pole_x, pole_y) > 0))
+    if poles.size:
+        raise DomainError(
+            f"the outline includes x = {pole_x[poles[0]]:g} mm, y = {pole_y[poles[0]]:g} mm, where "
+            f"{type(surface).__name__} divides by 0 and has no height: move the outline or change the surface"
+        )

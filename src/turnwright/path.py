@@ -127,6 +127,10 @@ class Path(Compared):
         As in the `Spiral`. The height z is that in contact; a strategy whose spiral has a lift adds it to its axes.
     radius_rate, z_rate
         Derivatives of radius and z by the angle, where the spiral has its own. Each (n,) [mm/rad]
+    air_height
+        Least height of the tip where the tool crosses air outside the outline of the part, nan where it cuts; ``None``
+        for a path that cuts throughout. In air the height z is that in contact with the surface as it would continue.
+        (n,) [mm]
     """
 
     angle: Floats
@@ -142,12 +146,16 @@ class Path(Compared):
     y_rate: Floats | None = None
     z_rate: Floats | None = None
     lift: Floats | None = None
+    air_height: Floats | None = None
     sense: int = field(init=False)
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check_numbers(self, nan=("air_height",))
         names = ("angle", "radius", "z", "sweep", "contact_x", "contact_y", "contact_z", "clearance")
         freeze(self, names, ("y", "radius_rate", "y_rate", "z_rate", "lift"))
+        if self.air_height is not None:
+            object.__setattr__(self, "air_height", frozen(self.air_height, "air_height", finite=False))
+            same_length([("angle", self.angle), ("air_height", self.air_height)])
         object.__setattr__(self, "sense", _sense(self.angle, "a path"))
 
 

@@ -122,6 +122,11 @@ EXAMPLES = [
     tw.surface.Sum(terms=(PLANE, PLANE)),
     tw.Pose(shift=(0.1, 0.1, 0.1), rotation=0.1, tilt=(0.1, 0.1)),
     tw.Blank(radius=2.0),
+    tw.Outline(disc=2.0, centre=(1.0, 0.5)),
+    tw.Outline(annulus=(2.0, 1.0)),
+    tw.Outline(rectangle=(3.0, 2.0), angle=0.1),
+    tw.Outline(polygon=((0.0, 0.0), (2.0, 0.0), (0.0, 2.0))),
+    tw.Part(surface=PLANE, outline=tw.Outline(rectangle=(3.0, 2.0)), air_clearance=0.05),
     tw.Part(surface=PLANE, radius=1.0, stock=0.1),
     tw.Spiral(angle=X, radius=X, y=X, radius_rate=X, y_rate=X, lift=X),
     tw.Path(
@@ -138,6 +143,7 @@ EXAMPLES = [
         y_rate=X,
         z_rate=X,
         lift=X,
+        air_height=X,
     ),
     tw.Motion(
         time=X,
@@ -248,6 +254,7 @@ EXAMPLES = [
 """Valid instances of every class that a user states; together they state every optional number."""
 
 MAY = {
+    "Path.air_height": ("nan", "where it cuts"),
     **dict.fromkeys(
         (
             "Sphere.radius",
@@ -270,7 +277,7 @@ ANSWERS = """
     Access AccessFinding Alignment Approach AreaSpectrum Bands Bearing BestFit Candidate CentreDefect ChipMap Column
     Comparison Contribution Correction Cusps CuttingForces Diagnosis DialectCheck DrawnCut Draws DuctileCheck EdgeFit
     Entry ErrorBreakdown Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage HeightFile
-    IntactShare
+    IntactShare Bounded Continued
     LearnedMaterial Lenslet Lenslets Limits Measured Move Outcome OutlierRemoval PartShape Pass Plan PoseCandidate
     Prediction Preview ProfileRoughness ProgramFiles ProgramInfo ProgramPass Proof Registration Result Roughness
     Sensitivity Series Slopes Spectrum Stretch Tightening TiledMap ToleranceStudy Trial TurnedEdge TurningCentre

@@ -104,7 +104,7 @@ def write_test_part(
             progress=progress,
         )
     write_edited(out, job, recipe, made)
-    session.echo(f"{made.part.name}: radius {made.part.radius:g} mm, {made.strategy.spindle_rpm:.4g} rpm")
+    session.echo(f"{made.part.name}: radius {made.part.reach:g} mm, {made.strategy.spindle_rpm:.4g} rpm")
     session.echo(f"job: {out}")
 
 

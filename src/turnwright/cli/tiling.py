@@ -55,7 +55,7 @@ def tile(
     part, store = recipe.part, out / MAP
     # Validate everything before planning, which may take minutes.
     _require_usable(out)
-    plan_tiles(store, step, radius=part.radius, tile=size)
+    plan_tiles(store, step, radius=part.reach, tile=size)
     key = case_key({"job": recipe.table(whole=True), "pixel": step, "tile": size})
     _require_same_job(out, key)
     with ExitStack() as stack:
@@ -70,7 +70,7 @@ def tile(
         write_atomic(out / CASE_FILE, json.dumps({"key": key}) + "\n")
         session.partial = f"finished tiles are in {str(out)!r}: repeat the command to continue"
         tiled = generate_tiled(
-            motion, recipe.actual_tool, machine=recipe.actual_machine, pixel=step, radius=part.radius,
+            motion, recipe.actual_tool, machine=recipe.actual_machine, pixel=step, radius=part.reach,
             minus=part.surface, store=store, tile=size, executor=workers,
             progress=lambda done, total: progress("tiles", done, total),
         )  # fmt: skip
@@ -101,7 +101,7 @@ def _steps(job: Job, pixel: float) -> tuple[Step, ...]:
     """Return the stages: those of a run, then the tiles, their roughness and spectrum."""
     from turnwright.job import steps_of_run  # noqa: PLC0415 - costly
 
-    heights = math.pi * (job.part.radius / pixel) ** 2
+    heights = math.pi * (job.part.reach / pixel) ** 2
     stages = {"tiles": 2e-6, "roughness of the part": 2e-7, "spectrum": 5e-7}
     *before, report = steps_of_run(job)
     return (*before, *(Step(stage=stage, work=work * heights) for stage, work in stages.items()), report)

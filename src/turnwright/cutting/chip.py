@@ -407,7 +407,7 @@ def chip_map(
         forces = {"axial": column[kernel.AXIAL], "radial": column[kernel.RADIAL], "cutting": column[kernel.CUTTING]}
     return ChipMap(
         points=at, angle=azimuth, x=x, y=y,
-        inside=(np.abs(contact) <= part.radius) & (np.abs(azimuth - moved.c[0]) >= 2 * np.pi - 1e-9),
+        inside=part.covers(x, y) & (np.abs(azimuth - moved.c[0]) >= 2 * np.pi - 1e-9),
         thickness=column[kernel.THICKEST], area=column[kernel.AREA], depth=column[kernel.DEPTH],
         sweep_low=column[kernel.LOW], sweep_high=column[kernel.HIGH], width=column[kernel.WIDTH],
         rake=rake, fracture=column[kernel.FRACTURE], feed=motion.feed, **forces,
@@ -482,7 +482,7 @@ def _fill_rows(
             out = np.empty((todo.size, kernel.ROWS))
             kernel.chips(
                 *moved, where, middle, minus, plus, edge,
-                *past, table, first, step, part.radius,
+                *past, table, first, step, part.reach,
                 properties.critical[todo] if properties.critical.size else NOTHING, properties.safe, properties.plateau,
                 properties.ratio, properties.cutting, properties.thrust, properties.first, properties.step,
                 properties.factor[todo] if properties.factor.size else properties.factor, out,
@@ -515,8 +515,8 @@ def _initial_windows(moved: _TipAxes, tool: Tool, stock: float, at: Ints) -> tup
 def _slope_angle(part: Part, sense: int, angle: Floats, contact: Floats) -> Floats:
     """Return the slope angle of the surface along the cut; beyond the clear aperture that at its edge. [rad]."""
     cosine, sine = np.cos(angle), np.sin(angle)
-    radius = np.clip(contact, -part.radius, part.radius)
-    _, zx, zy = part.surface.evaluate(radius * cosine, radius * sine, 1)
+    radius = np.clip(contact, -part.reach, part.reach)
+    _, zx, zy = part.continued.surface.evaluate(radius * cosine, radius * sine, 1)
     return np.asarray(np.arctan(sense * (zy * cosine - zx * sine)))
 
 
@@ -524,13 +524,13 @@ def _sample_blank(
     part: Part, stock: float, angle: Floats, contact: Floats, minus: Floats, plus: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Return heights and slopes of the blank along radial lines (n, 2, m), with the start and step of each line."""
-    low, high = np.maximum(contact - minus, -part.radius), np.minimum(contact + plus, part.radius)
+    low, high = np.maximum(contact - minus, -part.reach), np.minimum(contact + plus, part.reach)
     high = np.maximum(high, low + 1e-9)
     step = (high - low) / (WINDOW_SAMPLES - 1)
     u = low[:, None] + step[:, None] * np.arange(WINDOW_SAMPLES)
-    u = np.clip(u, -part.radius, part.radius)
+    u = np.clip(u, -part.reach, part.reach)
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    z, zx, zy = part.surface.evaluate(u * cosine, u * sine, 1)
+    z, zx, zy = part.continued.surface.evaluate(u * cosine, u * sine, 1)
     table = np.empty((angle.size, 2, WINDOW_SAMPLES))
     table[:, 0] = z + stock
     table[:, 1] = zx * cosine + zy * sine

@@ -168,7 +168,7 @@ def _set_up_estimate(
     stated: Floats,
 ) -> Estimate:  # fmt: skip
     all_points, reach = prepare_maps(thin, parts, tool, tuple(free), reference, sense, feed)
-    radius = max(part.radius for part in parts)
+    radius = max(part.reach for part in parts)
     farthest = max(float(np.nanmax(np.hypot(map_points.x, map_points.y))) for map_points in all_points)
     plausible = {**machine.plausible, **tool.plausible}
     columns = Columns(
@@ -182,7 +182,7 @@ def _set_up_estimate(
     for map_points in all_points:
         add_signatures(map_points, columns)
     return Estimate(
-        all_points=all_points, columns=columns, sense=sense, radius=[part.radius for part in parts],
+        all_points=all_points, columns=columns, sense=sense, radius=[part.reach for part in parts],
         kinds=_group_maps(parts), plausible=plausible,
         values=np.zeros((len(thin), len(columns.all))), scale=np.full(len(thin), np.inf),
         correlated_points=np.ones(len(thin)), stated=stated,

@@ -170,7 +170,7 @@ def prepare_maps(
         if not map_points.good.any():
             raise InputError(
                 f"0 of {map_points.x.size} points of the map {heights.name!r} lie where the planned tool cuts "
-                f"{part.name!r} within {part.radius:g} mm: register the map first, and use the tool of the plan"
+                f"{part.name!r} within {part.reach:g} mm: register the map first, and use the tool of the plan"
             )
         reach = max(reach, float(np.abs(map_points.sweeps.cut[map_points.good]).max()))
         all_points.append(map_points)
@@ -181,7 +181,7 @@ def _prepare_map(
     heights: HeightMap, part: Part, tool: Tool, free: tuple[str, ...], reference: str, sense: int, feed: float
 ) -> MapPoints:
     where, x, y, z = select_valid(heights, part)
-    swept = Swept(surface=part.surface, tool=tool, sense=sense, rim=part.radius)
+    swept = Swept(surface=part.continued.surface, tool=tool, sense=sense, rim=part.reach)
     sphere, pose, opened = None, np.zeros(9), free
     if reference != "true form" and x.size > 4:
         design = part.surface.sag(x, y)
@@ -197,7 +197,7 @@ def _prepare_map(
     )  # fmt: skip
     at = swept.heights(x, y, map_points.sweeps, Deviations())
     with np.errstate(invalid="ignore"):
-        map_points.usable &= np.isfinite(at.z) & (at.tip_radius > min(CENTRE_ZONE_MM, 0.02 * part.radius))
+        map_points.usable &= np.isfinite(at.z) & (at.tip_radius > min(CENTRE_ZONE_MM, 0.02 * part.reach))
     map_points.good = map_points.usable.copy()
     return map_points
 
@@ -211,7 +211,7 @@ def add_signatures(map_points: MapPoints, columns: Columns) -> None:
 def select_valid(heights: HeightMap, part: Part) -> tuple[Bools, Floats, Floats, Floats]:
     """Return the mask of heights that are valid and on the part (shape of the map), and those points. (n,) [mm]."""
     x, y = heights.points()
-    where = np.isfinite(heights.z) & (np.hypot(x, y) <= part.radius)
+    where = np.isfinite(heights.z) & part.covers(x, y)
     inside = part.surface.inside(np.ascontiguousarray(x), np.ascontiguousarray(y))
     if inside is not None:
         where &= inside

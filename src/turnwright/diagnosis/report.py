@@ -400,7 +400,7 @@ def _find_unmeasured(estimate: Estimate, m: int, part: Part, tool: Tool) -> MapP
     x, y, _ = map_points.moved()
     places = _sample_design(part, DRAW_POINTS)
     distance = KDTree(np.stack([x, y], axis=1)[map_points.good]).query(np.stack(places.points(), axis=1))[0]
-    out = distance > UNMEASURED_SPACINGS * part.radius / math.sqrt(DRAW_POINTS)
+    out = distance > UNMEASURED_SPACINGS * part.reach / math.sqrt(DRAW_POINTS)
     if np.count_nonzero(out) < MIN_UNMEASURED_FRACTION * DRAW_POINTS:
         return None
     x, y = (one[out] for one in places.points())

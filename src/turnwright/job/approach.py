@@ -141,7 +141,7 @@ def _contact_heights(part: Part, tool: Tool, motion: Motion, turned: Floats, axe
     angle = np.append(motion.axes["C"][0] + motion.sense * turned, motion.axes["C"][ends])
     radius = np.append(sum(axes[one] for one in "XU" if one in axes), motion.axes["X"][ends])
     y = np.append(axes["Y"], motion.axes["Y"][ends]) if "Y" in axes else None
-    z = tip_height(part.surface, tool, angle=angle, radius=radius, y=y, sense=motion.sense, rim=part.radius)[:-2]
+    z = tip_height(part.surface, tool, angle=angle, radius=radius, y=y, sense=motion.sense, rim=part.reach)[:-2]
     return np.append(z[:-1], z[0])
 
 
@@ -160,7 +160,7 @@ def _require_above(job: Job, name: str, plunge: Motion, start: float) -> None:
     x, y = along * c - across * s, along * s + across * c
     with np.errstate(all="ignore"):
         above = plunge.axes["Z"][last, None] + e - part.surface.evaluate(x, y, 0)[0]
-    valid = np.isfinite(above) & (np.hypot(x, y) <= part.radius)
+    valid = np.isfinite(above) & (np.hypot(x, y) <= part.reach)
     inside = part.surface.inside(x, y)
     above = np.where(valid if inside is None else valid & inside, above, np.inf)
     k = np.unravel_index(int(above.argmin()), above.shape)
@@ -212,7 +212,12 @@ def _plan_entry(job: Job, name: str, motion: Motion, before: Motion | None) -> E
     rest_stroke = float(min(w.min(), 0.0) - w[0]) if "W" in axes else 0.0
     contact = material.contact_height(tool, motion.sense, x0, y0)
     depth: float | None = float((contact - lowest).max()) - rest_stroke
-    if part.blank is not None:
+    if part.leaves_air and motion.spindle_mode is None:
+        # It begins in air, where only the material under the first point counts.
+        under = float(np.interp(np.mod(motion.axes["C"][0], TURN), material.angle, contact, period=TURN))
+        if under - float(motion.axes["Z"][0]) <= -MIN_GAP_MM:
+            depth = None
+    elif part.blank is not None:
         larger = _material_before(part, tool, before, x0, material.angle, GAP)
         if float((larger.contact_height(tool, motion.sense, x0, y0) - lowest).max()) - rest_stroke <= -MIN_GAP_MM:
             depth = None
@@ -261,7 +266,9 @@ def _radial_section(part: Part, material: _Material, azimuth: float) -> dict[str
         radius, angle = material.radius, float(material.angle[row])
         line.append((side * radius)[order])
         height.append(np.where(np.isfinite(material.height[row]), material.height[row], np.nan)[order])
-        finished.append(np.where(radius <= part.radius, _sag(part, radius, angle), np.nan)[order])
+        inside = np.minimum(radius, part.reach * (1 - 1e-12))
+        on = (radius <= part.reach) & part.covers(inside * math.cos(angle), inside * math.sin(angle))
+        finished.append(np.where(on, _sag(part, radius, angle), np.nan)[order])
     names = ("radius", "material", "finished")
     return {name: np.concatenate(parts) for name, parts in zip(names, (line, height, finished), strict=True)}
 
@@ -276,13 +283,13 @@ def _lowest(azimuth: Floats, path: Floats, angle: Floats) -> Floats:
 
 
 def _sag(part: Part, radius: Floats, angle: float) -> Floats:
-    inside = np.minimum(radius, part.radius * (1 - 1e-12))
+    inside = np.minimum(radius, part.reach * (1 - 1e-12))
     return np.asarray(part.surface.sag(inside * math.cos(angle), inside * math.sin(angle)))
 
 
 def blank_heights(part: Part, radius: Floats, angle: Floats, wider: float) -> Floats:
     """Return the top of the blank on radial lines, with its radius enlarged by ``wider``. (n_angle, n_radius)."""
-    rim = part.radius * (1 - 1e-12)
+    rim = part.reach * (1 - 1e-12)
     inside = np.minimum(radius, rim)
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
     z = np.asarray(part.surface.sag(inside * cosine, inside * sine))
@@ -321,5 +328,5 @@ def _material_before(
 
 def _top(part: Part, x0: float) -> float:
     """Return the greatest height of the blank, out to its radius or to the tool. [mm]."""
-    far = part.blank.reach if part.blank is not None else max(part.radius, x0)
+    far = part.blank.reach if part.blank is not None else max(part.reach, x0)
     return float(blank_heights(part, np.linspace(0, far, 401), _azimuths(part, far), 0.0).max())

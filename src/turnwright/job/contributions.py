@@ -149,6 +149,11 @@ def break_down_error(
         report(done, 6)
         return generate_polar(one, tool, radius=radius, angle=angle)
 
+    def on_part(surface: HeightMap) -> HeightMap:
+        if part.outline is None:
+            return surface
+        return replace(surface, z=np.where(part.covers(*surface.points()), surface.z, np.nan))
+
     report(0, 6)
     exact, cusp_nm = _exact_surface(spiral, part, tool, machine, radius, angle)
     program_motion, ideal = program_motion or motion, without_servos(machine)
@@ -161,7 +166,7 @@ def break_down_error(
     if has_servos(machine):
         moved = interpolate_motion(program_motion, machine)
         real = made(moved, 4)
-    error = real.minus(part.surface)
+    error = part.form_error(real)
     report(5, 6)
     if pv_nm is None:
         form = find_extremes(moved, tool, part, known=error)
@@ -169,10 +174,10 @@ def break_down_error(
     report(6, 6)
     return ErrorBreakdown(
         cusp_nm=cusp_nm,
-        cusp_away_nm=pv_nm_of(exact.minus(part.surface).z[:, radius > 2 * feed]),
-        chord_nm=max_difference_nm(planned, exact),
-        rounding_nm=max_difference_nm(rounded, sent),
-        tracking_nm=max_difference_nm(real, rounded if nominal is None else planned),
+        cusp_away_nm=pv_nm_of(part.form_error(exact).z[:, radius > 2 * feed]),
+        chord_nm=max_difference_nm(on_part(planned), on_part(exact)),
+        rounding_nm=max_difference_nm(on_part(rounded), on_part(sent)),
+        tracking_nm=max_difference_nm(on_part(real), on_part(rounded if nominal is None else planned)),
         pv_nm=pv_nm,
         rms_nm=rms_nm_of(error),
         sq_nm=finish_nm(error, feed),
@@ -183,7 +188,7 @@ def break_down_error(
 def exact_cusps(spiral: Spiral, part: Part, tool: Tool, machine: Machine) -> tuple[HeightMap, float]:
     """Return the error of an exact path on lines across all revolutions [mm], and its PV, the axis included. [nm]."""
     surface, pv_nm = _exact_surface(spiral, part, tool, machine, *lines(part, spiral.feed, spiral.angle))
-    return surface.minus(part.surface), pv_nm
+    return part.form_error(surface), pv_nm
 
 
 def _exact_surface(
@@ -193,8 +198,8 @@ def _exact_surface(
     zone, reach = _axis_zone(part, tool, spiral.feed)
     motion = exact_motion(spiral, part, tool, machine, angle, dense_to=reach)
     surface = generate_polar(motion, tool, radius=radius, angle=angle)
-    extremes = find_extremes(motion, tool, replace(part, radius=zone))
-    errors = surface.minus(part.surface).z.ravel()
+    extremes = find_extremes(motion, tool, replace(part, radius=zone, outline=None)) if zone else None
+    errors = part.form_error(surface).z.ravel()
     if extremes is not None:
         errors = np.append(errors, [extremes.highest.error, extremes.lowest.error])
     return surface, pv_nm_of(errors)
@@ -203,13 +208,18 @@ def _exact_surface(
 def _axis_zone(part: Part, tool: Tool, feed: float) -> tuple[float, float]:
     """Return the radius of the zone whose cusps are cut next to the axis, and that of the passes around it. [mm].
 
-    On a slope the contact is not at the tip, so that the cusp of the axis is next to the axis.
+    On a slope the contact is not at the tip, so that the cusp of the axis is next to the axis. Both are 0 for a part
+    without the whole zone.
     """
-    radius = np.linspace(0, min(AXIS_FEEDS * feed, part.radius), 5)[:, None]
+    if part.outline is not None and part.border.distance(np.zeros(1), np.zeros(1))[0] > -2 * AXIS_FEEDS * feed:
+        return 0.0, 0.0
+    radius = np.linspace(0, min(AXIS_FEEDS * feed, part.reach), 5)[:, None]
     angle = np.linspace(0, TURN, FEWEST_ANGLES, endpoint=False)
     slope = float(np.hypot(*part.surface.gradient(radius * np.cos(angle), radius * np.sin(angle))).max())
     lateral = tool.actual_radius * slope / math.hypot(1, slope)
-    return min(AXIS_FEEDS * feed + lateral, part.radius), 2 * (AXIS_FEEDS * feed + lateral)
+    if part.outline is not None:
+        lateral = min(lateral, -float(part.border.distance(np.zeros(1), np.zeros(1))[0]) - AXIS_FEEDS * feed)
+    return min(AXIS_FEEDS * feed + lateral, part.reach), 2 * (AXIS_FEEDS * feed + lateral)
 
 
 def _digits(height_nm: float) -> str:
@@ -231,9 +241,13 @@ def lines(part: Part, feed: float, passed: Floats) -> tuple[Floats, Floats]:
 
     (n,) [mm], (m,) [rad]
     """
-    fine = TURN * part.radius / part.surface.feature_size * AZIMUTHS_PER_FEATURE
+    fine = TURN * part.reach / part.surface.feature_size * AZIMUTHS_PER_FEATURE
     return (
-        np.linspace(0, part.radius, min(math.ceil(part.radius / feed * SAMPLES_PER_FEED), MOST_RADII) + 1),
+        np.linspace(
+            part.nearest,
+            part.reach,
+            min(math.ceil((part.reach - part.nearest) / feed * SAMPLES_PER_FEED), MOST_RADII) + 1,
+        ),
         clear_azimuths(int(np.clip(math.ceil(fine), FEWEST_ANGLES, MOST_ANGLES)), passed),
     )
 
@@ -254,7 +268,7 @@ def clear_azimuths(count: int, passed: Floats) -> Floats:
 def finish_nm(error: HeightMap, feed: float) -> float:
     """Return the largest Sq of a ring a few feeds wide, with straight lines across it removed. [nm]."""
     assert error.radius is not None  # noqa: S101 - lines are polar
-    step = float(error.radius[1])
+    step = float(error.radius[1] - error.radius[0])
     size = min(max(math.ceil(RING_FEEDS * feed / step), 3), error.radius.size)
     rings = error.radius.size // size
     z = error.z[:, : rings * size].reshape(-1, rings, size)
@@ -262,7 +276,11 @@ def finish_nm(error: HeightMap, feed: float) -> float:
     across = np.linspace(-1, 1, size)
     level = z - z.mean(axis=2, keepdims=True)
     level = level - across * ((level @ across) / (across @ across))[:, :, None]
-    return float(np.sqrt(np.nanmax((level**2 * weight).mean(axis=(0, 2)) / weight.mean(axis=1)))) * NM
+    # Where a ring crosses the outline of the part it is left out.
+    square = (level**2 * weight).mean(axis=2)
+    there = ~np.isnan(square)
+    square = np.where(there, square, 0.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1)
+    return float(np.sqrt((square / weight.mean(axis=1)).max())) * NM
 
 
 def has_servos(machine: Machine) -> bool:

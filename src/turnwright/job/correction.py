@@ -624,7 +624,7 @@ def _cuspless(job: Job, draws: Draws) -> tuple[NDArray[np.intp], tuple[Floats, F
     """
     planned = job.tool.offset
     off = max((math.dist(case.tool.offset[:2], planned[:2]) for case in draws.cases), default=0.0)
-    cut = np.flatnonzero(np.hypot(draws.x, draws.y) < job.part.radius - off - feed_of(job))
+    cut = np.flatnonzero(np.hypot(draws.x, draws.y) < job.part.reach - off - feed_of(job))
     some = cut[:: -(-draws.x.size // MAX_SIMULATED_PLACES)]
     return some, across_feed(job, draws.x[some], draws.y[some], FINE_PLACES_PER_FEED)
 

@@ -83,7 +83,7 @@ def chips_of(
         largest_feed=gate.largest_feed if np.isfinite(gate.largest_feed) else None,
         verdict=gate.verdict, ok=gate.ok, sentence=gate.sentence,
     )  # fmt: skip
-    return _with_first_revolution(report, chips, gate, part.radius), chips
+    return _with_first_revolution(report, chips, gate, part.reach), chips
 
 
 def _with_first_revolution(report: PassChips, chips: ChipMap, gate: DuctileCheck, radius: float) -> PassChips:
@@ -124,9 +124,11 @@ def predicted_chips(job: Job, access: Access, cut: PassTable, feed: float, stock
     material, part = job.part.substance, job.part
     if material is None or material.critical is None or not stock > 0:
         return ""
-    radius, angle = np.meshgrid(part.radius * np.linspace(0.02, 1, 40), np.linspace(0, 2 * np.pi, 72, endpoint=False))
+    radius, angle = np.meshgrid(part.reach * np.linspace(0.02, 1, 40), np.linspace(0, 2 * np.pi, 72, endpoint=False))
     x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
     cosine, sine = np.cos(angle).ravel(), np.sin(angle).ravel()
+    on = part.covers(x, y)
+    x, y, cosine, sine = x[on], y[on], cosine[on], sine[on]
     _, zx, zy, zxx, zxy, zyy = part.surface.evaluate(x, y, 2)
     bend = zxx * cosine**2 + 2 * zxy * sine * cosine + zyy * sine**2
     bend = bend / (1 + (zx * cosine + zy * sine) ** 2) ** 1.5

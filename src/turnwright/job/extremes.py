@@ -162,8 +162,9 @@ class _Places(NamedTuple):
 class _Search:
     def __init__(self, motion: Motion, tool: Tool, part: Part, machine: Machine | None) -> None:
         self.motion, self.tool, self.part, self.machine = motion, tool, part, machine
-        self.ready = Prepared.of(motion, tool, machine, distances=(0.0, part.radius), most_rings=10_000)
-        self.feed = min(self.ready.cut.feed, part.radius)
+        self.on_axis = bool(part.covers(np.zeros(1), np.zeros(1))[0])
+        self.ready = Prepared.of(motion, tool, machine, distances=(part.nearest, part.reach), most_rings=10_000)
+        self.feed = min(self.ready.cut.feed, part.reach)
         turned = np.abs(np.diff(motion.axes["C"]))
         self.step = min(float(np.median(turned[turned > 0])) if turned.any() else TURN, TURN / FEWEST_ANGLES)
         self.upright = self.ready.cut.upright and self.ready.cut.edge.convex
@@ -172,7 +173,7 @@ class _Search:
         self.uncut = 0.0
         if edge.rake_sin == 0 and edge.dy != 0 and self.ready.most_y == 0:
             # All passes end at one radius, and rounding decides which of them reach a point there.
-            size = edge.radius + part.radius + float(np.abs(self.ready.cut.bounds[:2]).max())
+            size = edge.radius + part.reach + float(np.abs(self.ready.cut.bounds[:2]).max())
             self.uncut = abs(edge.dy) + ROUNDINGS * np.finfo(float).eps * size
 
     def at(self, radius: Floats, angle: Floats) -> Floats:
@@ -189,12 +190,12 @@ class _Search:
         )
         z[(z >= 1e299) | (radius.ravel() < self.uncut)] = np.nan
         there = ~np.isnan(z)
-        z[there] -= self.part.surface.sag(x[there], y[there])
+        z[there] -= self.part.heights(x[there], y[there])
         return z.reshape(rows, columns)
 
     def scans(self, report: Progress) -> list[_Places]:
         """Return the error across all revolutions, around the axis and along the rim."""
-        rim, feed = self.part.radius, self.feed
+        rim, feed = self.part.reach, self.feed
         features = TURN * rim / self.part.surface.feature_size * AZIMUTHS_PER_FEATURE
         angles = int(np.clip(math.ceil(features), FEWEST_ANGLES, MOST_ANGLES))
         most = SCAN_POINTS if self.upright else SCAN_POINTS_OFF_PLANE
@@ -211,26 +212,38 @@ class _Search:
         ):
             scans.append(self._scan(radius, count))
             report(1 + number, STAGES)
-        if np.isnan(scans[0].error[:, 0]).any():
+        if self.part.outline is not None:
+            scans.append(self._scan_border())
+        if self.on_axis and np.isnan(scans[0].error[:, 0]).any():
             self.edge = self.around_core(self._azimuths(FEWEST_ANGLES))
             scans.append(self.edge)
         return scans
 
+    def _scan_border(self) -> _Places:
+        """Return the error along the outline, and across the feeds next to it."""
+        x, y = self.part.border.border(4 * MOST_ANGLES)
+        radius, angle = np.hypot(x, y)[:, None], np.arctan2(y, x)[:, None]
+        depth = np.linspace(-BAND_FEEDS, BAND_FEEDS, 2 * BAND_FEEDS * RADII_PER_FEED + 1) * self.feed
+        radius = np.abs(radius + depth)
+        angle = np.broadcast_to(angle, radius.shape)
+        return _Places(radius, angle, self.at(radius, angle))
+
     def _bands(self, most: int) -> Floats:
         """Return radii across all revolutions, or across bands of them where they are too many. (n,) [mm]."""
-        rim, feed = self.part.radius, self.feed
-        every = math.ceil(rim / feed * RADII_PER_FEED) + 1
+        rim, feed = self.part.reach, self.feed
+        low = self.part.nearest
+        every = math.ceil((rim - low) / feed * RADII_PER_FEED) + 1
         if every <= most:
-            return np.linspace(0, rim, every)
+            return np.linspace(low, rim, every)
         width = BAND_FEEDS * RADII_PER_FEED
         bands = max(most // width, 2)
-        starts = np.linspace(0, rim - BAND_FEEDS * feed, bands)
+        starts = np.linspace(low, max(rim - BAND_FEEDS * feed, low), bands)
         return np.unique((starts[:, None] + np.arange(width) * feed / RADII_PER_FEED).ravel())
 
     def _scan(self, radius: Floats, count: int) -> _Places:
         angle = self._azimuths(count)
         made = generate_polar(self.motion, self.tool, radius=radius, angle=angle, machine=self.machine)
-        error = made.minus(self.part.surface).z
+        error = self.part.form_error(made).z
         shape = error.shape
         return _Places(np.broadcast_to(radius, shape), np.broadcast_to(angle[:, None], shape), error)
 
@@ -248,8 +261,8 @@ class _Search:
         if self.uncut:
             return np.full(angle.size, self.uncut)
         low, high = np.zeros(angle.size), np.full(angle.size, self.feed)
-        while (within := uncut(high)).any() and high.max() < self.part.radius:
-            low, high = np.where(within, high, low), np.where(within, np.minimum(2 * high, self.part.radius), high)
+        while (within := uncut(high)).any() and high.max() < self.part.reach:
+            low, high = np.where(within, high, low), np.where(within, np.minimum(2 * high, self.part.reach), high)
         for _ in range(HALVINGS):
             middle = (low + high) / 2
             within = uncut(middle)
@@ -294,7 +307,9 @@ class _Search:
         along, across = x + u, y + edge.rake_sin * w
         radius, angle = np.hypot(along, across), c + np.arctan2(across, along)
         error = z + edge.rake_cos * w
-        inside = radius <= self.part.radius
+        inside = radius <= self.part.reach
+        if self.part.outline is not None:
+            inside &= self.part.covers(radius * np.cos(angle), radius * np.sin(angle))
         r, a = radius[inside], angle[inside]
         error[inside] -= self.part.surface.sag(r * np.cos(a), r * np.sin(a))
         error[~inside] = np.inf
@@ -305,8 +320,8 @@ class _Search:
         c, edge, u, before = self._tip(line)[0], self.ready.cut.edge, np.zeros(line.size), np.zeros(line.size)
         for _ in range(3):
             radius, angle, _ = self._gap(line, u)
-            radius = np.minimum(radius, self.part.radius)
-            zx, zy = self.part.surface.gradient(radius * np.cos(angle), radius * np.sin(angle))
+            radius = np.minimum(radius, self.part.reach)
+            zx, zy = self.part.continued.surface.gradient(radius * np.cos(angle), radius * np.sin(angle))
             slope = (zx * np.cos(c) + zy * np.sin(c)) / edge.rake_cos
             before, u = u, edge.radius * slope / np.sqrt(1 + slope**2)
         first = np.argsort(self._gap(line, u)[2])[:MAX_VALLEYS]
@@ -395,7 +410,7 @@ class _Search:
     ) -> tuple[Floats, Floats]:
         """Return the radius of the highest error within ``half`` of a point along its azimuth, and that error. (n,)."""
         # The axis itself, which takes as long as a thousand points, is part of the scans.
-        least, rim = MIN_RADIUS_FEEDS * self.feed, self.part.radius
+        least, rim = MIN_RADIUS_FEEDS * self.feed, self.part.reach
         share = np.linspace(-1, 1, RADIAL_LOOKS)
         best, value = radius, np.full(radius.size, -np.inf)
         half = np.broadcast_to(half, radius.shape)[:, None]
@@ -423,7 +438,7 @@ class _Search:
 
     def _climb(self, radius: Floats, angle: Floats, best: Floats, sign: float) -> tuple[Floats, Floats, Floats]:
         """Return the points after climbing from pass to pass and from azimuth to azimuth. Each (n,)."""
-        rim = self.part.radius
+        rim = self.part.reach
         ways = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j], dtype=np.float64)
         along, around = rim / ZONES[0] / 2, TURN / FEWEST_ANGLES
         while along > self.feed / 2 or around > self.step / 2:
@@ -477,7 +492,7 @@ class _Search:
         """
         cut, candidates = self.ready.cut, []
         edge = cut.edge
-        outward = np.geomspace(MIN_ALONG_MM, min(BAND_FEEDS * self.feed, 0.999 * self.part.radius), END_PLACES)
+        outward = np.geomspace(MIN_ALONG_MM, min(BAND_FEEDS * self.feed, 0.999 * self.part.reach), END_PLACES)
         for end in (0, -1):
             y = edge.dy + (cut.y[end] if cut.y.size else 0.0)
             for side in (-END_OFFSET_MM, END_OFFSET_MM):
@@ -487,7 +502,7 @@ class _Search:
                     across = y + edge.rake_sin * w + side
                     radius, angle = np.hypot(along, across), cut.c[end] + np.arctan2(across, along)
                     error = sign * self.at(radius[:, None], angle[:, None])[:, 0]
-                    error = np.where(np.isnan(error) | (radius > self.part.radius), -np.inf, error)
+                    error = np.where(np.isnan(error) | (radius > self.part.reach), -np.inf, error)
                     top = int(np.argmax(error))
                     candidates.append((float(error[top]), float(radius[top]), float(angle[top])))
                     along = np.linspace(along[max(top - 1, 0)], along[min(top + 1, along.size - 1)], RADIAL_LOOKS)

@@ -93,15 +93,19 @@ class _Chords:
         self.x = axes["X"] + axes.get("U", 0.0)
         bends = [_bend(c, one) for one in (axes["Z"] + axes.get("W", 0.0), self.x, axes.get("Y", np.zeros(c.size)))]
         self.bend_z, self.bend_across = bends[0], bends[1] + bends[2]
-        turned = c % (2 * np.pi)
-        self.order = np.argsort(turned)
-        self.azimuth = turned[self.order]
-        self.step = float(np.abs(np.diff(c)).max())
+        turned, steps = c % (2 * np.pi), np.abs(np.diff(c))
         edge = tool.cutting_edge(motion.sense)
         flank = max(abs(tool.arc[0]), abs(tool.arc[1]))
         # Where the path jumps, the flanks cut as well.
         self.reach = tool.actual_radius * np.sin(flank) + abs(edge.dx) + 2 * np.tan(flank) * self.bend_z.max()
         upright = edge.upright and not np.any(axes.get("Y", 0.0))
+        part = job.part
+        near = np.ones(c.size, dtype=np.bool_)
+        if part.leaves_air:  # crossings of air have long blocks, and do not cut the part
+            near = part.border.distance(self.x * np.cos(c), self.x * np.sin(c)) <= self.reach
+        self.order = np.flatnonzero(near)[np.argsort(turned[near])]
+        self.azimuth = turned[self.order]
+        self.step = float(steps[near[1:] & near[:-1]].max(initial=0.0))
         self.lateral_reach = 0.0 if upright else self.reach + float(np.abs(axes.get("Y", 0.0)).max()) + abs(edge.dy)
 
     def at(self, x: float, y: float) -> float:

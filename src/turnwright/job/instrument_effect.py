@@ -113,7 +113,7 @@ def compare_texture(job: Job, error: HeightMap, pose: Pose) -> TextureComparison
         return None
     u, v, _ = pose.apply(*np.meshgrid(grid.x, grid.y), 0.0)
     design = _ideal_reading(job, u, v)
-    inside = np.isfinite(design) & (np.hypot(u, v) <= job.part.radius)
+    inside = np.isfinite(design) & job.part.covers(u, v)
     made = np.full(u.shape, np.nan)
     made[inside] = cut_heights(motion_of(job), job, u[inside], v[inside])
     surface = np.where(np.isfinite(made), design, np.nan)

@@ -58,7 +58,7 @@ class _Section:
     """Lines through the axis of the part, and the edge above them."""
 
     def __init__(self, job: Job) -> None:
-        self.part, self.tool = job.part, job.tool
+        self.part, self.tool = job.part.continued, job.tool
         self.edge = job.tool.cutting_edge(job.strategy.sense)
         self.line = lru_cache(maxsize=64)(self._line)
 
@@ -68,7 +68,7 @@ class _Section:
         Each (n,) [mm]. Azimuths of the negative side are half a turn on.
         """
         part = self.part
-        reach = part.blank.reach if raised and part.blank is not None else part.radius
+        reach = part.blank.reach if raised and part.blank is not None else part.reach
         radius = np.linspace(0, reach, RADII + 1)
         sides = []
         for turn in (0.0, math.pi):
@@ -77,9 +77,8 @@ class _Section:
                 heights = blank_heights(part, radius, around, 0.0)
             else:
                 inside = radius * (1 - 1e-12)
-                heights = np.asarray(
-                    part.surface.sag(inside * np.cos(around)[:, None], inside * np.sin(around)[:, None])
-                )
+                heights = part.heights(inside * np.cos(around)[:, None], inside * np.sin(around)[:, None])
+                heights = np.where(np.isnan(heights), -np.inf, heights)
             sides.append(heights.max(axis=0))
         return np.concatenate((-radius[::-1], radius)), np.concatenate((sides[1][::-1], sides[0]))
 

@@ -189,7 +189,7 @@ class Measured:
     @property
     def open_questions(self) -> tuple[str, ...]:
         """What the registration could not determine, and the keys of ``measurement`` that determine it."""
-        questions = open_questions(self.registration, self.job.measurement, self.job.part.radius)
+        questions = open_questions(self.registration, self.job.measurement, self.job.part.reach)
         return questions if self.mismatch is None else (self.mismatch, *questions)
 
 
@@ -273,8 +273,8 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
             registration = _register_at(job, heights, _pose_on_axis(registration, axis), free=free_dofs)
     with watch.stage("judge"):
         placed, error = _to_part_frame(heights, registration)
-        inside = crop_to_aperture(error, part.radius * (1 + EDGE))
-        zernike = _terms(inside, part.radius)
+        inside = crop_to_aperture(_on_outline(error, part), part.reach * (1 + EDGE))
+        zernike = _terms(inside, part.reach)
         rough = None
         if not heights.scattered:
             residual = np.full(heights.z.shape, np.nan)
@@ -337,7 +337,7 @@ def _explain_mismatch(measured: Measured, raw: HeightMap) -> str | None:
         return None  # the heights are relative to a sphere of unknown radius
     few = measured.error.thinned(CHECK_POINTS)
     x, y = few.points()
-    inside = np.isfinite(few.z) & (np.hypot(x, y) <= job.part.radius)
+    inside = np.isfinite(few.z) & job.part.covers(x, y)
     x, y = x[inside], y[inside]
     design = job.part.surface.sag(x, y)
     departures_nm = [
@@ -400,7 +400,7 @@ def _better_orientation(job: Job, raw: HeightMap) -> str | None:
         "inverted": (f"inverted = {str(not settings.inverted).lower()}", not settings.inverted),
         "rotation": (f'rotation = "{np.rad2deg(turned):.6g} deg"', turned),
     }
-    if axisymmetric(job.part.surface, job.part.radius):
+    if axisymmetric(job.part.surface, job.part.reach):
         changes = {"inverted": changes["inverted"]}
     thin = raw.thinned(CHECK_POINTS)
     off_nm = _fit_nm(job, thin)
@@ -579,7 +579,7 @@ def _nominal_equipment(job: Job) -> tuple[Tool, Machine]:
 
 def cutoff_of(job: Job) -> float:
     """Return the shortest wavelength of the form that is corrected, well above that of cusps. [mm]."""
-    diameter = 2 * job.part.radius
+    diameter = 2 * job.part.reach
     return job.measurement.cutoff or min(
         max(MIN_CUTOFF_FEEDS * feed_of(job), diameter / CUTOFFS_PER_DIAMETER), diameter / 2
     )
@@ -607,9 +607,9 @@ def _average_over_cells(measured: Measured, job: Job) -> _Means:
     part = measured.job.part
     x, y = measured.error.points()
     error = measured.error.z
-    inside = np.hypot(x, y) <= part.radius
+    inside = part.covers(x, y)
     x, y, error = x[inside], y[inside], error[inside]
-    cell = min(part.radius * np.sqrt(np.pi / CELL_COUNT), part.surface.feature_size / CELLS_PER_FEATURE)
+    cell = min(part.reach * np.sqrt(np.pi / CELL_COUNT), part.surface.feature_size / CELLS_PER_FEATURE)
     number = _number_cells(x, y, cell)
     if part.surface.in_pieces:
         # No cell extends across a seam.
@@ -711,12 +711,19 @@ def _add_reference(heights: HeightMap, job: Job) -> tuple[HeightMap, Pose | None
     return replace(heights, z=z), pose
 
 
+def _on_outline(error: HeightMap, part: Part) -> HeightMap:
+    """Return an error without heights beyond the outline of a part; that of a disc as it is."""
+    if part.outline is None:
+        return error
+    return replace(error, z=np.where(part.border.distance(*error.points()) <= part.reach * EDGE, error.z, np.nan))
+
+
 def _error_at(heights: HeightMap, part: Part, pose: Pose) -> HeightMap:
     """Return measured minus design at a pose, on the grid of the map, nan beyond the clear aperture. [mm]."""
     valid = ~np.isnan(heights.z)
     x, y = heights.points()
     x, y, z = pose.apply(x[valid], y[valid], heights.z[valid])
-    on = np.hypot(x, y) <= part.radius
+    on = part.covers(x, y)
     error = np.full(z.size, np.nan)
     error[on] = z[on] - part.surface.sag(x[on], y[on])
     error_map = np.full(heights.z.shape, np.nan)

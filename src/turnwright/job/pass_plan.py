@@ -144,6 +144,6 @@ def across_feed(job: Job, x: Floats, y: Floats, places: int = PLACES_PER_FEED) -
     """Return points across a feed around each point, to average over cusps. Each (n, places) [mm]."""
     radius, angle = np.hypot(x, y), np.arctan2(y, x)
     feed = feed_of(job)
-    inside = np.minimum(radius, job.part.radius - feed / 2)  # the surface may end at the rim
+    inside = np.minimum(radius, job.part.reach - feed / 2)  # the surface may end at the rim
     across = np.abs(inside[:, None] + feed * ((np.arange(places) + 0.5) / places - 0.5))
     return across * np.cos(angle)[:, None], across * np.sin(angle)[:, None]

@@ -360,7 +360,7 @@ class _Search:
             return self._place(round_down(share))  # their error is the chord error
         first = guess(self.spacings, share)
         if not math.isfinite(first):
-            size = min(self.part.surface.feature_size, self.part.radius)
+            size = min(self.part.surface.feature_size, self.part.reach)
             first = size / FIRST_POINTS_PER_FEATURE if self.evenly else share
         tried: dict[float, _Points] = {}
 
@@ -375,7 +375,7 @@ class _Search:
             self.spacings.append((spacing, self._point_error(points)))
             return self.spacings[-1][1]
 
-        spacing = largest(error_of, share, first, self.part.radius)
+        spacing = largest(error_of, share, first, self.part.reach)
         if not spacing:
             nearest, smallest = min(
                 ((one, off) for one, off in self.spacings if one in tried), key=lambda both: both[1]

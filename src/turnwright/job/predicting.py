@@ -70,11 +70,11 @@ def predict(
 
     def make(name: str, form: int | str, simulate: Callable[[Motion, Progress], HeightMap]) -> Prediction:
         with watch.stage(f"simulate {name}") as update:
-            error = replace(simulate(motion, update).minus(part.surface), name=name)
+            error = replace(part.form_error(simulate(motion, update)), name=name)
         added = None
         if real is not None:
             with watch.stage(f"simulate {name} with servos") as update:
-                planned, error = error, replace(simulate(real, update).minus(part.surface), name=name)
+                planned, error = error, replace(part.form_error(simulate(real, update)), name=name)
             added = replace(error, z=error.z - planned.z, name=f"{name}: servos")
         if np.isnan(error.z).all():
             raise InputError(
@@ -84,10 +84,17 @@ def predict(
         above = int(np.count_nonzero(error.z > part.stock)) if part.stock > 0 else 0
         with watch.stage("roughness"):
             finish = roughness(error, form=form)
-        return Prediction(name=name, error=error, roughness=finish, tracking=added, above_stock=above, chord_error=off)
+        outside = 0 if part.outline is None else int(np.count_nonzero(~part.covers(*error.points())))
+        return Prediction(
+            name=name, error=error, roughness=finish, tracking=added, above_stock=above, chord_error=off,
+            outside=outside,
+        )  # fmt: skip
 
     grid = job.simulation.whole_part
-    radius, angle = np.linspace(0, part.radius, grid.radii), np.linspace(0, 2 * np.pi, grid.angles, endpoint=False)
+    radius, angle = (
+        np.linspace(part.nearest, part.reach, grid.radii),
+        np.linspace(0, 2 * np.pi, grid.angles, endpoint=False),
+    )
 
     def whole_part(one: Motion, update: Progress) -> HeightMap:
         return generate_polar(one, tool, radius=radius, angle=angle, machine=machine, progress=update)
@@ -117,7 +124,7 @@ def _with_extremes(job: Job, whole: Prediction, motion: Motion, watch: Watch) ->
         with watch.stage("roughest ring"):
             radius, angle = lines(part, motion.feed, motion.axes["C"])
             surface = generate_polar(motion, tool, radius=radius, angle=angle, machine=machine)
-            ring = finish_nm(surface.minus(part.surface), motion.feed)
+            ring = finish_nm(part.form_error(surface), motion.feed)
     return replace(whole, form=form, finish_nm=ring)
 
 

@@ -40,6 +40,8 @@ class Prediction:
         Highest and lowest point of the whole part, which a grid hits only by chance; ``None`` for a patch.
     finish_nm
         Sq of the roughest ring of the whole part, where the job states a tolerance and has no patch; else ``None``.
+    outside
+        Number of points of the map outside the outline of the part, which have no height.
     """
 
     name: str
@@ -50,11 +52,12 @@ class Prediction:
     chord_error: float = 0.0
     form: Extremes | None = None
     finish_nm: float | None = None
+    outside: int = 0
 
     @property
     def uncut(self) -> int:
         """Number of points that no pass cuts."""
-        return int(np.count_nonzero(np.isnan(self.error.z))) + self.above_stock
+        return int(np.count_nonzero(np.isnan(self.error.z))) - self.outside + self.above_stock
 
     @property
     def remarks(self) -> tuple[str, ...]:

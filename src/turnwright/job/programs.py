@@ -107,7 +107,8 @@ def rounding_effect(job: Job, motion: Motion, again: Motion) -> tuple[float, flo
     the error of linear interpolation in a table by time.
     """
     part, tool, machine = job.part, job.actual_tool, job.actual_machine
-    radius, angle = part.radius * (np.arange(96) + 0.5) / 96, clear_azimuths(36, motion.axes["C"])
+    radius = part.nearest + (part.reach - part.nearest) * (np.arange(96) + 0.5) / 96
+    angle = clear_azimuths(36, motion.axes["C"])
     decimals = dialect_of(machine).decimals
     c, x, z = (0.5 * 10.0 ** -decimals[letter] for letter in "CXZ")
     c = np.deg2rad(c)
@@ -116,7 +117,8 @@ def rounding_effect(job: Job, motion: Motion, again: Motion) -> tuple[float, flo
 
     def surface(one: Motion, **shifts: float) -> Floats:
         axes = {**one.axes, **{letter: one.axes[letter] + shift for letter, shift in shifts.items()}}
-        return generate_polar(replace(one, axes=axes), tool, radius=radius, angle=angle, machine=machine).z
+        made = generate_polar(replace(one, axes=axes), tool, radius=radius, angle=angle, machine=machine)
+        return np.where(part.covers(*made.points()), made.z, np.nan)
 
     nominal = surface(motion)
     difference, by_x, by_c = (
@@ -125,7 +127,7 @@ def rounding_effect(job: Job, motion: Motion, again: Motion) -> tuple[float, flo
     )
     dense = np.linspace(0, 2 * np.pi, 360, endpoint=False)
     cosine, sine = np.cos(dense)[:, None], np.sin(dense)[:, None]
-    zx, zy = part.surface.gradient(radius * cosine, radius * sine)
+    zx, zy = part.continued.surface.gradient(radius * cosine, radius * sine)
     along = np.abs(zx * cosine + zy * sine).max() + motion.feed / (2 * tool.actual_radius)
     around = np.abs(zy * cosine - zx * sine)
     limit = z + max(x * along, by_x) + max(c * (around * radius).max(), by_c)

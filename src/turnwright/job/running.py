@@ -140,7 +140,7 @@ def _wall_warnings(job: Job, passes: list[Pass], entries: Mapping[str, Entry]) -
     if not plunging:
         return []
     warnings, part = [], job.part.aimed
-    limit, _ = largest_depth(part, job.tool, side=1, sense=job.strategy.sense, nearest=part.radius)
+    limit, _ = largest_depth(part, job.tool, side=1, sense=job.strategy.sense, nearest=part.reach)
     for one in plunging:
         wall = job.part.stock - one.allowance
         if wall > limit * (1 + 1e-9):

@@ -492,6 +492,13 @@ class ProgramTable(Table):
             )
 
 
+PATCH_SAMPLES = 33
+"""Points along each side of a patch that must be on the outline of the part."""
+
+BORDER_TOL = 1e-9
+"""Distance of a patch beyond the outline that is rounding. [mm]"""
+
+
 def _require_unique(what: str, names: list[str]) -> None:
     """Raise if two names would give the same file name."""
     alike = [re.sub("[ -]+", "-", name).casefold() for name in names]
@@ -614,13 +621,27 @@ class Job(Table):
             raise JobError(f"the allowance of the last pass must be 0 mm, got {allowance:g} mm: set it to 0 mm")
         _require_unique("simulation.patches", ["whole part", *(patch.name for patch in self.simulation.patches)])
         for number, patch in enumerate(self.simulation.patches, 1):
-            reach = max(math.hypot(x, y) for x in patch.axes[0][[0, -1]] for y in patch.axes[1][[0, -1]])
-            if reach > self.part.radius:
-                raise JobError(
-                    f"simulation.patches[{number}] extends {reach:.6g} mm from the axis, the limit is part.radius, "
-                    f"{self.part.radius:g} mm: move or shrink it"
-                )
+            self._check_patch(number, patch)
         _ = self.actual_tool, self.actual_machine
+
+    def _check_patch(self, number: int, patch: Patch) -> None:
+        """Raise unless a patch is on the part."""
+        reach = max(math.hypot(x, y) for x in patch.axes[0][[0, -1]] for y in patch.axes[1][[0, -1]])
+        if reach > self.part.reach:
+            raise JobError(
+                f"simulation.patches[{number}] extends {reach:.6g} mm from the axis, the limit is that of the part, "
+                f"{self.part.reach:g} mm: move or shrink it"
+            )
+        if self.part.outline is None:
+            return
+        x, y = np.meshgrid(*(np.linspace(one[0], one[-1], PATCH_SAMPLES) for one in patch.axes))
+        off = self.part.outline.distance(x, y)
+        if off.max() > BORDER_TOL:
+            k = int(off.argmax())
+            raise JobError(
+                f"simulation.patches[{number}] includes x = {x.flat[k]:.6g} mm, y = {y.flat[k]:.6g} mm, "
+                f"{off.flat[k]:.4g} mm outside the outline of the part: move or shrink it"
+            )
 
     def _check_strategy(self, cut: PassTable) -> None:
         """Raise if a pass has no valid strategy, or machine or dialect cannot run it in spindle mode."""
@@ -629,6 +650,7 @@ class Job(Table):
             chord, mode = getattr(servo.spiral_strategy, "chord", None), servo.spindle_mode
             if mode is not None:
                 self.machine.in_spindle_mode()
+            servo.require_crossings(self.part)
             require_spindle_modes(dialect_of(self.machine), [mode])
         except InputError as error:
             raise JobError(f"strategy of the pass {cut.name!r}: {error}") from error

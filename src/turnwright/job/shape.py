@@ -94,13 +94,14 @@ def part_shape(part: Part) -> PartShape:
     >>> round(shape.sphere_radius, 6), round(shape.convex_radius, 6), shape.concave_radius
     (-40.0, 40.0, inf)
     """
-    radius = np.linspace(0.0, part.radius, RADII)
+    radius = np.linspace(part.nearest, part.reach, RADII)
     angle = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
     x, y = radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None]
-    z = part.surface.sag(x, y)
+    z = part.heights(x, y)
+    surface = part.continued.surface
     with np.errstate(all="ignore"):  # a formula may have no slope at single points
-        zx, zy = part.surface.gradient(x, y)
-        zxx, zxy, zyy = part.surface.hessian(x, y)
+        zx, zy = surface.gradient(x, y)
+        zxx, zxy, zyy = surface.hessian(x, y)
         slope = np.hypot(zx, zy)
         # Second form along the slope and across it, each over the length of its tangent: a symmetric shape operator.
         normal = np.sqrt(1.0 + slope**2)
@@ -111,8 +112,8 @@ def part_shape(part: Part) -> PartShape:
         mixed = (ux * uy * (zyy - zxx) + (ux**2 - uy**2) * zxy) / normal**2
         spread = np.hypot((along - across) / 2.0, mixed)
         bends = (along + across) / 2.0 + np.stack([-spread, spread])
-    bends = bends[np.isfinite(bends)]
-    slope = np.where(np.isfinite(slope), slope, -1.0)
+    bends = bends[np.isfinite(bends) & np.isfinite(z)]
+    slope = np.where(np.isfinite(slope) & np.isfinite(z), slope, -1.0)
     worst = int(np.argmax(slope))
     heights = HeightMap(z=z, radius=radius, angle=angle)
     try:

@@ -255,7 +255,8 @@ class _Rings:
         ends = np.concatenate(([0], size - 1 - at[::-1] if inward else at, [size - 1]))
         pieces = [slice(first, last + 1) for first, last in pairwise(ends.tolist())]
         self.pieces = pieces[::-1] if inward else pieces
-        self.turned = np.abs(path.angle - path.angle[0])
+        self.start = float(path.angle[0])
+        self.turned = np.abs(path.angle - self.start)
         contact = np.hypot(path.contact_x, path.contact_y)
         self.reach = [(contact[piece].min(), contact[piece].max()) for piece in self.pieces]
 
@@ -271,8 +272,8 @@ class _Rings:
 
     def utilisation(self, motion: Motion, machine: Machine) -> Floats:
         highest = np.zeros(len(self.pieces))
-        # A motion with ramps has more points than its path.
-        turned = np.abs(motion.axes["C"] - motion.axes["C"][0])
+        # A motion with ramps has more points than its path, one that crosses air has fewer.
+        turned = np.abs(motion.axes["C"] - self.start)
         for ring, piece in enumerate(self.pieces):
             first, last = np.searchsorted(turned, self.turned[[piece.start, piece.stop - 1]])
             blocks = slice(max(int(first) - MARGIN_BLOCKS, 0), int(last) + 1 + MARGIN_BLOCKS)

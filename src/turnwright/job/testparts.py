@@ -76,7 +76,7 @@ def make_test_part(
             f"the test part has a slope of {np.rad2deg(slope):.4g} deg, above 0 and up to "
             f"{np.rad2deg(MAX_SLOPE_RAD):g} deg is allowed"
         )
-    radius = part.radius if radius is None else radius
+    radius = part.reach if radius is None else radius
     if kind == "tilted flat":
         surface: Surface = Plane(slope=(math.tan(slope), 0.0))
         name = f"flat tilted by {np.rad2deg(slope):.4g} deg"

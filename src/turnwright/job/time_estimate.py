@@ -153,10 +153,10 @@ def _points(job: Job, cut: PassTable) -> float:
     try:
         servo = job.servo(cut)
     except TurnwrightError:  # the run reports it
-        return USUAL_POINTS * part.radius / 0.01 / MILLION
+        return USUAL_POINTS * part.reach / 0.01 / MILLION
     spiral: Any = servo.spiral_strategy
     feed = getattr(spiral, "feed", None) or math.sqrt(8 * tool.actual_radius * spiral.scallop)
-    return part.radius / feed * _points_per_rev(spiral, part) / MILLION
+    return part.reach / feed * _points_per_rev(spiral, part) / MILLION
 
 
 def _points_per_rev(spiral: object, part: Part) -> float:
@@ -165,16 +165,16 @@ def _points_per_rev(spiral: object, part: Part) -> float:
     if count is not None:
         return float(count)
     if arc is not None:
-        return float(max(math.pi * part.radius / arc, FEWEST_POINTS))
+        return float(max(math.pi * part.reach / arc, FEWEST_POINTS))
     if chord is None:
         return USUAL_POINTS
-    radius = part.radius * (np.arange(RADII) + 0.5) / RADII
+    radius = part.reach * (np.arange(RADII) + 0.5) / RADII
     angle = np.linspace(0, 2 * np.pi, ANGLES, endpoint=False)[:, None]
     cosine, sine = np.cos(angle), np.sin(angle)
     try:
         with np.errstate(all="ignore"):
-            zx, zy = part.surface.gradient(radius * cosine, radius * sine)
-            zxx, zxy, zyy = part.surface.hessian(radius * cosine, radius * sine)
+            zx, zy = part.continued.surface.gradient(radius * cosine, radius * sine)
+            zxx, zxy, zyy = part.continued.surface.hessian(radius * cosine, radius * sine)
             bend = radius**2 * (zxx * sine**2 - 2 * zxy * sine * cosine + zyy * cosine**2)
             bend -= radius * (zx * cosine + zy * sine)
             mean = 2 * math.pi * float(np.mean(np.sqrt(np.abs(bend) / (8 * chord))))

@@ -80,6 +80,7 @@ def can_predict_window(job: Job) -> bool:
     upright = all(not one.rake and not one.offset[1] for one in (job.tool, job.actual_tool))
     return bool(
         isinstance(plan, SlowToolServo | FastToolServo)
+        and job.part.outline is None
         and plan.along == "z"
         and chord is None
         and upright
@@ -105,7 +106,7 @@ def predict_window(job: Job, name: str) -> Prediction | None:
         reach = edge.reach(height)
         if reach is None:
             return None
-        keep = _azimuths(job, spiral, reach) if patch is None else _points_near(patch, part.radius, spiral, reach)
+        keep = _azimuths(job, spiral, reach) if patch is None else _points_near(patch, part.reach, spiral, reach)
         if not 2 <= keep.size <= MAX_POINT_FRACTION * spiral.angle.size:
             return None
         motion = _motion(job, servo, spiral, keep)

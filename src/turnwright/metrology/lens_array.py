@@ -418,7 +418,7 @@ def base_forms(part: Part, degree: int = DEFAULT_BASE_DEGREE) -> tuple[Zernike, 
     degree
         Highest degree of the Zernike terms, which start at the second.
     """
-    return tuple(rim_forms(split_design(part, "design", None, degree).terms, part.radius))
+    return tuple(rim_forms(split_design(part, "design", None, degree).terms, part.reach))
 
 
 def _register_map(heights: HeightMap, part: Part, degree: int) -> tuple[Pose, float, str]:

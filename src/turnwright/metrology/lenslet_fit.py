@@ -207,7 +207,7 @@ def split_design(part: Part, form: str, aperture: float | None, degree: int) -> 
         lens = lens.placed(shift=(0.0, 0.0, inside.shift[2]), rotation=inside.rotation)
         if surround is not None:
             surround = surround.placed(shift=inside.shift, rotation=inside.rotation)
-    radii = _lens_radii(centres, array.aperture if aperture is None else aperture, part.radius)
+    radii = _lens_radii(centres, array.aperture if aperture is None else aperture, part.reach)
     z, zx, zy, zxx, zxy, zyy = (float(value[0]) for value in lens.evaluate(np.zeros(1), np.zeros(1), 2))
     mean = ((1 + zy * zy) * zxx - 2 * zx * zy * zxy + (1 + zx * zx) * zyy) / (2 * (1 + zx * zx + zy * zy) ** 1.5)
     vertex = z if np.isfinite(z) else 0.0
@@ -228,7 +228,7 @@ def split_design(part: Part, form: str, aperture: float | None, degree: int) -> 
         vertex=vertex,
         radius=1 / mean if curved else float("nan"),
         surround=surround,
-        reach=part.radius,
+        reach=part.reach,
         terms=tuple(range(3, (degree + 1) * (degree + 2) // 2)) if surround is not None else (),
     )
 

@@ -21,6 +21,7 @@ from turnwright.metrology.rigid import (
     turns,
     wrap_angle,
 )
+from turnwright.outlined import Bounded
 from turnwright.progress import run_chunks
 from turnwright.surface import LensArray, Placed, Sum, Surface
 from turnwright.units import say_length
@@ -220,7 +221,10 @@ def costs(problem: Problem, fits: list[Fit]) -> Floats:
         off = np.abs(residuals(problem, one.state))
         beyond = np.isnan(off)
         at = turns(one.state)[0][:2] @ problem.points[:, beyond] + one.state[:2, None]
-        off[beyond] = np.where(np.hypot(*at) > problem.within * (1 + RIM_TOL), np.inf, np.nan)
+        outside = np.hypot(*at) > problem.within * (1 + RIM_TOL)
+        if isinstance(problem.surface, Bounded):
+            outside |= ~problem.surface.on_outline(*at)
+        off[beyond] = np.where(outside, np.inf, np.nan)
         sizes.append(off)
     most = max(*(int(np.count_nonzero(np.isfinite(off))) for off in sizes), 1)
     least = min(float(np.partition(np.where(np.isnan(off), 0.0, off), most // 2)[most // 2]) for off in sizes)

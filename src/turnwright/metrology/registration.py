@@ -447,27 +447,40 @@ def _task(
     points -= pivot[:, None]
     rim = float(np.hypot(np.hypot(points[0], points[1]).max(), np.quantile(np.abs(points[2]), HEIGHT_QUANTILE))) or 1.0
     if start is None:
-        far = np.hypot(points[0] + pivot[0], points[1] + pivot[1]).max() > part.radius + 5
-        start = Pose(shift=(-pivot[0], -pivot[1], 0.0)) if far else Pose()
+        start = _find_start(points, pivot, part)
+    part = part.bounded(part.reach * EDGE)
     return _Task(
         problem=Problem(
             points=np.ascontiguousarray(points),
             area=None if np.ptp(area) <= STEP_TOL * area.max() else area / area.mean(),
             surface=part.surface,
             terms=tuple(terms),
-            within=part.radius * (1 + EDGE),
+            within=part.reach * (1 + EDGE),
             normal=distance == "normal",
             loss=loss,
-            bends=_bends(part.surface, part.radius),
+            bends=_bends(part.surface, part.reach),
         ),
         pivot=pivot,
         start=state_of(start, pivot, len(terms)),
         free=[k for k, name in enumerate(NAMES) if name in free] + list(range(6, 6 + len(terms))),
-        size=np.array([1, 1, 1, 1 / rim, 1 / rim, 1 / rim, *[1 / _largest(term, part.radius) for term in terms]]),
+        size=np.array([1, 1, 1, 1 / rim, 1 / rim, 1 / rim, *[1 / _largest(term, part.reach) for term in terms]]),
         noise=noise,
         form=form,
         which=index,
     )
+
+
+def _find_start(points: Floats, pivot: Floats, part: Part) -> Pose:
+    """Return the start of a search: as measured, or with the middle of the map on that of the part if it is far off."""
+    if part.outline is None:
+        middle = np.zeros(2)
+        far = np.hypot(points[0] + pivot[0], points[1] + pivot[1]).max() > part.reach + 5
+    else:
+        x_low, x_high, low, high = part.outline.box
+        middle = np.array([x_low + x_high, low + high]) / 2
+        on = part.covers(points[0] + pivot[0], points[1] + pivot[1])
+        far = np.count_nonzero(on) < on.size / 2
+    return Pose(shift=(middle[0] - pivot[0], middle[1] - pivot[1], 0.0)) if far else Pose()
 
 
 def _bends(surface: Surface, radius: float) -> Floats:

@@ -99,20 +99,20 @@ def form_compensation(part: Part, error: HeightMap, *, cutoff: float, beyond: fl
     True
     """
     error.require_calibrated()
-    if not 2 * part.radius / MAX_CUTOFFS_PER_DIAMETER <= cutoff <= part.radius:
+    if not 2 * part.reach / MAX_CUTOFFS_PER_DIAMETER <= cutoff <= part.reach:
         raise InputError(
-            f"cutoff is {cutoff:g} mm, the limits on this part are {2 * part.radius / MAX_CUTOFFS_PER_DIAMETER:g} to "
-            f"{part.radius:g} mm: give a wavelength well above the feed"
+            f"cutoff is {cutoff:g} mm, the limits on this part are {2 * part.reach / MAX_CUTOFFS_PER_DIAMETER:g} to "
+            f"{part.reach:g} mm: give a wavelength well above the feed"
         )
     x, y = error.points()
-    used = ~np.isnan(error.z) & (np.hypot(x, y) <= part.radius)
+    used = ~np.isnan(error.z) & part.covers(x, y)
     if np.count_nonzero(used) < MIN_HEIGHTS:
         raise InputError(
-            f"the measured error has {np.count_nonzero(used)} heights within a clear aperture of radius "
-            f"{part.radius:g} mm, a correction needs {MIN_HEIGHTS}: register the map to the part first, or measure "
-            "more of it"
+            f"the measured error has {np.count_nonzero(used)} heights on the clear aperture, up to "
+            f"{part.reach:g} mm from the axis, a correction needs {MIN_HEIGHTS}: register the map to the part first, "
+            "or measure more of it"
         )
-    reach = part.radius + positive(beyond, "beyond", "mm") + cutoff
+    reach = part.reach + positive(beyond, "beyond", "mm") + cutoff
     return smooth_table(x[used], y[used], -error.z[used], cutoff=cutoff, reach=reach)
 
 

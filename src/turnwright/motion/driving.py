@@ -12,7 +12,8 @@ import numpy as np
 from turnwright._arrays import Floats, Ints
 from turnwright.errors import LimitError
 from turnwright.machine import FAST, Machine
-from turnwright.motion.limits import TURN, Course, find_speed_factor
+from turnwright.motion.air import cross_air, cut_sections
+from turnwright.motion.limits import LIMIT_TOL, TURN, Course, find_axis_peaks, find_limit_demands, find_speed_factor
 from turnwright.motion.pvt import find_fastest_course, reach_stated_speed, slow_to_limits
 from turnwright.path import Motion, Path, SpindleMode
 from turnwright.speed_profile import SpeedProfile
@@ -21,6 +22,16 @@ __all__ = ["drive", "require_variable"]
 
 MAX_PIECES = 1000
 """Pieces of a motion, each with its own highest spindle speed."""
+
+
+MAX_SLOWER = 12
+"""Most trials of a lower speed, where the machine finds it, until crossings of air and ramps keep the limits."""
+
+SLOWER_STEP = 0.85
+"""Least ratio of the speed of the next trial to that of the last, as slower crossings have other ramps."""
+
+MIN_SECTION = 5
+"""Points of the shortest cut that counts for the highest speed."""
 
 
 class Servo(Protocol):
@@ -112,16 +123,58 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     slopes = {letter: path.sense * rate for letter, rate in (rates or {}).items()}
     course = Course(angle, axes, slopes)
     profile = servo.spindle_speeds if profile is None else profile
-    course = course.at_speed(_find_omega(course, path, rpm, profile, machine))
     stated = profile is not None or rpm is not None
+    subject = "spindle_rpm is" if profile is None else "the speed profile reaches"
+    if path.air_height is not None and not FAST.keys() & axes.keys():
+        air = path.air_height - machine.z_error(axes["X"])
+        omega = (
+            _find_omega_in_cuts(course, air, machine)
+            if not stated
+            else _find_omega(course, path, rpm, profile, machine)
+        )
+        course = _cross_air(course, omega, air, machine, stated=stated, subject=subject)
+        return Motion(time=course.time, axes=course.axes, machine=machine, velocity=course.velocity or None)
+    course = course.at_speed(_find_omega(course, path, rpm, profile, machine))
     if slopes and not FAST.keys() & axes.keys():
-        subject = "spindle_rpm is" if profile is None else "the speed profile reaches"
         course = (
             reach_stated_speed(course, machine, subject=subject) if stated else find_fastest_course(course, machine)
         )
     if not stated:
         course = slow_to_limits(course, machine)
     return Motion(time=course.time, axes=course.axes, machine=machine, velocity=course.velocity or None)
+
+
+def _cross_air(
+    course: Course, omega: float | Floats, air: Floats, machine: Machine, *, stated: bool, subject: str
+) -> Course:
+    """Return a course that crosses air, from rest to rest if it has velocities; at a lower speed if it may be."""
+    for _ in range(MAX_SLOWER):
+        crossed = cross_air(course.at_speed(omega), air, machine)
+        if not stated and (factor := find_speed_factor(crossed, machine)) < 1 - LIMIT_TOL:
+            omega = omega * max(factor, SLOWER_STEP)
+            continue
+        if not crossed.velocity:
+            return crossed
+        try:
+            return reach_stated_speed(crossed, machine, subject=subject)
+        except LimitError:
+            if stated:
+                raise
+            omega = omega * SLOWER_STEP
+    return slow_to_limits(crossed, machine)
+
+
+def _find_omega_in_cuts(course: Course, air: Floats, machine: Machine) -> float:
+    """Return the highest spindle speed that the cuts allow. [rad/s]."""
+    fastest = machine.spindle_rpm * TURN / 60
+    for section in cut_sections(air):
+        if section.stop - section.start >= MIN_SECTION:
+            part = course.select(section)
+            every = np.arange(part.time.size)
+            peaks = find_axis_peaks(part, every, machine, (False, False))
+            demands = find_limit_demands(part, every, peaks, machine, bands=False)
+            fastest = min(fastest, *(demand.speed_factor for demand in demands))
+    return fastest
 
 
 def _find_omega(

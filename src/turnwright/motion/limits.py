@@ -48,6 +48,9 @@ HANN_POWER = 3 / 8
 BINDING_UTILISATION = 0.99
 """Utilisation from which a limit counts as binding."""
 
+AIR_SPEED_RATIO = 1.2
+"""Ratio of the fastest to the slowest C within a revolution above which it is taken to cross air."""
+
 SPEED_POWERS = {"speed": 1, "acceleration": 2, "jerk": 3}
 """Power of the spindle speed to which each quantity is proportional."""
 
@@ -165,7 +168,7 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
         machine = machine.in_spindle_mode()
     demands = find_limit_demands(course, motion.blocks, peaks, machine)
     length = float(motion.time[-1] - motion.time[0])
-    rpm = abs(float(motion.axes["C"][-1] - motion.axes["C"][0])) / length * 60 / TURN
+    rpm = _cutting_rpm(motion)
     if motion.velocity is not None:
         rpm = course.top_rpm
     utilisation = {demand.name: demand.value / demand.limit for demand in demands}
@@ -199,6 +202,17 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
         findings=tuple(findings),
         spindle_mode=motion.spindle_mode is not None,
     )
+
+
+def _cutting_rpm(motion: Motion) -> float:
+    """Return the mean spindle speed, or that of the cuts if each revolution crosses air faster. [rev/min]."""
+    turned = np.abs(motion.axes["C"] - motion.axes["C"][0])
+    speed = np.diff(turned) / np.diff(motion.time)
+    mean = float(turned[-1] / (motion.time[-1] - motion.time[0]))
+    starts = np.unique(np.searchsorted(turned[1:], np.arange(0.0, turned[-1], TURN)))
+    ratio = np.maximum.reduceat(speed, starts) / np.maximum(np.minimum.reduceat(speed, starts), 1e-9 * mean)
+    crosses_air = starts.size > 1 and float(np.median(ratio)) > AIR_SPEED_RATIO
+    return (float(np.quantile(speed, 0.1)) if crosses_air else mean) * 60 / TURN
 
 
 def find_limit_demands(

@@ -28,6 +28,7 @@ from turnwright.edge import Edge
 from turnwright.errors import InputError
 from turnwright.part import Part
 from turnwright.path import Path, Spiral
+from turnwright.placing.air import cross_air, find_near, select_near
 from turnwright.placing.breaks import SLOPE_OFFSET_MM
 from turnwright.placing.search import CHUNK, search
 from turnwright.placing.tangent import (
@@ -83,6 +84,11 @@ def place(
     progress
         Called with (done, total).
 
+    Notes
+    -----
+    Outside an outline that the tool leaves within a revolution, the surface continues as `Part.continued` does. The
+    path states the height for crossing air there; points further out are not placed but interpolated.
+
     Returns
     -------
     Path
@@ -108,10 +114,18 @@ def place(
     if along not in ("z", "normal"):
         raise InputError(f'along is {along!r}, it must be "z" or "normal"')
     edge = tool.cutting_edge(spiral.sense)
+    if not part.leaves_air:
+        return _place_on(spiral, part.continued, edge, along, progress)
+    near = find_near(spiral, part, edge)
+    return cross_air(spiral, part, near, _place_on(select_near(spiral, near), part.continued, edge, along, progress))
+
+
+def _place_on(spiral: Spiral, part: Part, edge: Edge, along: Literal["z", "normal"], progress: Progress | None) -> Path:
+    """Place the edge on a surface at every point of a spiral."""
     tips = Tips.at(spiral.angle, spiral.radius, spiral.y)
     if along == "normal":
         return _place_along_normal(spiral, part, edge, tips, progress)
-    at = touch_down(part.surface, edge, tips, part.radius, progress)
+    at = touch_down(part.surface, edge, tips, _rim(part), progress)
     return Path(
         angle=spiral.angle, radius=spiral.radius, z=at.z, sweep=at.sweep, contact_x=at.x, contact_y=at.y,
         contact_z=at.surface_z, clearance=_measure_clearance(part, edge, tips, at.z), y=spiral.y, y_rate=spiral.y_rate,
@@ -188,6 +202,11 @@ def touch_down(surface: Surface, edge: Edge, tips: Tips, rim: float, progress: P
     return out
 
 
+def _rim(part: Part) -> float:
+    """Return the radius inside which the surface counts: all of one that continues outside an outline. [mm]."""
+    return np.inf if part.leaves_air else part.reach
+
+
 def _measure_clearance(part: Part, edge: Edge, tips: Tips, z: Floats) -> Floats:
     """Return the least height of the edge above the surface inside the rim, at most 0, without use of the contacts.
 
@@ -196,7 +215,7 @@ def _measure_clearance(part: Part, edge: Edge, tips: Tips, z: Floats) -> Floats:
     """
     least = np.zeros(z.size)
     every = slice(None, None, max(1, z.size // CLEARANCE_CHECKS))
-    rim = max(part.radius, float(np.hypot(tips.radius, tips.lateral).max()))
+    rim = max(part.reach, float(np.hypot(tips.radius, tips.lateral).max()))
     tips = Tips(*(np.ascontiguousarray(one) for one in tips.select(every)))
     seen, tip_z = np.zeros(tips.angle.size), np.ascontiguousarray(z[every])
     # A flank is a straight line over the sweep too: this is the sweep that reaches the far side of the rim.
@@ -234,7 +253,7 @@ def _find_z_rate(spiral: Spiral, part: Part, edge: Edge, tips: Tips, at: Touch) 
     if rates is None:
         return None
     surface, (outward, upward) = part.surface, rates
-    rim = max(part.radius, float(np.hypot(tips.radius, tips.lateral).max()))
+    rim = max(part.reach, float(np.hypot(tips.radius, tips.lateral).max()))
     rate = np.empty(outward.size)
 
     def work(start: int, stop: int) -> None:
@@ -302,7 +321,7 @@ def _place_along_normal(spiral: Spiral, part: Part, edge: Edge, contacts: Tips, 
         radius_rate, z_rate = np.empty((2, x.size))
         slopes = part.surface.evaluate(x, y, 2)[1:]
         kernel.normal_rates(edge, spiral.angle, x, y, sweep, *slopes, *rates, radius_rate, z_rate)
-    at = touch_down(part.surface, edge, tips, part.radius, progress)
+    at = touch_down(part.surface, edge, tips, _rim(part), progress)
     return Path(
         angle=tips.angle, radius=tips.radius, z=z, sweep=sweep, contact_x=x, contact_y=y, contact_z=surface_z,
         clearance=z - at.z, y=spiral.y, y_rate=spiral.y_rate, radius_rate=radius_rate, z_rate=z_rate, lift=spiral.lift,

@@ -80,7 +80,11 @@ def write_comparison(comparison: Comparison, path: str | PathLike[str]) -> File:
         ),
         Section(
             title="Error maps",
-            items=[draw.error_map(one.breakdown.error)._replace(title=one.name) for one in done if one.breakdown],
+            items=[
+                draw.error_map(one.breakdown.error, border=comparison.job.part.border)._replace(title=one.name)
+                for one in done
+                if one.breakdown
+            ],
         ),
     ]
     return write_page(Page(kind="Strategy comparison", job=comparison.job, sections=sections), path)

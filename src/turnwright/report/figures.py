@@ -23,6 +23,7 @@ from matplotlib.ticker import MaxNLocator
 
 from turnwright._io import write_atomic
 from turnwright.metrology import area_rms
+from turnwright.outline import Outline
 from turnwright.profile import Profile
 from turnwright.report.page import Picture
 
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from turnwright._arrays import Floats
+    from turnwright._arrays import Bools, Floats
     from turnwright.access import AccessFinding
     from turnwright.cutting import ChipMap, Experiment
     from turnwright.diagnosis import Move
@@ -199,26 +200,33 @@ def _arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float], col
     axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": colour, "linewidth": 1.6, **how})
 
 
-def _square(radius: float) -> tuple[Floats, Floats, Floats]:
-    """Return x, y and the distance from the axis on a square grid around a part. Each (n, n) [mm]."""
-    x, y = np.meshgrid(*2 * [np.linspace(-radius, radius, PIXELS)])
-    return x, y, np.hypot(x, y)
+def _frame(border: Outline) -> tuple[float, float, float, float]:
+    """Return the square around an outline: least and greatest x, least and greatest y. [mm]."""
+    x_low, x_high, low, high = border.box
+    half = max(x_high - x_low, high - low) / 2
+    x, y = (x_low + x_high) / 2, (low + high) / 2
+    return x - half, x + half, y - half, y + half
 
 
-def _disc_image(radius: float, values: Floats, inside: Floats) -> Floats:
-    """Return a square array with the values inside the disc and nan elsewhere."""
-    square = np.full(inside.shape, np.nan)
-    square[inside <= radius] = values
+def _square(border: Outline) -> tuple[Floats, Floats, Bools]:
+    """Return x, y and the mask of the part on a square grid around it. Each (n, n) [mm]."""
+    x_low, x_high, low, high = _frame(border)
+    x, y = np.meshgrid(np.linspace(x_low, x_high, PIXELS), np.linspace(low, high, PIXELS))
+    return x, y, border.covers(x, y)
+
+
+def _fill_image(values: Floats, on: Bools) -> Floats:
+    """Return an array with the values where a mask is true and nan elsewhere."""
+    square = np.full(on.shape, np.nan)
+    square[on] = values
     return square
 
 
-def _plan(axes: Axes, image: Floats, radius: float, **how: Any) -> Any:
+def _plan(axes: Axes, image: Floats, border: Outline, **how: Any) -> Any:
     """Draw a map of the whole part."""
-    drawn = axes.imshow(
-        image, origin="lower", extent=(-radius, radius, -radius, radius), interpolation="nearest", **how
-    )
-    turn = np.linspace(0, TURN, 241)
-    axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=INK, linewidth=0.7)
+    drawn = axes.imshow(image, origin="lower", extent=_frame(border), interpolation="nearest", **how)
+    for x, y in border.curves(240):
+        axes.plot(np.append(x, x[0]), np.append(y, y[0]), color=INK, linewidth=0.7)
     _hide_spines(axes, "top", "right")
     axes.set(xlabel="x [mm]", ylabel="y [mm]")
     return drawn
@@ -226,12 +234,12 @@ def _plan(axes: Axes, image: Floats, radius: float, **how: Any) -> Any:
 
 def sag_map(part: Part) -> Picture:
     """Draw the nominal height map."""
-    x, y, r = _square(part.radius)
-    sag = _disc_image(part.radius, part.surface.sag(x[r <= part.radius], y[r <= part.radius]), r)
+    x, y, on = _square(part.border)
+    sag = _fill_image(part.surface.sag(x[on], y[on]), on)
     factor, unit = _length(float(np.nanmax(sag) - np.nanmin(sag)))
     with _canvas() as canvas:
         axes = canvas.figure.add_subplot()
-        image = _plan(axes, sag * factor, part.radius, cmap=HEIGHTS)
+        image = _plan(axes, sag * factor, part.border, cmap=HEIGHTS)
         if np.nanmax(sag) > np.nanmin(sag):
             few = (slice(None, None, 4),) * 2
             lines: dict[str, Any] = {"colors": "white", "linestyles": "solid", "linewidths": 0.5, "alpha": 0.55}
@@ -244,11 +252,18 @@ def sag_map(part: Part) -> Picture:
 
 def view(part: Part) -> Picture:
     """Draw the nominal surface in perspective, heights exaggerated."""
-    radius, angle = np.meshgrid(np.linspace(0, part.radius, 91), np.linspace(0, TURN, 181))
-    x, y = radius * np.cos(angle), radius * np.sin(angle)
-    z = part.surface.sag(x, y)
-    factor, unit = _length(float(np.ptp(z)))
-    stretch = 0.7 * part.radius / np.ptp(z) if np.ptp(z) > 0 else 1.0
+    if part.leaves_air:
+        x_low, x_high, low, high = part.border.box
+        x, y = np.meshgrid(np.linspace(x_low, x_high, 121), np.linspace(low, high, 121))
+    else:
+        radius, angle = np.meshgrid(np.linspace(part.nearest, part.reach, 91), np.linspace(0, TURN, 181))
+        # The border of an annulus may be outside by rounding.
+        radius = radius * (1 - 1e-12)
+        x, y = radius * np.cos(angle), radius * np.sin(angle)
+    z = part.heights(x, y)
+    height = float(np.nanmax(z) - np.nanmin(z))
+    factor, unit = _length(height)
+    stretch = 0.7 * float(np.ptp(x)) / 2 / height if height > 0 else 1.0
     with _canvas(dpi=150) as canvas:
         canvas.figure.set_layout_engine("none")
         axes: Any = canvas.figure.add_axes((-0.06, -0.03, 1.04, 1.06), projection="3d")
@@ -276,21 +291,21 @@ def view(part: Part) -> Picture:
 
 def access_map(part: Part, findings: Sequence[AccessFinding]) -> Picture:
     """Draw the contact angle on the tool nose, and number the critical points as in the access table."""
-    x, y, r = _square(part.radius)
-    inside = r <= part.radius
+    x, y, inside = _square(part.border)
+    r = np.hypot(x, y)
     zx, zy = part.surface.gradient(x[inside], y[inside])
     sweep = np.arctan((x[inside] * zx + y[inside] * zy) / np.maximum(r[inside], 1e-12))
-    image = np.degrees(_disc_image(part.radius, sweep, r))
+    image = np.degrees(_fill_image(sweep, inside))
     limit = max(float(np.nanmax(np.abs(image))), 1e-6)
     with _canvas() as canvas:
         axes = canvas.figure.add_subplot()
-        drawn = _plan(axes, image, part.radius, cmap=ANGLES, vmin=-limit, vmax=limit)
+        drawn = _plan(axes, image, part.border, cmap=ANGLES, vmin=-limit, vmax=limit)
         places: dict[tuple[float, float], list[str]] = {}
         for number, finding in enumerate(findings, 1):
             if finding.where is not None:
                 # Points closer than a marker share one.
                 at = next(
-                    (have for have in places if math.dist(have, finding.where) < 0.09 * part.radius), finding.where
+                    (have for have in places if math.dist(have, finding.where) < 0.09 * part.reach), finding.where
                 )
                 places.setdefault(at, []).append(str(number))
         for where, numbers in places.items():
@@ -359,8 +374,8 @@ def _turn_number(motion: Motion) -> Floats:
     return np.asarray(np.abs(motion.axes["C"] - motion.axes["C"][0]) / TURN)
 
 
-def spiral(motion: Motion, turn: Motion, feed: float) -> Picture:
-    """Draw the spiral in plan, and an enlarged detail around a single revolution."""
+def spiral(motion: Motion, turn: Motion, feed: float, border: Outline) -> Picture:
+    """Draw the spiral in plan with the outline of the part, and an enlarged detail around a single revolution."""
     turns, x = _turn_number(motion), motion.axes["X"]
     count = float(turns[-1])
     every = max(1, math.ceil(count / 36))
@@ -373,6 +388,8 @@ def spiral(motion: Motion, turn: Motion, feed: float) -> Picture:
             angle = motion.axes["C"][0] + motion.sense * at * TURN
             radius = np.interp(at, turns, x)
             plan.plot(radius * np.cos(angle), radius * np.sin(angle), color=SERIES[0], linewidth=0.5)
+        for x_border, y_border in border.curves(240):
+            plan.plot(np.append(x_border, x_border[0]), np.append(y_border, y_border[0]), color=INK, linewidth=0.9)
         plan.set_aspect("equal")
         plan.set(
             xlabel="x [mm]",
@@ -426,11 +443,12 @@ def _band(axes: Axes, at: Floats, values: Floats, bins: int) -> None:
 
 def contact(path: Path) -> Picture:
     """Draw the range of the contact angle over the distance from the axis."""
-    sweep = np.degrees(path.sweep)
+    cuts = slice(None) if path.air_height is None else np.isnan(path.air_height)
+    sweep = np.degrees(path.sweep[cuts])
     with _canvas(4.6, 2.9) as canvas:
         axes = canvas.chart("distance of the contact from the axis [mm]", "contact angle on the tool nose [deg]")
         axes.axhline(0, color=LINE, linewidth=0.8)
-        _band(axes, np.hypot(path.contact_x, path.contact_y), sweep, 200)
+        _band(axes, np.hypot(path.contact_x[cuts], path.contact_y[cuts]), sweep, 200)
     return Picture(
         canvas.svg,
         f"Range of the contact angle on the tool nose over the distance from the axis, {sweep.min():.3g} to "
@@ -445,16 +463,15 @@ def chip_map(name: str, part: Part, chips: ChipMap, material: Material | None) -
     inside = chips.inside
     factor, unit = _length(chips.thickest)
     thickness = chips.thickness[inside] * factor
-    x, y, r = _square(part.radius)
-    on = r <= part.radius
+    x, y, on = _square(part.border)
     _, nearest = cKDTree(np.column_stack((chips.x[inside], chips.y[inside]))).query(np.column_stack((x[on], y[on])))
-    drawn = _disc_image(part.radius, thickness[nearest], r)
+    drawn = _fill_image(thickness[nearest], on)
     # Exclude the extremes at the axis and at the edge from the colour range.
     low, high = np.nanpercentile(drawn, (0.2, 99.8))
     caption = f"Maximum uncut chip thickness of pass {name}, up to {chips.thickest * factor:.3g} {unit}"
     with _canvas() as canvas:
         axes = canvas.figure.add_subplot()
-        image = _plan(axes, drawn, part.radius, cmap=HEIGHTS, vmin=low, vmax=high)
+        image = _plan(axes, drawn, part.border, cmap=HEIGHTS, vmin=low, vmax=high)
         if material is not None and material.critical is not None:
             limit = material.critical.at(rake=chips.rake, angle=chips.angle)[inside] * NM
             used = (chips.thickness[inside] * NM / limit)[nearest]
@@ -464,7 +481,7 @@ def chip_map(name: str, part: Part, chips: ChipMap, material: Material | None) -
             caption += f"; the critical chip thickness is {critical} nm, exceeded {where}"
             if MIN_BOUNDED_FRACTION < beyond < 1 - MIN_BOUNDED_FRACTION:
                 some = (slice(None, None, 4),) * 2
-                line = _disc_image(part.radius, used, r)[some]
+                line = _fill_image(used, on)[some]
                 axes.contour(x[some], y[some], line, levels=[1.0], colors="white", linewidths=1.0)
                 caption += " (white contour)"
         axes.plot(*chips.where, "o", color=INK, fillstyle="none", markersize=7, markeredgewidth=1.2, clip_on=False)
@@ -532,25 +549,24 @@ def axes_over_time(motion: Motion) -> Picture:
     )
 
 
-def _resampled(heights: HeightMap) -> tuple[Floats, tuple[float, float, float, float]]:
-    """Resample a polar map to a square grid by nearest height; return it with its extent. (n, n), [mm]."""
+def _resampled(heights: HeightMap, border: Outline) -> Floats:
+    """Resample a polar map to a square grid around an outline by nearest height. (n, n)."""
     assert heights.radius is not None  # noqa: S101 - the map is polar
     assert heights.angle is not None  # noqa: S101
-    reach = float(heights.radius[-1])
-    x, y, r = _square(reach)
-    column = np.searchsorted((heights.radius[1:] + heights.radius[:-1]) / 2, r)
+    x, y, on = _square(border)
+    column = np.searchsorted((heights.radius[1:] + heights.radius[:-1]) / 2, np.hypot(x, y))
     start = float(heights.angle[0])
     around = np.append(heights.angle, start + TURN)
     row = (
         np.searchsorted((around[1:] + around[:-1]) / 2, start + (np.arctan2(y, x) - start) % TURN) % heights.angle.size
     )
-    return np.where(r <= reach, heights.z[row, column], np.nan), (-reach, reach, -reach, reach)
+    return np.where(on, heights.z[row, column], np.nan)
 
 
-def error_map(heights: HeightMap, what: str = "Error (cut minus nominal)") -> Picture:
-    """Draw an error map, colours centred at zero; ``what`` begins the caption."""
+def error_map(heights: HeightMap, what: str = "Error (cut minus nominal)", *, border: Outline | None = None) -> Picture:
+    """Draw an error map, colours centred at zero; ``what`` begins the caption. A polar map may have a border."""
     with _canvas() as canvas:
-        _draw_map(canvas, heights, "cut minus nominal [nm]")
+        _draw_map(canvas, heights, "cut minus nominal [nm]", border)
     finite = heights.z[np.isfinite(heights.z)] * NM
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
     return Picture(canvas.svg, f"{what}, from {low:.4g} to {high:.4g} nm: {COLOUR_TEXT}")
@@ -564,13 +580,13 @@ def _error_colours(values: Floats) -> tuple[dict[str, Any], str]:
     return {"cmap": ERRORS, "vmin": -limit, "vmax": limit}, "both" if beyond else "neither"
 
 
-def _draw_map(canvas: _Canvas, heights: HeightMap, label: str) -> None:
+def _draw_map(canvas: _Canvas, heights: HeightMap, label: str, border: Outline | None = None) -> None:
     """Draw gridded or scattered heights, colours centred at zero."""
     axes = canvas.figure.add_subplot()
     colours, extend = _error_colours(heights.z * NM)
-    if heights.polar:
-        image, extent = _resampled(heights)
-        drawn = _plan(axes, image * NM, float(extent[1]), **colours)
+    if heights.radius is not None:
+        border = border or Outline(disc=float(heights.radius[-1]))
+        drawn = _plan(axes, _resampled(heights, border) * NM, border, **colours)
     else:
         assert heights.x is not None  # noqa: S101 - a map that is not polar has x and y
         assert heights.y is not None  # noqa: S101
@@ -645,7 +661,7 @@ def write_picture(shown: HeightMap | Profile, path: str | PathLike[str]) -> None
 
 
 def places_map(
-    heights: HeightMap, radius: float, title: str, *, what: str = "", like: HeightMap | None = None
+    heights: HeightMap, border: Outline, title: str, *, what: str = "", like: HeightMap | None = None
 ) -> Picture:
     """Draw scattered errors over the part as the mean in each pixel, colours centred at zero.
 
@@ -654,18 +670,22 @@ def places_map(
     """
     x, y = heights.points()
     z = heights.z * NM
-    used = np.isfinite(z) & (np.hypot(x, y) <= radius * (1 + 1e-9))
+    used = np.isfinite(z) & (border.distance(x, y) <= border.reach * 1e-9)
     x, y, z = x[used], y[used], z[used]
     # Pixels are no finer than the point spacing.
     side = int(np.clip(np.sqrt(max(z.size, 1)) * 0.8, 16, PIXELS))
-    column, row = (np.minimum(((at / radius + 1) / 2 * side).astype(np.int64), side - 1) for at in (x, y))
+    x_low, x_high, low, _ = _frame(border)
+    column, row = (
+        np.clip(((at - start) / (x_high - x_low) * side).astype(np.int64), 0, side - 1)
+        for at, start in ((x, x_low), (y, low))
+    )
     count = np.bincount(row * side + column, minlength=side * side)
     sums = np.bincount(row * side + column, weights=z, minlength=side * side)
     image = np.where(count > 0, sums / np.maximum(count, 1), np.nan).reshape(side, side)
     colours, extend = _error_colours(image)
     with _canvas() as canvas:
         axes = canvas.figure.add_subplot()
-        _bar(canvas, axes, _plan(axes, image, radius, **colours), "[nm]", extend)
+        _bar(canvas, axes, _plan(axes, image, border, **colours), "[nm]", extend)
     rms = area_rms(replace(heights, z=np.where(used, heights.z, np.nan)), like=like) * NM if z.size else 0.0
     low, high = (float(z.min()), float(z.max())) if z.size else (0.0, 0.0)
     extent = f"from {low:.4g} to {high:.4g} nm, {rms:.3g} nm rms"

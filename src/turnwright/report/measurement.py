@@ -122,7 +122,7 @@ def write_correction(
 ) -> File:
     """Write the page of a correction, see `write_page`."""
     sizes = correction.numbers_nm
-    radius, is_compensated = correction.job.part.radius, correction.job.part.correction is not None
+    is_compensated = correction.job.part.correction is not None
     names = {"measured": "as measured", "predicted": "predicted after the correction", "simulated": "simulated alone"}
     maps = {"measured": correction.measured, "predicted": correction.predicted, "simulated": correction.simulated}
     changes = [
@@ -145,7 +145,7 @@ def write_correction(
                 title="Before and after",
                 text=[*correction.sentences, PREDICTION_TEXT, *([SIMULATION_TEXT] if is_compensated else [])],
                 items=[
-                    draw.places_map(one, radius, names[name], what=f"Error {names[name]}")
+                    draw.places_map(one, correction.job.part.border, names[name], what=f"Error {names[name]}")
                     for name, one in maps.items()
                     if one is not None
                 ],
@@ -181,9 +181,11 @@ def _instrument_sections(measured: Measured) -> list[Section]:
 
 def _form(measured: Measured) -> list[Section]:
     """Return the sections of the form error and its Zernike terms."""
-    radius = measured.job.part.radius
+    radius = measured.job.part.reach
     pictures = [
-        draw.places_map(measured.error, radius, "over the part", what="Error", like=measured.registration.error),
+        draw.places_map(
+            measured.error, measured.job.part.border, "over the part", what="Error", like=measured.registration.error
+        ),
         draw.over_radius(measured.error, radius),
     ]
     sections = [Section(title="Error (cut minus nominal)", items=pictures)]
@@ -304,7 +306,7 @@ def _handbook(sample: Measured, diagnosis: Diagnosis) -> list[str]:
     if not isinstance(surface, Sphere) or not exact:
         return []
     pv_nm = best_fit(sample.placed, "sphere").pv_nm
-    ruled = handbook_offset(pv_nm / NM, surface.radius, 2 * sample.job.part.radius)
+    ruled = handbook_offset(pv_nm / NM, surface.radius, 2 * sample.job.part.reach)
     name = sample.job.part.name or "the part"
     sentence = (
         f"The handbook rule, 8 R/A PV, gives a tool centring error of {ruled * 1e3:.3g} µm from a best-sphere residual "
@@ -318,7 +320,7 @@ def _centre(sample: Measured) -> list[str]:
     """Return the tool height error from the centre defect, where the map resolves one."""
     part = sample.job.part
     try:
-        core = centre_defect(sample.placed, part, within=CORE_FRACTION * part.radius, sense=sample.job.strategy.sense)
+        core = centre_defect(sample.placed, part, within=CORE_FRACTION * part.reach, sense=sample.job.strategy.sense)
     except InputError:  # too few points near the axis
         return []
     return [] if core is None or core.uncertainty > core.radius / MIN_CORE_SHARPNESS else [core.sentence]
@@ -352,7 +354,7 @@ def _signatures(measured: Sequence[Measured], diagnosis: Diagnosis) -> Section:
         part = sample.job.part
         pictures += [
             draw.places_map(
-                signatures[one.name], part.radius, f"{one.name}, {part.name or 'part'}", what=f"Signature of {one.name}"
+                signatures[one.name], part.border, f"{one.name}, {part.name or 'part'}", what=f"Signature of {one.name}"
             )
             for one in sources
             if one.rms_nm > 0
@@ -361,7 +363,7 @@ def _signatures(measured: Sequence[Measured], diagnosis: Diagnosis) -> Section:
         part = sample.job.part
         pictures.append(
             draw.places_map(
-                residual, part.radius, f"residual, {part.name or 'part'}", what="Residual without a known source"
+                residual, part.border, f"residual, {part.name or 'part'}", what="Residual without a known source"
             )
         )
     return Section(title="Error signatures", items=pictures)

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from turnwright.machine import Machine
     from turnwright.metrology import Roughness
     from turnwright.motion import Limits
+    from turnwright.outline import Outline
+    from turnwright.part import Part
     from turnwright.tool import Tool
 
 __all__ = ["roughness_rows", "write_backplot", "write_report"]
@@ -98,7 +100,9 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
             Section(
                 title="Path",
                 items=[
-                    draw.spiral(result.motion, result.revolutions[len(result.revolutions) // 2], feed),
+                    draw.spiral(
+                        result.motion, result.revolutions[len(result.revolutions) // 2], feed, result.job.part.border
+                    ),
                     draw.contact(result.path),
                     _spiral_table(
                         result.revolutions,
@@ -125,7 +129,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
                 ],
             ),
             *_chips(result),
-            *_surfaces(result.predictions, feed),
+            *_surfaces(result.predictions, feed, result.job.part.border),
             _program(
                 program.files,
                 path,
@@ -183,7 +187,10 @@ def write_backplot(
             _things(job),
             Section(
                 title="Path",
-                items=[draw.spiral(shown, turns[len(turns) // 2], feed), _spiral_table(turns, limits, feed)],
+                items=[
+                    draw.spiral(shown, turns[len(turns) // 2], feed, job.part.border),
+                    _spiral_table(turns, limits, feed),
+                ],
             ),
             Section(
                 title="Axes and limits",
@@ -193,7 +200,7 @@ def write_backplot(
                     _limit_table(program.name, facts, limits, job.machine),
                 ],
             ),
-            *_surfaces(predictions, feed),
+            *_surfaces(predictions, feed, job.part.border),
             _program(
                 [program],
                 path,
@@ -344,6 +351,15 @@ def _numbers(predictions: Sequence[Prediction], passes: Sequence[Limits], verdic
     return numbers
 
 
+def _aperture(part: Part) -> dict[str, str]:
+    """Return the clear aperture in words."""
+    if part.outline is None:
+        return {"Clear aperture, semi-diameter": f"{part.reach:.6g} mm"}
+    reach = f"{part.nearest:.6g} to {part.reach:.6g} mm from the axis"
+    air = {"Clearance in air": _length(part.air_clearance)} if part.leaves_air else {}
+    return {"Clear aperture": f"{part.outline.words}; {reach}", **air}
+
+
 def _missed_sentences(verdicts: Sequence[Verdict]) -> list[str]:
     """Return one sentence per missed tolerance."""
     return [one.sentence for one in verdicts if one.is_kept is False]
@@ -359,7 +375,7 @@ def _things(job: Job) -> Section:
     about_part = {
         "Name": part.name or "–",
         "Surface": type(part.surface).__name__,
-        "Clear aperture, semi-diameter": f"{part.radius:.6g} mm",
+        **_aperture(part),
         "Stock": _length(part.stock),
         "Blank": f"disc, radius {part.blank.radius:.6g} mm" if part.blank else "not stated",
         "Material": part.material_name or "not stated",
@@ -513,13 +529,13 @@ def _travel(machine: Machine, letter: str) -> str:
     return f"{low} to {high} mm"
 
 
-def _surfaces(predictions: Sequence[Prediction], feed: float) -> list[Section]:
+def _surfaces(predictions: Sequence[Prediction], feed: float, border: Outline) -> list[Section]:
     """Return the sections of the simulated surfaces: pictures of the first maps, and the parameters of all."""
     count = max(len(predictions) - MAX_PICTURED_MAPS, 0)
     more = f"{count} more {'map is' if count == 1 else 'maps are'} in the run folder and in the table."
     return [
         Section(title="Simulated surface of the program", text=[more] if count else []),
-        *(_surface(one, feed) for one in predictions[:MAX_PICTURED_MAPS]),
+        *(_surface(one, feed, border) for one in predictions[:MAX_PICTURED_MAPS]),
         Section(
             title="Surface parameters",
             source="ISO 25178-2",
@@ -535,7 +551,7 @@ def _surfaces(predictions: Sequence[Prediction], feed: float) -> list[Section]:
     ]
 
 
-def _surface(one: Prediction, feed: float) -> Section:
+def _surface(one: Prediction, feed: float, border: Outline) -> Section:
     """Return the subsection of a simulated map."""
     rough, size, x, radius = one.roughness, one.error.z.shape, one.error.x, one.error.radius
     note = f"{size[1]} radii × {size[0]} azimuths" if one.error.polar else f"{size[1]} × {size[0]} pixels"
@@ -545,12 +561,13 @@ def _surface(one: Prediction, feed: float) -> Section:
     note += " from the nominal surface" if rough.form == "none" else f" after form removal ({_form(rough.form)})"
     if radius is not None and (step := radius[1] - radius[0]) > feed / 4:
         note += f" · radial step {_length(float(step))} at a feed of {_length(feed)}/rev: cusps are aliased"
-    items = [draw.error_map(one.error), draw.rings(one.error) if one.error.polar else draw.profile(one.error, feed)]
+    across = draw.rings(one.error) if one.error.polar else draw.profile(one.error, feed)
+    items = [draw.error_map(one.error, border=border), across]
     text = [note]
     if one.tracking is not None and one.tracking_nm is not None:
         pv, rms = one.tracking_nm
         text.append(f"Servo contribution: {_number(pv)} nm PV, {_number(rms)} nm rms, form included.")
-        items.append(draw.error_map(one.tracking, "Change of the surface by the servo response"))
+        items.append(draw.error_map(one.tracking, "Change of the surface by the servo response", border=border))
     return Section(title=one.name, text=text, items=items, is_subsection=True)
 
 

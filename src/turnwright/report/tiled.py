@@ -30,7 +30,7 @@ def write_tiled(job: Job, tiled: TiledMap, rough: Roughness, spectrum: Spectrum,
     part = job.part
     x_low, x_high, y_low, y_high = tiled.extent
     side = WINDOW_PIXELS * max(tiled.pixel) / 2
-    middle = min(part.radius / 2, x_high - side)
+    middle = min(part.reach / 2, x_high - side)
     windows = []
     for name, x in (("the axis", 0.0), ("half the radius", middle)):
         window = tiled.window(x=(x - side, x + side), y=(-side, side), pixels=WINDOW_PIXELS)
@@ -38,7 +38,7 @@ def write_tiled(job: Job, tiled: TiledMap, rough: Roughness, spectrum: Spectrum,
     rows, columns = tiled.shape
     size = (
         f"{columns:,} × {rows:,} pixels of {tiled.pixel[0] * 1e3:.4g} µm, {rough.valid:,} heights within a clear "
-        f"aperture of {part.radius:.4g} mm semi-diameter."
+        f"aperture of {part.reach:.4g} mm semi-diameter."
     )
     levels = (
         f"The map is a Zarr version 3 group with {tiled.levels} resolution levels; each level halves the pixel count "

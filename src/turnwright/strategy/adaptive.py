@@ -200,7 +200,7 @@ class AdaptiveToolServo(Strategy):
         curve, end = steps.march(steady=steady, progress=progress)
         # From here on the rim is that of the outermost tip, for every tip, as when the path is placed. A smaller rim
         # would depend on which samples are placed together.
-        steps.rim = max(part.radius, curve.outermost())
+        steps.rim = max(part.reach, curve.outermost())
         turned, lift = _set_points(self, steps, curve, end, progress)
         radius, rate = curve.at(turned)
         radius = radius - edge.dx
@@ -328,24 +328,24 @@ class _Steps:
         self.flat = math.sqrt(8 * edge.radius * scallop)
         self.width = edge.radius * (math.sin(edge.high) - math.sin(edge.low))
         feature = part.surface.feature_size
-        self.spokes = 4 * math.ceil(max(MIN_SPOKES, SPOKES_PER_FEATURE * TURN * part.radius / feature) / 4)
-        check_count(part.radius / self.flat * self.spokes, LENGTHS)
+        self.spokes = 4 * math.ceil(max(MIN_SPOKES, SPOKES_PER_FEATURE * TURN * part.reach / feature) / 4)
+        check_count(part.reach / self.flat * self.spokes, LENGTHS)
         azimuth = way * (TURN / self.spokes * np.arange(self.spokes) + math.pi)
         self.azimuth, self.cosine, self.sine = azimuth, np.cos(azimuth), np.sin(azimuth)
         self.every = np.arange(self.spokes)
         # When the path is placed, the surface ends at the outermost tip. This tip touches at the rim, at an offset that
         # depends on the slope there.
         with np.errstate(all="ignore"):
-            _, zx, zy = part.surface.evaluate(part.radius * self.cosine, part.radius * self.sine, 1)
+            _, zx, zy = part.surface.evaluate(part.reach * self.cosine, part.reach * self.sine, 1)
         slope = np.nan_to_num(zx * self.cosine + zy * self.sine, nan=0.0, posinf=0.0, neginf=0.0)
         rim_offset = edge.radius * float((slope / np.sqrt(1 + slope * slope)).min())
         self.blend_steps, self.stop_steps = BLEND_STEPS, STOP_STEPS
-        self.rim = part.radius + max(-rim_offset, 0.0) + STOP_STEPS * self.flat / 2
+        self.rim = part.reach + max(-rim_offset, 0.0) + STOP_STEPS * self.flat / 2
         if not self._continues(self.rim + edge.radius * max(math.sin(edge.high), -math.sin(edge.low))):
             self.blend_steps, self.stop_steps = SHORT_BLEND_STEPS, SHORT_STOP_STEPS
-            self.rim = max(part.radius, part.radius - rim_offset + SHORT_STOP_STEPS * self.flat / 2)
+            self.rim = max(part.reach, part.reach - rim_offset + SHORT_STOP_STEPS * self.flat / 2)
         # The tip's height on rings, from `first` on, as far as computed so far.
-        self.ring = min(feature / RINGS_PER_FEATURE, part.radius / MIN_RINGS, edge.radius / RINGS_PER_NOSE)
+        self.ring = min(feature / RINGS_PER_FEATURE, part.reach / MIN_RINGS, edge.radius / RINGS_PER_NOSE)
         self.first, self.inner, self.bend, self.lag = 0, 0.0, 0.0, 0.0
         self.height = np.empty((0, self.spokes))
         self.slope = np.empty((0, self.spokes))
@@ -356,8 +356,8 @@ class _Steps:
         if self.ridges:
             return False
         surface = self.part.surface
-        rings = math.ceil((outermost - self.part.radius) * RINGS_PER_FEATURE / surface.feature_size)
-        radius = np.linspace(self.part.radius, outermost, min(max(rings, 8), 64))[:, None]
+        rings = math.ceil((outermost - self.part.reach) * RINGS_PER_FEATURE / surface.feature_size)
+        radius = np.linspace(self.part.reach, outermost, min(max(rings, 8), 64))[:, None]
         x, y = (radius * self.cosine).ravel(), (radius * self.sine).ravel()
         inside = surface.inside(x, y)
         if inside is not None and not inside.all():
@@ -398,7 +398,7 @@ class _Steps:
         while high >= self.first + self.height.shape[0]:
             start = self.first + self.height.shape[0]
             # Many rings together, but not further outside the rim than the tip goes: the surface may end there.
-            many = min(start + BLOCK_SAMPLES // 2 // self.spokes, int(self.part.radius / self.ring))
+            many = min(start + BLOCK_SAMPLES // 2 // self.spokes, int(self.part.reach / self.ring))
             rings = np.arange(start, max(high, many) + 1)
             # Each ring is placed as a revolution, so that points of one azimuth share their line.
             angle = self.azimuth + self.way * TURN * np.arange(rings.size)[:, None]
@@ -482,7 +482,7 @@ class _Steps:
 
     def march(self, *, steady: bool, progress: Progress | None) -> tuple[_Curve, float]:
         """Return the radius over the angle turned from the axis, and the angle at which the cut is complete. [rad]."""
-        rim = self.part.radius
+        rim = self.part.reach
         flat = np.full(self.spokes, self.flat)
         step = self.find_step(np.zeros(self.spokes), flat)[0]
         least = self._find_steady_feed() if steady else float(step.min())
@@ -553,11 +553,11 @@ class _Steps:
         step, least, radius = np.full(self.spokes, self.flat), math.inf, np.zeros(self.spokes)
         while True:
             step, crest = self.find_step(radius, step)
-            inside = crest < self.part.radius
+            inside = crest < self.part.reach
             if not inside.any():
                 return least
             least = min(least, float(step[inside].min()))
-            radius = radius + min(2 * self.ring, self.part.radius / MIN_RINGS)
+            radius = radius + min(2 * self.ring, self.part.reach / MIN_RINGS)
 
 
 def _set_points(
@@ -596,7 +596,7 @@ def _set_points(
 def _estimate_point_count(steps: _Steps, curve: _Curve, end: float, slack: float) -> float:
     """Return an estimate, rather low, of the number of points with linear interpolation, from some revolutions."""
     per_turn = math.ceil(
-        max(MIN_SPOKES, SPOKES_PER_FEATURE * TURN * steps.part.radius / steps.part.surface.feature_size)
+        max(MIN_SPOKES, SPOKES_PER_FEATURE * TURN * steps.part.reach / steps.part.surface.feature_size)
     )
     turned = end * (np.arange(PREVIEW_REVS)[:, None] + 0.5) / PREVIEW_REVS + TURN / per_turn * np.arange(per_turn)
     turned = np.minimum(turned, end)

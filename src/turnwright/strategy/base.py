@@ -56,6 +56,8 @@ class Strategy(TableModel, ABC):
 
     __slots__ = ()
     kind: ClassVar[str] = ""
+    crosses_air: ClassVar[bool] = False
+    """Whether it can lift the tool and turn faster outside an outline."""
     ways: ClassVar[Collection[str]] = ()
     """Fields that set the points together: a pass that states one of them replaces all of them."""
     example: ClassVar[Mapping[str, Any]] = MappingProxyType({})
@@ -112,6 +114,15 @@ class Strategy(TableModel, ABC):
         dataclass_self: Any = self  # a dataclass, as every strategy is
         made: Strategy = replace(dataclass_self, **fields)
         return made
+
+    def require_crossings(self, part: Part) -> None:
+        """Raise if the tool leaves a part within a revolution, and the strategy cannot lift it there."""
+        if part.leaves_air and self.spindle_mode is None and not self.crosses_air:
+            kinds = [name for name, one in STRATEGIES.items() if one.crosses_air]
+            raise InputError(
+                f"the {self.kind} cannot lift the tool outside an outline within a revolution: use the "
+                f"{' or the '.join(kinds)}, or a disc or an annulus on the axis"
+            )
 
     @abstractmethod
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:

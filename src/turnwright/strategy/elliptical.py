@@ -498,7 +498,7 @@ class _Reader:
     def __init__(self, base: Spiral, part: Part, edge: Edge) -> None:
         self.surface, self.edge, self.sense = part.surface, edge, base.sense
         # The rim that `place` uses for all tips.
-        self.rim = max(part.radius, float(np.abs(base.radius + edge.dx).max()))
+        self.rim = max(part.reach, float(np.abs(base.radius + edge.dx).max()))
 
     def _tips(self, course: _Course, at: Floats, psi: Floats) -> Tips:
         swing = self.sense * (psi - at)

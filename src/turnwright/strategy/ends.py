@@ -6,15 +6,17 @@ import math
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright.edge import Edge
 from turnwright.errors import GougeError, InputError
-from turnwright.part import Part
-from turnwright.strategy.sampling import TURN
+from turnwright.outline import Outline
+from turnwright.outlined import Continued
+from turnwright.part import OVERLAP_FEEDS, OVERLAP_MM, Part
 
-__all__ = ["check_overrun", "find_lead_in", "require_overlap"]
+__all__ = ["check_overrun", "find_ends", "require_overlap"]
 
-RIM_AZIMUTHS = 3600
-"""Azimuths at which the slope at the rim is evaluated."""
+AIR_TURNS = 2
+"""Revolutions in air before and after a part that the tool leaves within a revolution."""
 
 
 def require_overlap(edge: Edge, feed: float) -> None:
@@ -36,19 +38,46 @@ def check_overrun(overrun: float, feed: float) -> None:
         )
 
 
-def find_lead_in(part: Part, edge: Edge, feed: float, lead_in: float | None) -> float:
-    """Return the distance outside the clear aperture at which the tip starts: as stated, or the least one. [mm]."""
-    azimuth = np.linspace(0, TURN, RIM_AZIMUTHS, endpoint=False)
-    cosine, sine = np.cos(azimuth), np.sin(azimuth)
-    zx, zy = part.surface.gradient(part.radius * cosine, part.radius * sine)
-    sweep = np.clip(np.arctan(zx * cosine + zy * sine), edge.low, edge.high)
-    needed = max(0.0, float(np.max(-edge.radius * np.sin(sweep))) - edge.dx)
+def find_ends(
+    part: Part, edge: Edge, feed: float, lead_in: float | None, overrun: float, *, step: float = 0.0
+) -> tuple[float, float]:
+    """Return the commanded radii of the inner end and of the outer end of a spiral. [mm].
+
+    The outer end is outside the clear aperture by the lead-in, as stated or the least one; the inner end is as far
+    inside an annulus, or on the axis. Where the tool leaves the part within a revolution, both are in air; ``step`` is
+    the largest distance between points there. [mm]
+    """
+    needed = _find_shift(part, edge, *Outline(disc=part.reach).border(), on_rim=True)[1]
+    inner, outer = -edge.dx - overrun, part.reach + max(0.0, needed) + feed / 2
+    if part.outline is not None:
+        # Whole revolutions more or fewer than on the whole disc, so that its path is the same wherever both cut.
+        low, high = _find_shift(part, edge, *part.outline.border(), on_rim=False)
+        beyond = OVERLAP_MM + (OVERLAP_FEEDS + AIR_TURNS) * feed + step if part.leaves_air else feed / 2
+        outer += feed * math.ceil(max(0.0, high + beyond - outer) / feed)
+        if part.nearest > 0:
+            inner += feed * math.floor(max(0.0, low - beyond - inner) / feed)
+        needed = high - part.reach
     if lead_in is None:
-        return needed + feed / 2
+        return inner, outer
     # The outermost revolution cuts as far inward as its neighbours: a lead-in shorter by a feed still cuts the rim.
     if lead_in < needed - feed:
         raise GougeError(
             f"lead_in is {lead_in:g} mm but the edge touches the rim {needed:.4g} mm inside its tip, so a "
             f"band would stay uncut: set lead_in to at least {needed:.4g} mm, or leave it out"
         )
-    return lead_in
+    return inner, part.reach + lead_in
+
+
+def _find_shift(part: Part, edge: Edge, x: Floats, y: Floats, *, on_rim: bool) -> tuple[float, float]:
+    """Return the least and the greatest radius of the tip with the edge on some points; from the rim on it. [mm]."""
+    distance = np.hypot(x, y)
+    x, y, distance = (one[distance > 0] for one in (x, y, distance))
+    surface = part.surface.surface if isinstance(part.surface, Continued) else part.surface
+    inside = surface.inside(x, y)
+    if inside is not None and not inside.all():
+        surface = part.continued.surface
+    zx, zy = surface.gradient(x, y)
+    sweep = np.clip(np.arctan((zx * x + zy * y) / distance), edge.low, edge.high)
+    shift = -edge.radius * np.sin(sweep) - edge.dx
+    tip = shift if on_rim else distance + shift
+    return float(tip.min()), float(tip.max())

@@ -16,13 +16,13 @@ from turnwright._kernels import chord as kernel
 from turnwright._validate import whole_number
 from turnwright.edge import Edge
 from turnwright.errors import InputError
-from turnwright.part import Part
+from turnwright.part import OVERLAP_FEEDS, OVERLAP_MM, Part
 from turnwright.path import Path, Spiral
 from turnwright.placing import Tips, touch_down
 from turnwright.progress import Progress, require_memory
 from turnwright.speed_profile import Speeds
 from turnwright.strategy.base import Strategy
-from turnwright.strategy.ends import check_overrun, find_lead_in, require_overlap
+from turnwright.strategy.ends import check_overrun, find_ends, require_overlap
 from turnwright.strategy.sampling import (
     REFINEMENT_RATIO,
     TURN,
@@ -52,6 +52,12 @@ CUBIC_FACTOR = 300
 
 MAX_CUBIC_PARTS = 8
 """Most parts of an interval that a cubic interpolates, so that at least two samples per program point are placed."""
+
+AIR_CHORD_MM = 0.1
+"""Chord in air, where the path is not that of the tool."""
+
+OUTLINE_STEP = math.radians(1)
+"""Largest angle between points that are set by the chord, where they must resolve an outline. [rad]"""
 
 BLOCK_SAMPLES = 1 << 17
 """Samples of the path from which points are selected together."""
@@ -107,7 +113,7 @@ class SlowToolServo(Strategy):
 
     >>> servo = SlowToolServo(feed=0.025, points_per_rev=3600, lead_in=0.0)
     >>> from turnwright.surface import Plane
-    >>> from turnwright.part import Part
+    >>> from turnwright.part import OVERLAP_FEEDS, OVERLAP_MM, Part
     >>> from turnwright.tool import Tool
     >>> spiral = servo.spiral(Part(surface=Plane(), radius=7.5), Tool(nose_radius=1.5))
     >>> spiral.angle.size, round(spiral.turns, 9)
@@ -115,6 +121,7 @@ class SlowToolServo(Strategy):
     """
 
     kind = "slow tool servo"
+    crosses_air = True
     example = MappingProxyType({"feed": "8 um/rev", "points_per_rev": 360})
     ways = ("points_per_rev", "arc_length", "max_step", "chord")
     feed: Feed
@@ -154,10 +161,10 @@ class SlowToolServo(Strategy):
         edge = tool.cutting_edge(self.sense)
         require_overlap(edge, self.feed)
         if self.points_per_rev is not None:
-            last = self._find_last_point(part, edge, self.points_per_rev)
+            last, end = self._count_points(part, edge, self.points_per_rev)
             if progress is not None:
                 progress(0, last + 1)
-            spiral = self._select_points(_number_points(last), last, self.points_per_rev, edge)
+            spiral = self._select_points(_number_points(last), last, self.points_per_rev, end)
         else:
             end, start = self._find_ends(part, edge)
             if self.chord is not None:
@@ -175,9 +182,9 @@ class SlowToolServo(Strategy):
         if self.points_per_rev is None:
             return super(SlowToolServo, self).preview_spiral(part, tool, turns=turns, per_turn=per_turn)
         edge = tool.cutting_edge(self.sense)
-        last = self._find_last_point(part, edge, self.points_per_rev)
+        last, end = self._count_points(part, edge, self.points_per_rev)
         wanted = sample_turns(last / self.points_per_rev, turns, per_turn)
-        return self._select_points(np.unique(np.round(wanted * self.points_per_rev)), last, self.points_per_rev, edge)
+        return self._select_points(np.unique(np.round(wanted * self.points_per_rev)), last, self.points_per_rev, end)
 
     def extent(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> tuple[int, Spiral]:
         """Return the size of `spiral` and its ends; with ``points_per_rev``, without computing the other points."""
@@ -185,27 +192,32 @@ class SlowToolServo(Strategy):
             return super(SlowToolServo, self).extent(part, tool, progress=progress)
         edge = tool.cutting_edge(self.sense)
         require_overlap(edge, self.feed)
-        last = self._find_last_point(part, edge, self.points_per_rev)
+        last, end = self._count_points(part, edge, self.points_per_rev)
         turn = np.arange(min(self.points_per_rev, last) + 1.0)
         at = np.unique(np.append(last - turn, 0) if self.inside_out else np.append(turn, last))
-        return last + 1, self._select_points(at, last, self.points_per_rev, edge)
+        return last + 1, self._select_points(at, last, self.points_per_rev, end)
 
-    def _find_last_point(self, part: Part, edge: Edge, per_turn: int) -> int:
+    def _count_points(self, part: Part, edge: Edge, per_turn: int) -> tuple[int, float]:
+        """Return the number of the last point, and the commanded radius of the inner end [mm]."""
         end, start = self._find_ends(part, edge)
-        return _count_steps((start - end) / self.feed * per_turn)
+        return _count_steps((start - end) / self.feed * per_turn), end
 
-    def _select_points(self, at: Floats, last: int, per_turn: int, edge: Edge) -> Spiral:
+    def _select_points(self, at: Floats, last: int, per_turn: int, end: float) -> Spiral:
         step = TURN / per_turn
         turned = (at if self.inside_out else last - at) * step
-        return Spiral(angle=self.sense * (at * step), radius=self._inner_end(edge) + self.feed / TURN * turned)
-
-    def _inner_end(self, edge: Edge) -> float:
-        """Return the commanded radius of the inner end. [mm]."""
-        return -edge.dx - self.overrun
+        return Spiral(angle=self.sense * (at * step), radius=end + self.feed / TURN * turned)
 
     def _find_ends(self, part: Part, edge: Edge) -> tuple[float, float]:
         """Return the commanded radii of the inner end and of the outer end, before the steps are made equal. [mm]."""
-        return self._inner_end(edge), part.radius + find_lead_in(part, edge, self.feed, self.lead_in)
+        step = self.arc_length or part.reach * (
+            TURN / self.points_per_rev if self.points_per_rev else self._widest(part)
+        )
+        return find_ends(part, edge, self.feed, self.lead_in, self.overrun, step=step)
+
+    def _widest(self, part: Part) -> float:
+        """Return the largest angle between points that are set by the chord. [rad]."""
+        widest = self.max_step or WIDEST_STEP
+        return min(widest, OUTLINE_STEP) if part.leaves_air else widest
 
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes at the points of a path: C the azimuth [rad], X the radius, Z the height [mm]."""
@@ -234,10 +246,10 @@ class SlowToolServo(Strategy):
     ) -> Floats:
         """Return the angles turned from the inner end of the fewest points for the chord. (n,) [rad]."""
         pitch = self.feed / TURN
-        widest = self.max_step or WIDEST_STEP
+        widest = self._widest(part)
         tolerance = float(self.chord)  # type: ignore[arg-type]
         steps = math.ceil(TURN / widest * (1 - 1e-12))
-        finest = max(256, 12 * steps, 8 * TURN * part.radius / part.surface.feature_size)
+        finest = max(256, 12 * steps, 8 * TURN * part.reach / part.surface.feature_size)
         per_turn = steps * math.ceil(finest / steps)
         samples = _number_points((start - end) / self.feed * per_turn, BYTES_PER_SAMPLE)
         total = float(samples[-1]) * TURN / per_turn
@@ -245,7 +257,19 @@ class SlowToolServo(Strategy):
         def height(turned: Floats) -> Floats:
             angle = turned if self.inside_out else total - turned
             tips = Tips.at(self.sense * angle, end + pitch * turned)
-            return touch_down(part.surface, edge, tips, max(part.radius, pitch * total - self.overrun)).z
+            return touch_down(
+                part.surface, edge, tips, np.inf if part.leaves_air else max(part.reach, end + pitch * total)
+            ).z
+
+        def allow(turned: Floats) -> Floats:
+            """Return the tolerance at angles: that of the chord, and far more in air. (n,) [mm]."""
+            if not part.leaves_air:
+                return np.full(turned.size, tolerance)
+            angle = turned if self.inside_out else total - turned
+            radius = end + pitch * turned
+            beyond = OVERLAP_MM + OVERLAP_FEEDS * self.feed + widest * part.reach + edge.half_width + abs(edge.dx)
+            off = part.border.distance(radius * np.cos(angle), self.sense * radius * np.sin(angle))
+            return np.where(off > beyond, AIR_CHORD_MM, tolerance)
 
         pieces = [np.zeros(1)]
         # The last two steps of a block may be short, as they end at its border, and would limit the block rate of the
@@ -255,8 +279,8 @@ class SlowToolServo(Strategy):
             progress(0, max(round(total / TURN), 1))
         borders = np.linspace(0, samples.size - 1, math.ceil((samples.size - 1) / BLOCK_SAMPLES) + 1).astype(np.int64)
         for low, high in pairwise(borders):  # neighbouring blocks share their border
-            turned, z, bulge = _refine_samples(samples[low : high + 1] * (TURN / per_turn), height, tolerance)
-            piece = np.stack([turned, z, tolerance - bulge])
+            turned, z, bulge = _refine_samples(samples[low : high + 1] * (TURN / per_turn), height, allow)
+            piece = np.stack([turned, z, allow(turned) - bulge])
             if carried.size:
                 piece[2, 0] = min(piece[2, 0], carried[2, -1])
                 piece = np.concatenate([carried[:, :-1], piece], axis=1)
@@ -311,7 +335,7 @@ def _invert_spiral_length(length: Floats) -> Floats:
 
 
 def _sample_with_cubics(
-    turned: Floats, height: Callable[[Floats], Floats], tolerance: float
+    turned: Floats, height: Callable[[Floats], Floats], allow: Callable[[Floats], Floats]
 ) -> tuple[Floats, Floats, float]:
     """Sample a path evenly, and interpolate it by cubics wherever it is smooth enough.
 
@@ -330,14 +354,15 @@ def _sample_with_cubics(
         doubt = sides.min(axis=0)
         # Next to a slope discontinuity the bulge is that of the smooth side.
         bend = np.abs(np.diff(np.pad(z, 1, mode="edge"), 2))
+        tolerance = _allow_between(turned, allow)
         parts = np.sqrt(SAMPLING_FACTOR / tolerance * np.minimum(bend[1:], bend[:-1]))
         smooth = (doubt <= tolerance / CUBIC_FACTOR) & (parts <= MAX_CUBIC_PARTS)
         if np.count_nonzero(~smooth) <= max(smooth.size // REFINEMENT_RATIO, 4):
             break
-        check_samples(2 * turned.size, tolerance)
+        check_samples(2 * turned.size, float(tolerance.min()))
         turned = np.linspace(turned[0], turned[-1], 2 * smooth.size + 1)
     most = max(2, math.ceil(parts[smooth].max(initial=0.0)))
-    check_samples(smooth.size * most, tolerance)
+    check_samples(smooth.size * most, float(tolerance.min()))
     fine = np.repeat(z[:-1, None], most, axis=1)
     for number, first in enumerate((-1, -2, 0)):
         rows = np.flatnonzero(smooth & (side == number))
@@ -349,11 +374,18 @@ def _sample_with_cubics(
     placed = np.flatnonzero(~smooth)[:, None] * most + np.arange(1, most)
     if placed.size:
         fine[~smooth, 1:] = height(turned[placed.ravel()]).reshape(placed.shape)
-    return turned, np.append(fine, z[-1]), float(doubt[smooth].max(initial=0.0))
+    tight = smooth & (tolerance <= tolerance.min())
+    return turned, np.append(fine, z[-1]), float(doubt[tight].max(initial=0.0))
+
+
+def _allow_between(turned: Floats, allow: Callable[[Floats], Floats]) -> Floats:
+    """Return the tolerance between neighbouring samples. (n - 1,) [mm]."""
+    allowed = allow(turned)
+    return np.asarray(np.minimum(allowed[1:], allowed[:-1]))
 
 
 def _refine_samples(
-    turned: Floats, height: Callable[[Floats], Floats], tolerance: float
+    turned: Floats, height: Callable[[Floats], Floats], allow: Callable[[Floats], Floats]
 ) -> tuple[Floats, Floats, Floats]:
     """Sample a path until its bulge between the samples is negligible.
 
@@ -361,22 +393,23 @@ def _refine_samples(
     either neighbour. It is four times the bulge of a smooth path, and at least that of a slope discontinuity inside.
     Returned are angles [rad], heights [mm] and the largest bulge next to each sample [mm]. Each (n,)
     """
-    turned, z, doubt = _sample_with_cubics(turned, height, tolerance)
+    turned, z, doubt = _sample_with_cubics(turned, height, allow)
     while True:
         step = np.diff(turned)
         bend = np.abs(np.diff(np.diff(z) / step))
         bulge = step * np.maximum(np.append(bend, 0.0), np.append(0.0, bend)) / 2
         bulge[[0, -1]] *= 2  # there is only one neighbour there
+        tolerance = _allow_between(turned, allow)
         coarse = np.flatnonzero(bulge > tolerance / SAMPLING_FACTOR)
         if coarse.size == 0:
             return turned, z, np.maximum(np.append(bulge, 0.0), np.append(0.0, bulge)) + 2 * doubt
-        check_interval(step[coarse], turned[coarse], tolerance)
+        check_interval(step[coarse], turned[coarse], float(tolerance.min()))
         # The bulge of a smooth path falls with the square of the step, that of a slope discontinuity with the step: the
         # latter takes some more iterations.
-        parts = np.clip(np.ceil(np.sqrt(bulge[coarse] / tolerance * SAMPLING_FACTOR)), 2, 8).astype(np.int64)
+        parts = np.clip(np.ceil(np.sqrt(bulge[coarse] / tolerance[coarse] * SAMPLING_FACTOR)), 2, 8).astype(np.int64)
         which = np.repeat(np.arange(coarse.size), parts - 1)
         rank = np.arange(which.size) - np.repeat(np.cumsum(parts - 1) - (parts - 1), parts - 1) + 1
-        check_samples(turned.size + which.size, tolerance)
+        check_samples(turned.size + which.size, float(tolerance.min()))
         new = turned[coarse[which]] + step[coarse[which]] * (rank / parts[which])
         at = coarse[which] + 1
         turned, z = np.insert(turned, at, new), np.insert(z, at, height(new))

@@ -15,12 +15,13 @@ from turnwright._arrays import Floats, Ints
 from turnwright._kernels import chord as kernel
 from turnwright.edge import Edge
 from turnwright.errors import InputError
+from turnwright.outline import Outline
 from turnwright.part import Part
 from turnwright.path import POINTS_PER_REV, Path, SpindleMode, Spiral
 from turnwright.placing import Tips, touch_down
 from turnwright.progress import Progress, require_memory
 from turnwright.strategy.base import Strategy, outermost_turn
-from turnwright.strategy.ends import check_overrun, find_lead_in, require_overlap
+from turnwright.strategy.ends import check_overrun, find_ends, require_overlap
 from turnwright.strategy.sampling import TURN, check_count
 from turnwright.surface import RadialTable, Surface
 from turnwright.tool import Tool
@@ -133,12 +134,18 @@ class Turning(Strategy):
         )  # fmt: skip
 
     def target(self, part: Part) -> Part:
-        """Return the part that the tool is placed on: a surface of revolution, with the mean of its correction."""
+        """Return the part that the tool is placed on: a surface of revolution, with the mean of its correction.
+
+        It reaches around the axis, from the nearest to the farthest point of an outline.
+        """
         surface = part.surface
-        if self.symmetric_part and find_asymmetry(surface, part.radius) > self.chord:
-            surface = revolve(surface, part.radius, above=self.chord)
+        if part.leaves_air:
+            ring = Outline(annulus=(part.reach, part.nearest)) if part.nearest > 0 else None
+            part = replace(part, outline=ring, radius=None if ring else part.reach)
+        if self.symmetric_part and find_asymmetry(surface, part.reach) > self.chord:
+            surface = revolve(surface, part.reach, above=self.chord)
         if part.correction is not None:
-            surface = surface + revolve(part.correction, part.radius)
+            surface = surface + revolve(part.correction, part.reach)
         return replace(part, surface=surface, correction=None)
 
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
@@ -152,7 +159,7 @@ class Turning(Strategy):
         self._require_symmetric(part)
         edge = tool.cutting_edge(self.sense)
         require_overlap(edge, self.feed)
-        start, end = part.radius + find_lead_in(part, edge, self.feed, self.lead_in), -edge.dx - self.overrun
+        end, start = find_ends(part, edge, self.feed, self.lead_in, self.overrun)
         radius = np.linspace(end, start, MERIDIAN_SAMPLES + 1)
         z, step = self._heights(part, edge, radius), radius[1] - radius[0]
         length = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(radius), np.diff(z)))))
@@ -176,10 +183,10 @@ class Turning(Strategy):
     def _heights(self, part: Part, edge: Edge, radius: Floats) -> Floats:
         """Return the tip height in contact; for a path along the normal, the surface as a length of the path. (n,)."""
         tips = Tips.at(np.zeros(radius.size), radius)
-        return touch_down(part.surface, edge, tips, max(part.radius, float(radius[-1]))).z
+        return touch_down(part.surface, edge, tips, max(part.reach, float(radius[-1]))).z
 
     def _require_symmetric(self, part: Part) -> None:
-        off = find_asymmetry(part.surface, part.radius)
+        off = find_asymmetry(part.surface, part.reach)
         if off > self.chord:
             raise InputError(
                 f"the surface departs from a surface of revolution by {off * 1e6:.4g} nm, in spindle mode the limit is "

@@ -240,11 +240,14 @@ class _Cut:
         motion = scene_motion(view.head, view.rows, self.job.machine, real.faster)
         motion = add_drift(motion, *real.drift, view.share)
         cut = view.scene.generated(motion, real.tool, real.machine, view.head["near"])
-        surface, radius = self.job.part.surface, self.job.part.radius
+        part = self.job.part
+        surface, radius = part.continued.surface, part.reach
         shape, x, y = cut.z.shape, cut.x.ravel(), cut.y.ravel()
         needed = 1 if any(real.tilt) else 0
         f, *slopes = surface.evaluate(np.ascontiguousarray(x), np.ascontiguousarray(y), needed)
         error = cut.z.ravel() - f
+        if part.outline is not None:
+            error[~part.covers(x, y)] = np.nan
         if real.mounting:
             # A part deformed by the mount springs back by the same amount.
             error -= Zernike(terms=real.mounting, radius=radius, indexing="fringe").sag(x, y)
@@ -329,7 +332,7 @@ class CaseContext:
             head = f"{kind}: instrument Z"
             terms = {int(name[len(head) :]): value for name, value in draw.items() if name.startswith(head)}
             if terms:
-                seen += Zernike(terms=terms, radius=design.radius, indexing="fringe").sag(x, y)
+                seen += Zernike(terms=terms, radius=design.reach, indexing="fringe").sag(x, y)
             maps.append(HeightMap(x=x, y=y, z=seen + design.surface.sag(x, y), name=kind))
             parts.append(design)
         return diagnose(
@@ -351,7 +354,7 @@ def form_error(job: Job, cut: CutSurface, error: Floats) -> Floats:
     fixed = {"piston": ("z",), "tilt": ("tilt_x", "tilt_y"), "decentre": ("x", "y"), "clocking": ("rotation",)}
     fixed_motions = {name for one in measurement.fixed for name in fixed[one]}
     x, y = (np.ascontiguousarray(one.ravel()) for one in (cut.x, cut.y))
-    f, fx, fy = job.part.surface.evaluate(x, y, 1)
+    f, fx, fy = job.part.continued.surface.evaluate(x, y, 1)
     signatures = {
         "z": np.ones(x.size),
         "tilt_x": y + f * fy,

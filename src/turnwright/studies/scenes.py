@@ -196,6 +196,10 @@ class Scene(NamedTuple):
         return x, y
 
 
+MAX_DENSER_LINES = 16
+"""Largest ratio of the lines for an outline to those for the whole disc."""
+
+
 def make_lines(job: Job, feed: float, *, even: bool = False) -> Scene:
     """Return radial lines over the whole part, with a density that depends on its features.
 
@@ -204,21 +208,23 @@ def make_lines(job: Job, feed: float, *, even: bool = False) -> Scene:
     map of an instrument.
     """
     part = job.part
-    places = PLACES_PER_FEATURE * part.radius / part.surface.feature_size
+    places = PLACES_PER_FEATURE * part.reach / part.surface.feature_size
     radii = int(np.clip(math.ceil(places), MIN_RADII, MAX_RADII))
     angles = 2 * int(np.clip(math.ceil(TURN * places / 2), MIN_ANGLES // 2, MAX_ANGLES // 2))
+    if part.outline is not None:  # more lines where few of them cross the part
+        angles *= min(math.ceil(math.pi * part.reach**2 / part.outline.area), MAX_DENSER_LINES)
     share = (np.arange(radii) + 0.5) / radii
     azimuth = np.linspace(0, TURN, angles, endpoint=False)
     if even:
         radius, weight = np.sqrt(share), np.full(radii, 1 / radii)
         twist = np.zeros(radii)
     else:
-        rings = [CUSP_RING_FEEDS * feed / part.radius]
+        rings = [CUSP_RING_FEEDS * feed / part.reach]
         while RING_RATIO * rings[-1] < share[0]:
             rings.append(RING_RATIO * rings[-1])
         fine = (np.arange(CUSP_OVERSAMPLING) + GOLDEN_FRACTION) / CUSP_OVERSAMPLING * azimuth[1]
         # Rings a whole number of feeds apart would meet all cusps at the same phase, and a tilt would remove them.
-        across, area = feed / part.radius, 2 * share / radii
+        across, area = feed / part.reach, 2 * share / radii
         if across * radii < 1:
             share = (np.floor(share / across) + np.arange(1, radii + 1) * GOLDEN_FRACTION % 1) * across
             share = np.where(share > 1 - across, share - across, share)
@@ -230,13 +236,15 @@ def make_lines(job: Job, feed: float, *, even: bool = False) -> Scene:
         weight[-RIM_RINGS - radii : -RIM_RINGS] = area
         order = np.argsort(radius, kind="stable")
         radius, twist, weight = radius[order], twist[order], weight[order]
+    on = part.reach * radius >= part.nearest
+    radius, twist, weight = radius[on], twist[on], weight[on]
     return Scene(
         "whole part",
         polar=True,
         rows=azimuth,
-        columns=part.radius * radius,
+        columns=part.reach * radius,
         twist=twist,
-        weight=part.radius**2 * weight,
+        weight=part.reach**2 * weight,
     )
 
 
@@ -304,7 +312,7 @@ def plan_motion(job: Job, reach: ContactShift, progress: Progress | None = None)
     contact = np.hypot(path.contact_x, path.contact_y)
     if real.time.size != contact.size:
         way = planned.sense
-        contact = np.interp(way * real.axes["C"], way * planned.axes["C"], contact)
+        contact = np.interp(way * real.axes["C"], way * path.angle, contact)
     low, high = float(path.sweep.min()), float(path.sweep.max())
     radius = tool.actual_radius
     edge = radius * math.sin(min(max(-low, high, 0.0), math.pi / 2))

@@ -105,7 +105,7 @@ def write_predicted(better: Correction, out: Path) -> None:
 
 def map_picture(file: str, data: dict[str, Any], folder: str, nx: int, ny: int) -> bytes:
     """Return `picture` of a map of a job's part."""
-    return picture(file, require(data, folder).part.radius, nx, ny)
+    return picture(file, require(data, folder).part.reach, nx, ny)
 
 
 def lone_map(file: str, name: str) -> bytes:

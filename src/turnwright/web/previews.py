@@ -18,14 +18,14 @@ from turnwright.web.binary import pack
 from turnwright.web.jobs import SMALL, require
 
 if TYPE_CHECKING:
-    from turnwright._arrays import Bools, Floats
+    from turnwright._arrays import Floats
     from turnwright.job import Job
     from turnwright.part import Part
     from turnwright.path import Path
     from turnwright.strategy import Strategy
     from turnwright.tool import Tool
 
-__all__ = ["nominal_height", "path", "section", "surface", "warm_compiler", "warm_surface"]
+__all__ = ["path", "section", "surface", "warm_compiler", "warm_surface"]
 
 TURN = 2 * math.pi
 
@@ -66,13 +66,17 @@ def surface(data: dict[str, Any], folder: str, quantity: str, pixels: int) -> by
     """
     job = require(data, folder)
     part = job.part
-    grid = np.linspace(-part.radius, part.radius, pixels)
+    grid = np.linspace(-part.reach, part.reach, pixels)
     x, y = (one.ravel() for one in np.meshgrid(grid, grid))
     distance = np.hypot(x, y)
-    is_outside = distance > part.radius
-    x[is_outside] *= part.radius / distance[is_outside] * (1 - 1e-12)
-    y[is_outside] *= part.radius / distance[is_outside] * (1 - 1e-12)
-    x[distance < AXIS_OFFSET * part.radius] = AXIS_OFFSET * part.radius
+    is_outside = ~part.covers(x, y)
+    if part.outline is None:
+        x[is_outside] *= part.reach / distance[is_outside] * (1 - 1e-12)
+        y[is_outside] *= part.reach / distance[is_outside] * (1 - 1e-12)
+    else:
+        x[is_outside], y[is_outside] = part.border.nearest_border(x[is_outside], y[is_outside])
+        distance = np.hypot(x, y)
+    x[distance < AXIS_OFFSET * part.reach] = AXIS_OFFSET * part.reach
     z = part.surface.sag(x, y)
     refused = ""
     try:
@@ -86,7 +90,7 @@ def surface(data: dict[str, Any], folder: str, quantity: str, pixels: int) -> by
     header = {
         "quantity": quantity, "unit": colours.unit, "label": colours.label, "note": colours.note, "refused": refused,
         "diverging": False,
-        "x": [-part.radius, part.radius], "y": [-part.radius, part.radius], "radius": part.radius,
+        "x": [-part.reach, part.reach], "y": [-part.reach, part.reach], "radius": part.reach,
         "low": low, "high": high, "z_low": float(inside.min()), "z_high": float(inside.max()), "name": part.name,
     }  # fmt: skip
     shape = (pixels, pixels)
@@ -162,7 +166,7 @@ def path(data: dict[str, Any], folder: str, points: int) -> bytes:
     header = {
         "turns": spiral.turns, "feed": spiral.feed, "sense": spiral.sense, "along": job.strategy.along,
         "nose_radius": tool.nose_radius, "actual_radius": tool.actual_radius, "rake": tool.rake,
-        "included": tool.included, "clearance": tool.clearance, "radius": part.radius,
+        "included": tool.included, "clearance": tool.clearance, "radius": part.reach,
         "sweep": [float(placed.sweep.min()), float(placed.sweep.max())],
         "pass": job.passes[-1].name, "starts": starts.tolist(),
         "note": f"{drawn:.0f} of {spiral.turns:.4g} revolutions are drawn, with exact contact",
@@ -240,15 +244,7 @@ def section(
 def _surface_profile(part: Part, angle: float, u: Floats, y: float) -> Floats:
     """Return the nominal surface along the line under the cutting edge, nan outside the part. [mm]."""
     cosine, sine = math.cos(angle), math.sin(angle)
-    return nominal_height(part, u * cosine - y * sine, u * sine + y * cosine)
-
-
-def nominal_height(part: Part, x: Floats, y: Floats) -> Floats:
-    """Return the nominal height, nan outside the clear aperture. [mm]."""
-    inside: Bools = np.hypot(x, y) <= part.radius
-    z = np.full(inside.shape, np.nan)
-    z[inside] = part.surface.sag(x[inside], y[inside])
-    return z
+    return part.heights(u * cosine - y * sine, u * sine + y * cosine)
 
 
 def _edge_height(tool: Tool, sense: int, u: Floats) -> Floats:

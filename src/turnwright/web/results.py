@@ -23,7 +23,6 @@ from turnwright.job import Job, predicted_motion
 from turnwright.progress import run_chunks
 from turnwright.web.binary import pack
 from turnwright.web.limits import STORED_PIXEL_RATIO
-from turnwright.web.previews import nominal_height
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -104,7 +103,7 @@ def _ready(folder: str) -> _Opened:
         return _opened[folder]
     job, file, name = finishing_pass(folder, "only its stored maps are available")
     motion = predicted_motion(job, file, name)
-    radius = job.part.radius
+    radius = job.part.reach
     ready = Prepared.of(motion, job.actual_tool, job.actual_machine, distances=(0.0, radius), most_rings=10_000)
     points = motion.time.size
     while _opened and (
@@ -199,7 +198,7 @@ def window(
     values = error
     if quantity == "height":
         if design is None:
-            design = nominal_height(Job.load(File(folder) / "job.toml").part, *np.meshgrid(columns, rows))
+            design = Job.load(File(folder) / "job.toml").part.heights(*np.meshgrid(columns, rows))
         values = error + design
     header = {
         "name": name, "quantity": quantity, "unit": "mm", "x": list(x), "y": list(y),
@@ -218,7 +217,7 @@ def chips(folder: str, pixels: int) -> bytes:
     from scipy.spatial import cKDTree  # noqa: PLC0415
 
     finish = numbers_of(folder)["passes"][-1]
-    radius = Job.load(File(folder) / "job.toml").part.radius
+    radius = Job.load(File(folder) / "job.toml").part.reach
     try:
         with h5py.File(File(folder) / "run.h5", "r") as archive:
             group = archive.get(f"chips/{finish['name']}")
@@ -299,10 +298,9 @@ def _nearest(axis: Floats, wanted: Floats) -> Any:
 def simulate_window(folder: str, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
     """Return the simulated error in a window and the nominal height, nan outside the clear aperture. [mm]."""
     opened = _ready(folder)
-    radius = opened.job.part.radius
     x, y = np.meshgrid(columns, rows)
-    design = nominal_height(opened.job.part, x, y)
-    inside = np.hypot(x, y) <= radius
+    design = opened.job.part.heights(x, y)
+    inside = opened.job.part.covers(x, y)
     if not inside.any():
         return design, design
     away = np.hypot(x[inside], y[inside])
@@ -336,7 +334,7 @@ def profile(folder: str, ends: tuple[float, float, float, float], count: int) ->
     part = opened.job.part
     share = np.linspace(0, 1, count)
     x, y = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
-    inside = np.hypot(x, y) <= part.radius
+    inside = part.covers(x, y)
     error = np.full(count, np.nan)
     if inside.any():
         px, py = x[inside], y[inside]
