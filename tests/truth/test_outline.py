@@ -84,6 +84,19 @@ def test_an_off_axis_mirror_takes_less_than_60_percent_of_the_time_of_its_disc()
     assert tw.check_limits(motion, machine).ok
 
 
+def test_spindle_mode_needs_the_ring_around_an_outline():
+    machine, outline = tw.Machine.load("nanoform"), tw.Outline(rectangle=(6.0, 3.0), centre=(8.0, 1.0), angle=0.3)
+    surface = tw.Sphere(radius=100.0)
+    part, servo = tw.Part(surface=surface, outline=outline), tw.Turning(feed=0.1, spindle_rpm=500, chord=1e-4)
+    with pytest.raises(tw.InputError, match="target"):
+        tw.drive(tw.place(servo.spiral(part, TOOL), part, TOOL), servo, machine)
+    ring = servo.target(part)
+    motion = tw.drive(tw.place(servo.spiral(ring, TOOL), ring, TOOL), servo, machine)
+    x, y = np.random.default_rng(0).uniform(-11, 11, (2, 4000))
+    on = outline.covers(x, y)
+    assert (tw.generate_points(motion, TOOL, x=x[on], y=y[on]) - surface.sag(x[on], y[on])).min() > -1e-4
+
+
 def test_a_chunk_without_a_unique_tangent_is_never_taken_for_one_that_has(monkeypatch):
     # The second chunk fails while the first is still at work; then the search must be used.
     failed = threading.Event()

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from turnwright._arrays import Floats, Ints
-from turnwright.errors import LimitError
+from turnwright.errors import InputError, LimitError
 from turnwright.machine import FAST, Machine
 from turnwright.motion.air import cross_air, cut_sections
 from turnwright.motion.limits import LIMIT_TOL, TURN, Course, find_axis_peaks, find_limit_demands, find_speed_factor
@@ -112,6 +112,11 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
             "choose another strategy or machine"
         )
     if servo.spindle_mode is not None:
+        if path.air_height is not None:
+            raise InputError(
+                "the path leaves the part within a revolution, in spindle mode the tool cannot: plan and place it on "
+                "the strategy's target(part)"
+            )
         return _drive_spindle_mode(path, servo, servo.spindle_mode, machine)
     rates = servo.rates(path) if machine.controller.interpolation == "hermite" else None
     if machine.squareness or machine.straightness is not None:
