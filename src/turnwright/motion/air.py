@@ -5,9 +5,10 @@ Over a gap the tip leaves its path :math:`z_c(\theta)` for the height :math:`H` 
 .. math:: z = (1 - S)\,z_c + S\,H, \qquad S(s) = 10 s^3 - 15 s^4 + 6 s^5,
 
 with s from 0 to 1 in a time :math:`T_z` after the gap begins, and back before it ends. As H is nowhere below the path,
-neither is the tip, and position, speed and acceleration are continuous. Meanwhile the spindle accelerates to
-:math:`\omega_p` and back at a trapezoidal acceleration, with the fastest :math:`\omega_p` that C, X and Z allow.
-X stays on the spiral.
+neither is the tip, and position, speed and acceleration are continuous. A quintic polynomial from the position, speed
+and acceleration of the path to rest at H is tried first, as it needs no path to follow. Meanwhile the spindle
+accelerates to :math:`\omega_p` and back at a trapezoidal acceleration, with the fastest :math:`\omega_p` that C, X and
+Z allow. X stays on the spiral.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import Floats, Ints
+from turnwright._arrays import Bools, Floats, Ints
 from turnwright.machine import Axis, Machine
 from turnwright.motion.limits import TURN, Course, find_axis_peaks
 
@@ -137,7 +138,7 @@ def cut_sections(air: Floats) -> list[slice]:
     return [slice(int(run[0]), int(run[-1]) + 1) for run in _runs(np.isnan(air))]
 
 
-def _runs(mask: np.ndarray) -> list[Ints]:
+def _runs(mask: Bools) -> list[Ints]:
     """Return the indices of each run of true values."""
     at = np.flatnonzero(mask)
     return np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if at.size else []
@@ -157,10 +158,10 @@ def cross_air(course: Course, air: Floats, machine: Machine) -> Course:
     """
     size = course.time.size
     spline = "spline" in machine.controller.interpolation
-    settle = _settling_time(machine)
+    settle, cuts = _settling_time(machine), np.isnan(air)
     pieces: list[Course] = []
     before = 0
-    for run in _runs(~np.isnan(air)):
+    for run in _runs(~cuts):
         leaves, meets = int(run[0]) - 1, int(run[-1]) + 1
         crossing, first, last = None, leaves, meets
         for share in SETTLING_SHARES:
@@ -171,7 +172,8 @@ def cross_air(course: Course, air: Floats, machine: Machine) -> Course:
                 last -= round(share * SPLINE_POINTS) if spline else 0
                 last = min(last, int(np.searchsorted(course.time, course.time[meets] - share * settle, "right")))
             if last - first >= MIN_POINTS:
-                crossing = _Crossing(course, air, (leaves, first, last, meets), machine).make(at_any_rate=not share)
+                gap = _Crossing(course, air, cuts, machine, leaves=leaves, first=first, last=last, meets=meets)
+                crossing = gap.make(at_any_rate=not share)
             if crossing is not None:
                 break
         if crossing is None:
@@ -182,8 +184,7 @@ def cross_air(course: Course, air: Floats, machine: Machine) -> Course:
         before = last
     if before < size:
         pieces.append(course.select(slice(before, size)))
-    made = pieces[0]
-    return made if len(pieces) == 1 else _join(pieces)
+    return pieces[0].join(*pieces[1:])
 
 
 def _settling_time(machine: Machine) -> float:
@@ -193,22 +194,6 @@ def _settling_time(machine: Machine) -> float:
     return max(MIN_SETTLE_S, SETTLE_PERIODS / slowest)
 
 
-def _join(pieces: list[Course]) -> Course:
-    """Return the pieces one after the other; each begins with the point that the one before ends with."""
-    # Crossings include the points on the path before and after them.
-    step = np.concatenate([np.diff(one.time) for one in pieces])
-    letters, rates = pieces[0].axes, pieces[0].velocity
-
-    def join(values: list[Floats]) -> Floats:
-        return np.concatenate([values[0], *(one[1:] for one in values[1:])])
-
-    return Course(
-        np.append(0.0, np.cumsum(step)),
-        {letter: join([one.axes[letter] for one in pieces]) for letter in letters},
-        {letter: join([one.velocity[letter] for one in pieces]) for letter in rates},
-    )
-
-
 class _Crossing:
     """One gap of a path, between its points ``first`` and ``last``; -1 or the size of the path at its ends.
 
@@ -216,11 +201,12 @@ class _Crossing:
     ``meets`` the part again.
     """
 
-    def __init__(self, course: Course, air: Floats, ends: tuple[int, int, int, int], machine: Machine) -> None:
-        self.course, self.machine = course, machine
-        self.leaves, self.first, self.last, self.meets = ends
-        _, first, last, _ = ends
-        self.cuts = np.isnan(air)
+    def __init__(
+        self, course: Course, air: Floats, cuts: Bools, machine: Machine, *, leaves: int, first: int, last: int,
+        meets: int,
+    ) -> None:  # fmt: skip
+        self.course, self.cuts, self.machine = course, cuts, machine
+        self.leaves, self.first, self.last, self.meets = leaves, first, last, meets
         self.low, self.high = max(first, 0), min(last, course.time.size - 1)
         self.z = course.axes["Z"]
         inside = slice(self.low, self.high + 1)
@@ -228,7 +214,7 @@ class _Crossing:
         self.limits = {letter: _Limits.of(machine.axes.get(letter, Axis())) for letter in course.axes}
         top = UTILISATION * machine.spindle_rpm * TURN / 60
         self.limits["C"] = self.limits["C"]._replace(speed=min(self.limits["C"].speed, top))
-        self.angle = np.abs(course.axes["C"] - course.axes["C"][self.low])
+        self.turned = np.abs(course.axes["C"][inside] - course.axes["C"][self.low])
         self.shortest = 1 / (UTILISATION * machine.block_rate_hz)
 
     def make(self, *, at_any_rate: bool) -> Course | None:
@@ -262,15 +248,15 @@ class _Crossing:
 
     def _speed(self, point: int) -> float:
         """Return the speed of C in the cut next to a point. [rad/s]."""
-        at = min(max(point + (1 if point == self.high else 0), 1), self.angle.size - 1)
         c, time = self.course.axes["C"], self.course.time
+        at = min(max(point + (1 if point == self.high else 0), 1), time.size - 1)
         return float(abs(c[at] - c[at - 1]) / (time[at] - time[at - 1]))
 
     def _spindle(self, least: float) -> _Spindle | None:
         """Return the fastest course of the spindle over the gap that takes at least a time [s]."""
-        turned, ends = float(self.angle[self.high]), (self._speed(self.low), self._speed(self.high))
+        turned, ends = float(self.turned[-1]), (self._speed(self.low), self._speed(self.high))
         inside = slice(self.low, self.high + 1)
-        advance = float(np.abs(np.diff(self.course.axes["X"][inside]) / np.diff(self.angle[inside])).max())
+        advance = float(np.abs(np.diff(self.course.axes["X"][inside]) / np.diff(self.turned)).max())
         c, x = self.limits["C"], self.limits["X"]
         speed = min(c.speed, x.speed / max(advance, 1e-12))
         acceleration = min(c.acceleration, x.acceleration / max(advance, 1e-12))
@@ -308,7 +294,7 @@ class _Crossing:
         """Return the crossing with a course of the spindle; ``None`` if there is none, or no point for it."""
         if spindle is None:
             return None
-        turned = self.angle[self.low : self.high + 1]
+        turned = self.turned
         wanted = np.concatenate([
             np.linspace(0, one, POINTS_PER_RAMP) + start
             for one, start in (
@@ -418,7 +404,7 @@ class _Crossing:
             count = max(near.size if near.all() else int(np.argmin(near)), 1)
             cuts.append(self.course.select(slice(self.meets, self.meets + count)))
             pieces.append(self.course.select(slice(self.last, self.meets + count)))
-        joined = _join(pieces)
+        joined = pieces[0].join(*pieces[1:])
         cut = [self._peaks(one) for one in cuts if one.time.size > NEIGHBOURS // 2]
         for letter, demand in self._peaks(joined).items():
             limit = self.limits[letter]

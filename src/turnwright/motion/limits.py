@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
@@ -313,12 +313,22 @@ class Course(NamedTuple):
             {letter: values[at] for letter, values in self.velocity.items()},
         )
 
-    def join(self, after: Course) -> Course:
-        """Return this course followed by one that starts at its last point."""
+    def join(self, *others: Course) -> Course:
+        """Return this course followed by others, each of which starts at the last point of the one before."""
+        time = [self.time]
+        for one in others:
+            time.append(time[-1][-1] + (one.time[1:] - one.time[0]))
+
+        def joined(values: Floats, more: Iterable[Floats]) -> Floats:
+            return np.concatenate([values, *(one[1:] for one in more)])
+
         return Course(
-            np.concatenate([self.time, self.time[-1] + (after.time[1:] - after.time[0])]),
-            {letter: np.concatenate([values, after.axes[letter][1:]]) for letter, values in self.axes.items()},
-            {letter: np.concatenate([values, after.velocity[letter][1:]]) for letter, values in self.velocity.items()},
+            np.concatenate(time),
+            {letter: joined(values, (one.axes[letter] for one in others)) for letter, values in self.axes.items()},
+            {
+                letter: joined(values, (one.velocity[letter] for one in others))
+                for letter, values in self.velocity.items()
+            },
         )
 
 
