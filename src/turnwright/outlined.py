@@ -26,7 +26,35 @@ DIFFERENCE_STEP_MM = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Continued(Surface):
+class _Outlined(Surface):
+    """A surface and the outline of a part."""
+
+    surface: Surface
+    outline: Outline
+
+    def within(self, margin: float, x: Floats, y: Floats) -> Bools:
+        """Return where the surface is defined and at most a margin [mm] outside the outline."""
+        near = np.asarray(self.outline.distance(x, y) <= margin)
+        inside = self.surface.inside(x, y)
+        return near if inside is None else near & inside
+
+    def piece(self, x: Floats, y: Floats) -> Ints | None:
+        """Return the pieces of the surface. See `Surface.piece`."""
+        return self.surface.piece(x, y)
+
+    @property
+    def feature_size(self) -> float:
+        """Size of the finest structure of the surface. [mm]."""
+        return self.surface.feature_size
+
+    @property
+    def cost(self) -> int:
+        """Cost of the surface per point, in additions."""
+        return self.surface.cost
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Continued(_Outlined):
     """A surface as it is on an outline and within 5 mm around it, and level far outside.
 
     Where the prescription ends closer to the outline, the surface is continued from there. Polynomials, tables and
@@ -34,12 +62,9 @@ class Continued(Surface):
     The derivatives of the continuation are divided differences; nothing is measured there.
     """
 
-    surface: Surface
-    outline: Outline
-
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives. See `Surface.evaluate`."""
-        away = np.flatnonzero(~self._own(x, y).ravel())
+        away = np.flatnonzero(~self.within(OWN_BAND_MM, x, y).ravel())
         if not away.size:
             return self.surface.evaluate(x, y, order)
         with np.errstate(all="ignore"):
@@ -47,12 +72,6 @@ class Continued(Surface):
         for values, one in zip(made, self._continue(x.ravel()[away], y.ravel()[away], order), strict=True):
             values.reshape(-1)[away] = one
         return made
-
-    def _own(self, x: Floats, y: Floats) -> Bools:
-        """Return where the surface is its own."""
-        near = self.outline.distance(x, y) <= OWN_BAND_MM
-        inside = self.surface.inside(x, y)
-        return near if inside is None else near & inside
 
     def _continue(self, x: Floats, y: Floats, order: int) -> list[Floats]:
         """Return height and derivatives where the surface is not its own. Each (n,)."""
@@ -95,25 +114,11 @@ class Continued(Surface):
         """The domain of the surface itself."""
         return self.surface.domain
 
-    def piece(self, x: Floats, y: Floats) -> Ints | None:
-        """Return the pieces of the surface. See `Surface.piece`."""
-        return self.surface.piece(x, y)
-
     def poles(self, x: Floats, y: Floats, reach: float) -> tuple[Floats, Floats]:
         """Return the poles of the surface on the outline. See `Surface.poles`."""
         at_x, at_y = self.surface.poles(x, y, reach)
         on = self.outline.covers(at_x, at_y)
         return at_x[on], at_y[on]
-
-    @property
-    def feature_size(self) -> float:
-        """Size of the finest structure of the surface. [mm]."""
-        return self.surface.feature_size
-
-    @property
-    def cost(self) -> int:
-        """Cost of the surface per point, in additions."""
-        return self.surface.cost
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -122,11 +127,9 @@ class Continued(Surface):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Bounded(Surface):
+class Bounded(_Outlined):
     """A surface without heights farther outside an outline than a margin, so that no map is compared with it there."""
 
-    surface: Surface
-    outline: Outline
     margin: float
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
@@ -144,25 +147,9 @@ class Bounded(Surface):
 
     def inside(self, x: Floats, y: Floats) -> Bools | None:
         """Return where the surface is defined and within the margin."""
-        on = self.on_outline(x, y)
-        inside = self.surface.inside(x, y)
-        return on if inside is None else on & inside
+        return self.within(self.margin, x, y)
 
     @property
     def domain(self) -> str:
         """The outline in words."""
         return f"the {self.outline.words}"
-
-    def piece(self, x: Floats, y: Floats) -> Ints | None:
-        """Return the pieces of the surface. See `Surface.piece`."""
-        return self.surface.piece(x, y)
-
-    @property
-    def feature_size(self) -> float:
-        """Size of the finest structure of the surface. [mm]."""
-        return self.surface.feature_size
-
-    @property
-    def cost(self) -> int:
-        """Cost of the surface per point, in additions."""
-        return self.surface.cost

@@ -170,6 +170,12 @@ class Part(TableModel):
         z[on] = self.surface.sag(x[on], y[on])
         return z
 
+    def crop(self, made: HeightMap) -> HeightMap:
+        """Return a map without its heights outside the outline; that of a disc as it is."""
+        if self.outline is None:
+            return made
+        return replace(made, z=np.where(self.covers(*made.points()), made.z, np.nan))
+
     def form_error(self, made: HeightMap) -> HeightMap:
         """Return a map minus the finished surface, nan outside an outline; a disc is evaluated wherever the map is."""
         if self.outline is None:
@@ -197,11 +203,20 @@ class Part(TableModel):
     @property
     def continued(self) -> Part:
         """The part with its surface continued outside its outline, on a disc only where it is undefined."""
-        if self.outline is None or isinstance(self.surface, Continued):
-            return self
-        if self.outline.is_centred and _covers_disc(self.surface, self.reach):
-            return self
-        return replace(self, surface=Continued(surface=self.surface, outline=self.outline))
+        surface = self.continuation
+        return self if surface is self.surface else replace(self, surface=surface)
+
+    @property
+    def continuation(self) -> Surface:
+        """The surface of `continued`."""
+        surface, outline = self.surface, self.outline
+        if (
+            outline is None
+            or isinstance(surface, Continued)
+            or (outline.is_centred and _covers_disc(surface, self.reach))
+        ):
+            return surface
+        return Continued(surface=surface, outline=outline)
 
     @property
     def substance(self) -> Material | None:

@@ -516,7 +516,7 @@ def _slope_angle(part: Part, sense: int, angle: Floats, contact: Floats) -> Floa
     """Return the slope angle of the surface along the cut; beyond the clear aperture that at its edge. [rad]."""
     cosine, sine = np.cos(angle), np.sin(angle)
     radius = np.clip(contact, -part.reach, part.reach)
-    _, zx, zy = part.continued.surface.evaluate(radius * cosine, radius * sine, 1)
+    _, zx, zy = part.continuation.evaluate(radius * cosine, radius * sine, 1)
     return np.asarray(np.arctan(sense * (zy * cosine - zx * sine)))
 
 
@@ -530,7 +530,7 @@ def _sample_blank(
     u = low[:, None] + step[:, None] * np.arange(WINDOW_SAMPLES)
     u = np.clip(u, -part.reach, part.reach)
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    z, zx, zy = part.continued.surface.evaluate(u * cosine, u * sine, 1)
+    z, zx, zy = part.continuation.evaluate(u * cosine, u * sine, 1)
     table = np.empty((angle.size, 2, WINDOW_SAMPLES))
     table[:, 0] = z + stock
     table[:, 1] = zx * cosine + zy * sine

@@ -181,7 +181,7 @@ def _prepare_map(
     heights: HeightMap, part: Part, tool: Tool, free: tuple[str, ...], reference: str, sense: int, feed: float
 ) -> MapPoints:
     where, x, y, z = select_valid(heights, part)
-    swept = Swept(surface=part.continued.surface, tool=tool, sense=sense, rim=part.reach)
+    swept = Swept(surface=part.continuation, tool=tool, sense=sense, rim=part.reach)
     sphere, pose, opened = None, np.zeros(9), free
     if reference != "true form" and x.size > 4:
         design = part.surface.sag(x, y)

@@ -149,11 +149,6 @@ def break_down_error(
         report(done, 6)
         return generate_polar(one, tool, radius=radius, angle=angle)
 
-    def on_part(surface: HeightMap) -> HeightMap:
-        if part.outline is None:
-            return surface
-        return replace(surface, z=np.where(part.covers(*surface.points()), surface.z, np.nan))
-
     report(0, 6)
     exact, cusp_nm = _exact_surface(spiral, part, tool, machine, radius, angle)
     program_motion, ideal = program_motion or motion, without_servos(machine)
@@ -175,9 +170,9 @@ def break_down_error(
     return ErrorBreakdown(
         cusp_nm=cusp_nm,
         cusp_away_nm=pv_nm_of(part.form_error(exact).z[:, radius > 2 * feed]),
-        chord_nm=max_difference_nm(on_part(planned), on_part(exact)),
-        rounding_nm=max_difference_nm(on_part(rounded), on_part(sent)),
-        tracking_nm=max_difference_nm(on_part(real), on_part(rounded if nominal is None else planned)),
+        chord_nm=max_difference_nm(part.crop(planned), part.crop(exact)),
+        rounding_nm=max_difference_nm(part.crop(rounded), part.crop(sent)),
+        tracking_nm=max_difference_nm(part.crop(real), part.crop(rounded if nominal is None else planned)),
         pv_nm=pv_nm,
         rms_nm=rms_nm_of(error),
         sq_nm=finish_nm(error, feed),

@@ -321,7 +321,7 @@ class _Search:
         for _ in range(3):
             radius, angle, _ = self._gap(line, u)
             radius = np.minimum(radius, self.part.reach)
-            zx, zy = self.part.continued.surface.gradient(radius * np.cos(angle), radius * np.sin(angle))
+            zx, zy = self.part.continuation.gradient(radius * np.cos(angle), radius * np.sin(angle))
             slope = (zx * np.cos(c) + zy * np.sin(c)) / edge.rake_cos
             before, u = u, edge.radius * slope / np.sqrt(1 + slope**2)
         first = np.argsort(self._gap(line, u)[2])[:MAX_VALLEYS]

@@ -118,7 +118,7 @@ def rounding_effect(job: Job, motion: Motion, again: Motion) -> tuple[float, flo
     def surface(one: Motion, **shifts: float) -> Floats:
         axes = {**one.axes, **{letter: one.axes[letter] + shift for letter, shift in shifts.items()}}
         made = generate_polar(replace(one, axes=axes), tool, radius=radius, angle=angle, machine=machine)
-        return np.where(part.covers(*made.points()), made.z, np.nan)
+        return part.crop(made).z
 
     nominal = surface(motion)
     difference, by_x, by_c = (
@@ -127,7 +127,7 @@ def rounding_effect(job: Job, motion: Motion, again: Motion) -> tuple[float, flo
     )
     dense = np.linspace(0, 2 * np.pi, 360, endpoint=False)
     cosine, sine = np.cos(dense)[:, None], np.sin(dense)[:, None]
-    zx, zy = part.continued.surface.gradient(radius * cosine, radius * sine)
+    zx, zy = part.continuation.gradient(radius * cosine, radius * sine)
     along = np.abs(zx * cosine + zy * sine).max() + motion.feed / (2 * tool.actual_radius)
     around = np.abs(zy * cosine - zx * sine)
     limit = z + max(x * along, by_x) + max(c * (around * radius).max(), by_c)

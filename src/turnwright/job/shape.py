@@ -98,7 +98,7 @@ def part_shape(part: Part) -> PartShape:
     angle = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
     x, y = radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None]
     z = part.heights(x, y)
-    surface = part.continued.surface
+    surface = part.continuation
     with np.errstate(all="ignore"):  # a formula may have no slope at single points
         zx, zy = surface.gradient(x, y)
         zxx, zxy, zyy = surface.hessian(x, y)

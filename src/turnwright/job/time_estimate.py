@@ -173,8 +173,8 @@ def _points_per_rev(spiral: object, part: Part) -> float:
     cosine, sine = np.cos(angle), np.sin(angle)
     try:
         with np.errstate(all="ignore"):
-            zx, zy = part.continued.surface.gradient(radius * cosine, radius * sine)
-            zxx, zxy, zyy = part.continued.surface.hessian(radius * cosine, radius * sine)
+            zx, zy = part.continuation.gradient(radius * cosine, radius * sine)
+            zxx, zxy, zyy = part.continuation.hessian(radius * cosine, radius * sine)
             bend = radius**2 * (zxx * sine**2 - 2 * zxy * sine * cosine + zyy * cosine**2)
             bend -= radius * (zx * cosine + zy * sine)
             mean = 2 * math.pi * float(np.mean(np.sqrt(np.abs(bend) / (8 * chord))))

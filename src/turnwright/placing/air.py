@@ -86,7 +86,7 @@ def cross_air(spiral: Spiral, part: Part, near: Ints, placed: Path) -> Path:
         return path
     top, far = np.array(path.z), np.ones(number.size, dtype=np.bool_)
     far[near] = False
-    top[far] = np.maximum(top[far], part.continued.surface.evaluate(x[far], y[far], 0)[0])
+    top[far] = np.maximum(top[far], part.continuation.evaluate(x[far], y[far], 0)[0])
     return replace(path, air_height=np.where(cuts, np.nan, top + part.stock + part.air_clearance))
 
 

@@ -75,7 +75,7 @@ def _find_shift(part: Part, edge: Edge, x: Floats, y: Floats, *, on_rim: bool) -
     surface = part.surface.surface if isinstance(part.surface, Continued) else part.surface
     inside = surface.inside(x, y)
     if inside is not None and not inside.all():
-        surface = part.continued.surface
+        surface = part.continuation
     zx, zy = surface.gradient(x, y)
     sweep = np.clip(np.arctan((zx * x + zy * y) / distance), edge.low, edge.high)
     shift = -edge.radius * np.sin(sweep) - edge.dx

@@ -241,7 +241,7 @@ class _Cut:
         motion = add_drift(motion, *real.drift, view.share)
         cut = view.scene.generated(motion, real.tool, real.machine, view.head["near"])
         part = self.job.part
-        surface, radius = part.continued.surface, part.reach
+        surface, radius = part.continuation, part.reach
         shape, x, y = cut.z.shape, cut.x.ravel(), cut.y.ravel()
         needed = 1 if any(real.tilt) else 0
         f, *slopes = surface.evaluate(np.ascontiguousarray(x), np.ascontiguousarray(y), needed)
@@ -354,7 +354,7 @@ def form_error(job: Job, cut: CutSurface, error: Floats) -> Floats:
     fixed = {"piston": ("z",), "tilt": ("tilt_x", "tilt_y"), "decentre": ("x", "y"), "clocking": ("rotation",)}
     fixed_motions = {name for one in measurement.fixed for name in fixed[one]}
     x, y = (np.ascontiguousarray(one.ravel()) for one in (cut.x, cut.y))
-    f, fx, fy = job.part.continued.surface.evaluate(x, y, 1)
+    f, fx, fy = job.part.continuation.evaluate(x, y, 1)
     signatures = {
         "z": np.ones(x.size),
         "tilt_x": y + f * fy,
