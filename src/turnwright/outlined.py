@@ -102,8 +102,11 @@ class Continued(_Outlined):
             start = np.where(inside, start, -BORDER_OFFSET_MM)
         with np.errstate(all="ignore"):
             z, zx, zy = self.surface.evaluate(edge_x + start * dx, edge_y + start * dy, 1)
+            at_border = self.surface.evaluate(edge_x, edge_y, 0)[0]
+        # Of a rippled surface, the mean slope over the band: that at its outside would raise the ripple far out.
+        slope = np.where(start > 0, (z - at_border) / np.where(start > 0, start, 1.0), zx * dx + zy * dy)
         beyond = -np.expm1((start - distance) / LEVELLING_MM) * LEVELLING_MM
-        return np.asarray(z + beyond * (zx * dx + zy * dy))
+        return np.asarray(z + beyond * slope)
 
     def inside(self, x: Floats, y: Floats) -> Bools | None:  # noqa: ARG002
         """Return ``None``: it is defined everywhere."""

@@ -24,6 +24,9 @@ __all__ = ["OVERLAP_FEEDS", "OVERLAP_MM", "Blank", "Part", "evenly"]
 OVERLAP_MM = 0.05
 """Distance outside the outline to which the tool cuts: more than the errors of a machine and the setting of a tool."""
 
+RING_SAMPLES, RING_MARGIN_MM = (64, 256), 1.0
+"""Radii and azimuths at which a surface is compared with its continuation, and how far beyond the ring. [mm]"""
+
 OVERLAP_FEEDS = 1.5
 """Additional distance in feeds: the neighbouring revolutions form the surface up to half a feed from a contact."""
 
@@ -202,7 +205,7 @@ class Part(TableModel):
 
     @property
     def continued(self) -> Part:
-        """The part with its surface continued outside its outline, on a disc only where it is undefined."""
+        """The part with its surface continued outside its outline, where its prescription does not serve there."""
         surface = self.continuation
         return self if surface is self.surface else replace(self, surface=surface)
 
@@ -214,6 +217,7 @@ class Part(TableModel):
             outline is None
             or isinstance(surface, Continued)
             or (outline.is_centred and _covers_disc(surface, self.reach))
+            or _extends(surface, outline)
         ):
             return surface
         return Continued(surface=surface, outline=outline)
@@ -257,6 +261,20 @@ def _covers_disc(surface: Surface, radius: float) -> bool:
     except DomainError:
         return False
     return True
+
+
+@lru_cache(maxsize=64)
+def _extends(surface: Surface, outline: Outline) -> bool:
+    """Return whether a surface is defined on the ring of an outline and varies no more than its continuation."""
+    radius = np.linspace(max(outline.nearest - RING_MARGIN_MM, 0.0), outline.reach + RING_MARGIN_MM, RING_SAMPLES[0])
+    angle = np.linspace(0, 2 * np.pi, RING_SAMPLES[1], endpoint=False)
+    x, y = np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()
+    defined = surface.inside(x, y)
+    if defined is not None and not defined.all():
+        return False
+    with np.errstate(all="ignore"):
+        stated, continued = (one.evaluate(x, y, 0)[0] for one in (surface, Continued(surface=surface, outline=outline)))
+    return bool(np.ptp(stated) <= np.ptp(continued))
 
 
 def _require_on(surface: Surface, outline: Outline) -> None:

@@ -57,7 +57,7 @@ def test_a_part_has_a_radius_or_an_outline_in_the_domain():
 def cut(outline, surface, machine, **how):
     """Return the motions over an outline and over the whole disc, on the same spiral."""
     part = tw.Part(surface=surface, outline=outline, stock=0.01)
-    servo = tw.SlowToolServo(feed=0.05, spindle_rpm=20, points_per_rev=360, **how)
+    servo = tw.SlowToolServo(**{"feed": 0.05, "spindle_rpm": 20, "points_per_rev": 360, **how})
     spiral = servo.spiral(part, TOOL)
     disc = tw.Part(surface=surface, radius=part.reach, stock=0.01)
     return (tw.drive(tw.place(spiral, one, TOOL), servo, machine) for one in (part, disc))
@@ -82,6 +82,42 @@ def test_an_off_axis_mirror_takes_less_than_60_percent_of_the_time_of_its_disc()
     motion, whole = cut(MIRROR, tw.Conic(radius=200.0, conic=-1.0), machine)
     assert np.ptp(motion.time) < 0.6 * np.ptp(whole.time)
     assert tw.check_limits(motion, machine).ok
+
+
+@pytest.mark.parametrize("rpm", [20.0, 60.0, None])
+@pytest.mark.parametrize("name", ["generic", "nanoform"])
+def test_a_convex_mirror_takes_less_than_60_percent_of_the_time_at_any_speed(name, rpm):
+    machine, servo = tw.Machine.load(name), tw.SlowToolServo(feed=0.05, spindle_rpm=rpm, points_per_rev=360)
+    surface = tw.Sphere(radius=-400.0)
+    part = tw.Part(surface=surface, outline=MIRROR, stock=0.01)
+    disc = tw.Part(surface=surface, radius=part.reach, stock=0.01)
+    motion, whole = (tw.drive(tw.place(servo.spiral(one, TOOL), one, TOOL), servo, machine) for one in (part, disc))
+    assert np.ptp(motion.time) < 0.6 * np.ptp(whole.time)
+    assert tw.check_limits(motion, machine).ok
+
+
+@pytest.mark.parametrize(
+    ("outline", "rpm", "points"),
+    [
+        (tw.Outline(polygon=((0, 0), (12, 0), (12, 4), (4, 4), (4, 12), (0, 12)), centre=(0.0, 0.0)), 150.0, 200),
+        (tw.Outline(polygon=tuple((r * np.cos(a) + 4, r * np.sin(a) - 5) for r, a in zip(
+            np.tile([8.0, 3.0], 5), np.linspace(0, 2 * np.pi, 10, endpoint=False), strict=True))), 60.0, 200),
+        (tw.Outline(rectangle=(8.0, 5.0), centre=(9.0, -12.0), angle=0.5), 150.0, 360),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize(
+    "surface",
+    [tw.Sphere(radius=100.0), tw.SineGrid(amplitude=(0.002, 0.002), period=(6.0, 6.0))],
+    ids=["sphere", "grid"],
+)
+@pytest.mark.parametrize("along", ["z", "normal"])
+def test_crossings_keep_the_limits_and_end_smoothly(outline, rpm, points, surface, along):
+    machine = tw.Machine.load("nanoform")
+    motion, _ = cut(outline, surface, machine, feed=0.1, spindle_rpm=rpm, points_per_rev=points, along=along)
+    assert tw.check_limits(motion, machine).ok
+    # An oracle of its own: second differences of Z, with the limit of the machine in mm/s².
+    speed = np.diff(motion.axes["Z"]) / np.diff(motion.time)
+    assert np.abs(np.diff(speed) / (motion.time[2:] - motion.time[:-2]) * 2).max() < 1.001 * 1000
 
 
 def test_spindle_mode_needs_the_ring_around_an_outline():

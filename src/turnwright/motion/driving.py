@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Protocol
@@ -24,11 +24,11 @@ MAX_PIECES = 1000
 """Pieces of a motion, each with its own highest spindle speed."""
 
 
-MAX_SLOWER = 12
-"""Most trials of a lower speed, where the machine finds it, until crossings of air and ramps keep the limits."""
+SPEED_STEP, SPEED_TRIALS = 0.9, 25
+"""Ratio of the spindle speeds that are tried where a path crosses air and no speed is stated, and their number."""
 
-SLOWER_STEP = 0.85
-"""Least ratio of the speed of the next trial to that of the last, as slower crossings have other ramps."""
+SAMPLES = 16
+"""Turns of the path from which the time at these speeds is estimated."""
 
 MIN_SECTION = 5
 """Points of the shortest cut that counts for the highest speed."""
@@ -132,12 +132,11 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     subject = "spindle_rpm is" if profile is None else "the speed profile reaches"
     if path.air_height is not None and not FAST.keys() & axes.keys():
         air = path.air_height - machine.z_error(axes["X"])
-        omega = (
-            _find_omega_in_cuts(course, air, machine)
-            if not stated
-            else _find_omega(course, path, rpm, profile, machine)
-        )
-        course = _cross_air(course, omega, air, machine, stated=stated, subject=subject)
+        if stated:
+            speeds = [_find_omega(course, path, rpm, profile, machine)]
+        else:
+            speeds = list(_rank_speeds(course, air, machine))
+        course = _cross_air(course, speeds, air, machine, subject=subject)
         return Motion(time=course.time, axes=course.axes, machine=machine, velocity=course.velocity or None)
     course = course.at_speed(_find_omega(course, path, rpm, profile, machine))
     if slopes and not FAST.keys() & axes.keys():
@@ -150,23 +149,45 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
 
 
 def _cross_air(
-    course: Course, omega: float | Floats, air: Floats, machine: Machine, *, stated: bool, subject: str
+    course: Course, speeds: Sequence[float | Floats], air: Floats, machine: Machine, *, subject: str
 ) -> Course:
-    """Return a course that crosses air, from rest to rest if it has velocities; at a lower speed if it may be."""
-    for _ in range(MAX_SLOWER):
+    """Return a course that crosses air at the first of several speeds with which it keeps the limits.
+
+    From rest to rest if it has velocities. A single speed is a stated one, and kept.
+    """
+    for number, omega in enumerate(speeds, 1):
         crossed = cross_air(course.at_speed(omega), air, machine)
-        if not stated and (factor := find_speed_factor(crossed, machine)) < 1 - LIMIT_TOL:
-            omega = omega * max(factor, SLOWER_STEP)
+        if len(speeds) > 1 and find_speed_factor(crossed, machine) < 1 - LIMIT_TOL:
             continue
         if not crossed.velocity:
             return crossed
         try:
             return reach_stated_speed(crossed, machine, subject=subject)
         except LimitError:
-            if stated:
+            if number == len(speeds):
                 raise
-            omega = omega * SLOWER_STEP
     return slow_to_limits(crossed, machine)
+
+
+def _rank_speeds(course: Course, air: Floats, machine: Machine) -> Iterable[float]:
+    """Return spindle speeds by the time that they take: a faster one leaves less time to lift the tool. [rad/s]."""
+    fastest, cuts = _find_omega_in_cuts(course, air, machine), cut_sections(air)
+    turns = max(1, round(course.time[-1] / TURN))
+    more = max(1, round(len(cuts) / turns))
+    firsts = np.unique(np.linspace(0, max(len(cuts) - 1 - more, 0), SAMPLES).astype(int)).tolist()
+    samples = [slice(cuts[one].start, cuts[min(one + more, len(cuts) - 1)].stop) for one in firsts]
+    samples = [one for one in samples if one.stop - one.start >= MIN_SECTION]
+    times = {}
+    for omega in (fastest * SPEED_STEP ** np.arange(SPEED_TRIALS)).tolist():
+        crossed = [cross_air(course.select(one).at_speed(omega), air[one], machine) for one in samples]
+        every = [np.arange(one.time.size) for one in crossed]
+        demands = [
+            find_limit_demands(one, at, find_axis_peaks(one, at, machine, (False, False)), machine, bands=False)
+            for one, at in zip(crossed, every, strict=True)
+        ]
+        within = all(not demand.exceeded for some in demands for demand in some)
+        times[omega] = (not within, sum(float(np.ptp(one.time)) for one in crossed))
+    return sorted(times, key=times.__getitem__)
 
 
 def _find_omega_in_cuts(course: Course, air: Floats, machine: Machine) -> float:

@@ -65,29 +65,28 @@ def cross_air(spiral: Spiral, part: Part, near: Ints, placed: Path) -> Path:
     def fill(values: Floats) -> Floats:
         return np.interp(number, near, values)
 
-    z = fill(placed.z)
     x, y = _plan(spiral)
+    far = np.ones(number.size, dtype=np.bool_)
+    far[near] = False
+    z, contact_z = fill(placed.z), fill(placed.contact_z)
+    z[far] = contact_z[far] = part.continuation.evaluate(x[far], y[far], 0)[0]
     x[near], y[near] = placed.contact_x, placed.contact_y
     radius = np.array(spiral.radius)
     radius[near] = placed.radius
     radius_rate, z_rate = spiral.radius_rate, None
     if placed.z_rate is not None and placed.radius_rate is not None and radius_rate is not None:
-        # Where the tip is not placed its height is interpolated linearly.
         z_rate = np.gradient(z, spiral.angle)
         radius_rate = np.array(radius_rate)
         z_rate[near], radius_rate[near] = placed.z_rate, placed.radius_rate
     path = Path(
         angle=spiral.angle, radius=radius, z=z, sweep=fill(placed.sweep), contact_x=x, contact_y=y,
-        contact_z=fill(placed.contact_z), clearance=fill(placed.clearance), y=spiral.y, y_rate=spiral.y_rate,
+        contact_z=contact_z, clearance=fill(placed.clearance), y=spiral.y, y_rate=spiral.y_rate,
         radius_rate=radius_rate, z_rate=z_rate, lift=spiral.lift,
     )  # fmt: skip
     cuts = _find_cuts(path, part, _overlap(spiral))
     if cuts.all():
         return path
-    top, far = np.array(path.z), np.ones(number.size, dtype=np.bool_)
-    far[near] = False
-    top[far] = np.maximum(top[far], part.continuation.evaluate(x[far], y[far], 0)[0])
-    return replace(path, air_height=np.where(cuts, np.nan, top + part.stock + part.air_clearance))
+    return replace(path, air_height=np.where(cuts, np.nan, z + part.stock + part.air_clearance))
 
 
 def _find_cuts(path: Path, part: Part, overlap: float) -> Bools:
