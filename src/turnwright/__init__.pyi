@@ -1,5 +1,6 @@
 from . import (
     access as access,
+    chuck as chuck,
     cutting as cutting,
     diagnosis as diagnosis,
     errors as errors,
@@ -29,6 +30,10 @@ from . import (
 )
 from .access import (
     check_access as check_access,
+)
+from .chuck import (
+    Chuck as Chuck,
+    Mounted as Mounted,
 )
 from .errors import (
     CorrectionError as CorrectionError,

@@ -1,10 +1,10 @@
-"""The outline of a part: a disc, an annulus, a rectangle or a polygon anywhere on the chuck, with holes."""
+"""The outline of a part: a disc, an annulus, a rectangle or a polygon anywhere on the chuck, with holes; or several."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Annotated
 
@@ -13,11 +13,13 @@ from annotated_types import MinLen
 
 from turnwright._arrays import Bools, Floats
 from turnwright._tables import TableModel
-from turnwright._validate import check_angle, check_numbers, finite_tuple, positive
+from turnwright._validate import check_angle, check_numbers, finite_tuple, instance_of, positive
 from turnwright.errors import InputError
 from turnwright.units import Angle, Length, Size
 
 __all__ = ["Outline"]
+
+SHAPES = ("disc", "annulus", "rectangle", "polygon", "several")
 
 MAX_CORNERS = 10_000
 MAX_HOLES = 1000
@@ -31,7 +33,7 @@ BORDER_POINTS = 3600
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outline(TableModel):
-    """The outline of a part in plan view; give one of its four shapes.
+    """The outline of a part in plan view; give one of its five shapes.
 
     Parameters
     ----------
@@ -43,6 +45,8 @@ class Outline(TableModel):
         Length along x and along y, before it is rotated. [mm]
     polygon
         Corners (x, y) in order, before it is rotated and moved. [mm]
+    several
+        Outlines apart from each other, as of several parts on a chuck; without centre, angle and holes of its own.
     centre
         Position of the centre, or for a polygon of its origin, in the part frame (x, y). [mm]
     angle
@@ -54,7 +58,8 @@ class Outline(TableModel):
     Raises
     ------
     InputError
-        If not exactly one shape is given, a polygon crosses itself, or a hole is not inside.
+        If not exactly one shape is given, a polygon crosses itself, a hole is not inside, or two of several outlines
+        overlap.
 
     >>> mirror = Outline(rectangle=(40.0, 20.0), centre=(40.0, 0.0), holes=(Outline(disc=2.0, centre=(45.0, 0.0)),))
     >>> mirror.reach.__round__(6), mirror.nearest
@@ -67,20 +72,22 @@ class Outline(TableModel):
     annulus: tuple[Size, Size] | None = None
     rectangle: tuple[Size, Size] | None = None
     polygon: Annotated[tuple[tuple[Length, Length], ...], MinLen(3)] | None = None
+    several: Annotated[tuple[Outline, ...], MinLen(1)] | None = None
     centre: tuple[Length, Length] = (0.0, 0.0)
     angle: Angle = 0.0
     holes: tuple[Outline, ...] = ()
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        shapes = [name for name in ("disc", "annulus", "rectangle", "polygon") if getattr(self, name) is not None]
+        shapes = [name for name in SHAPES if getattr(self, name) is not None]
         if len(shapes) != 1:
             raise InputError(
-                f"an outline has {' and '.join(shapes) or 'no shape'}, it needs exactly one of disc, annulus, "
-                "rectangle and polygon"
+                f"an outline has {' and '.join(shapes) or 'no shape'}, it needs exactly one of {', '.join(SHAPES)}"
             )
         object.__setattr__(self, "centre", finite_tuple(self.centre, "centre of an outline", 2))
         check_angle(self.angle, "angle of an outline")
+        if self.angle and (self.disc is not None or self.annulus is not None):
+            raise InputError(f"a {shapes[0]} has the angle {self.angle:g} rad, which has no effect: leave it out")
         if self.disc is not None:
             positive(self.disc, "disc of an outline", "mm")
         for name in ("annulus", "rectangle"):
@@ -95,8 +102,49 @@ class Outline(TableModel):
             )
         if self.polygon is not None:
             object.__setattr__(self, "polygon", _check_polygon(self.polygon))
-        object.__setattr__(self, "holes", tuple(self.holes))
+        object.__setattr__(
+            self, "holes", tuple(instance_of(one, Outline, "a hole of an outline") for one in self.holes)
+        )
+        if self.several is not None:
+            self._check_several()
+            return
         self._check_holes()
+
+    def _check_several(self) -> None:
+        """Raise unless several outlines are apart from each other."""
+        several = tuple(instance_of(one, Outline, "one of several outlines") for one in self.several or ())
+        object.__setattr__(self, "several", several)
+        if self.angle or self.centre != (0.0, 0.0) or self.holes:
+            raise InputError("several outlines have a centre, an angle or holes in common: state them at each outline")
+        if not 1 <= len(several) <= MAX_HOLES:
+            raise InputError(f"several outlines are {len(several)}, the limits are 1 and {MAX_HOLES}")
+        if any(one.several is not None for one in several):
+            raise InputError("one of several outlines has several itself: list them all")
+        for (i, one), (j, other) in combinations(enumerate(several, 1), 2):
+            if one.overlaps(other):
+                raise InputError(f"outlines {i} and {j} of several overlap: move or shrink one")
+
+    def overlaps(self, other: Outline) -> bool:
+        """Return whether this outline and another have points in common."""
+        loops, others = list(self._loops()), list(other._loops())
+        return (
+            not all(_is_apart(one, two) for one in loops for two in others)
+            or bool(self.covers(*others[0].point)[0])
+            or bool(other.covers(*loops[0].point)[0])
+        )
+
+    def moved(self, shift: tuple[float, float], rotation: float) -> Outline:
+        """Return the outline rotated about the origin, counter-clockwise [rad], then shifted [mm]."""
+        if self.several is not None:
+            return Outline(several=tuple(one.moved(shift, rotation) for one in self.several))
+        cosine, sine = math.cos(rotation), math.sin(rotation)
+        x, y = self.centre
+        turned = self.rectangle is not None or self.polygon is not None
+        return replace(
+            self, centre=(cosine * x - sine * y + shift[0], sine * x + cosine * y + shift[1]),
+            angle=math.remainder(self.angle + rotation, 2 * math.pi) if turned else 0.0,
+            holes=tuple(one.moved(shift, rotation) for one in self.holes),
+        )  # fmt: skip
 
     def _check_holes(self) -> None:
         """Raise unless all holes are inside, and apart from each other."""
@@ -117,7 +165,11 @@ class Outline(TableModel):
                 raise InputError(f"holes {i} and {j} of an outline overlap: join them into one polygon, or move one")
 
     def _loops(self) -> Iterator[_Circle | _Polygon]:
-        """Yield the closed curves of the border, the outer one first."""
+        """Yield the closed curves of the border, the outer one first; of several, one outline after the other."""
+        if self.several is not None:
+            for one in self.several:
+                yield from one._loops()  # noqa: SLF001 - of this class
+            return
         if self.disc is not None or self.annulus is not None:
             yield _Circle(self.centre, self.disc if self.disc is not None else self.annulus[0])  # type: ignore[index]
         else:
@@ -143,7 +195,7 @@ class Outline(TableModel):
     @property
     def reach(self) -> float:
         """Largest distance of the part from the axis. [mm]."""
-        return next(self._loops()).farthest
+        return max(loop.farthest for loop in self._loops())
 
     @property
     def nearest(self) -> float:
@@ -153,6 +205,9 @@ class Outline(TableModel):
     @property
     def box(self) -> tuple[float, float, float, float]:
         """Least and greatest x, least and greatest y of the part. [mm]."""
+        if self.several is not None:
+            low_x, high_x, low_y, high_y = zip(*(one.box for one in self.several), strict=True)
+            return min(low_x), max(high_x), min(low_y), max(high_y)
         loop = next(self._loops())
         if isinstance(loop, _Circle):
             (x, y), radius = loop.centre, loop.radius
@@ -162,12 +217,16 @@ class Outline(TableModel):
     @property
     def area(self) -> float:
         """Area of the part. [mm²]."""
+        if self.several is not None:
+            return sum(one.area for one in self.several)
         outer, *inner = self._loops()
         return outer.area - sum(hole.area for hole in inner)
 
     @property
     def words(self) -> str:
         """The outline in words."""
+        if self.several is not None:
+            return "; ".join(one.words for one in self.several)
         x, y = self.centre
         place = "" if self.centre == (0.0, 0.0) else f", centre at x = {x:g} mm, y = {y:g} mm"
         turned = f", turned by {math.degrees(self.angle):g} deg" if self.angle and self.disc is None else ""
@@ -190,6 +249,8 @@ class Outline(TableModel):
         x, y
             Points, of one shape. [mm]
         """
+        if self.several is not None:
+            return np.asarray(np.minimum.reduce([one.distance(x, y) for one in self.several]))
         outer, *inner = self._loops()
         shape = np.shape(x)
         x, y = (np.ascontiguousarray(one, dtype=np.float64).ravel() for one in (x, y))
@@ -219,7 +280,7 @@ class Outline(TableModel):
         return tuple(np.concatenate(parts, axis=1))
 
     def curves(self, count: int = 360) -> list[tuple[Floats, Floats]]:
-        """Return x and y along each closed curve of the border, the outer one first; at least ``count`` points."""
+        """Return x and y along each closed curve of the border, outer before inner ones; at least ``count`` points."""
         return [loop.points(count) for loop in self._loops()]
 
 

@@ -10,7 +10,7 @@ from turnwright._arrays import Bools, Floats, Ints
 from turnwright.outline import Outline
 from turnwright.surface import Surface
 
-__all__ = ["Bounded", "Continued"]
+__all__ = ["OWN_BAND_MM", "Bounded", "Continued"]
 
 OWN_BAND_MM = 5.0
 """Width of the band around the outline in which the surface is its own, where its prescription extends so far."""

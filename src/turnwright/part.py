@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Annotated
@@ -11,6 +12,7 @@ import numpy as np
 from turnwright._arrays import Bools, Floats
 from turnwright._tables import TableModel, read_by
 from turnwright._validate import check_numbers, positive
+from turnwright.chuck import Assembled, Chuck
 from turnwright.errors import DomainError, InputError
 from turnwright.heightmap import HeightMap
 from turnwright.material import Material
@@ -79,7 +81,7 @@ class Part(TableModel):
     radius
         Semi-diameter of the clear aperture, for a disc on the axis. [mm]
     outline
-        Clear aperture of any other shape, in place of ``radius``.
+        Clear aperture of any other shape, in place of ``radius``; a chuck has those of its parts.
     air_clearance
         Height above the stock at which the tool crosses air outside the outline. [mm]
     stock
@@ -120,6 +122,8 @@ class Part(TableModel):
 
     def __post_init__(self) -> None:
         check_numbers(self)
+        if isinstance(self.surface, Chuck):
+            self._check_chuck(self.surface)
         if (self.radius is None) == (self.outline is None):
             raise InputError(
                 f"the part has {'neither radius nor' if self.outline is None else 'both radius and'} outline, it needs "
@@ -139,6 +143,45 @@ class Part(TableModel):
             self.surface.require_disc(self.reach, "the radius of the clear aperture")
         else:
             _require_on(self.surface, self.outline)
+
+    def _check_chuck(self, chuck: Chuck) -> None:
+        """Take over the outlines of a chuck; raise if the part states others, or a correction."""
+        if self.radius is not None or self.outline not in (None, chuck.outline):
+            raise InputError(
+                "the part states a radius or an outline, its surface is a chuck: state outlines there only"
+            )
+        if self.correction is not None:
+            raise InputError("the part states a correction, its surface is a chuck: state it at the part of the chuck")
+        object.__setattr__(self, "outline", chuck.outline)
+
+    @property
+    def unstated(self) -> Collection[str]:
+        """The outline of a chuck, which its parts state."""
+        return ("outline",) if isinstance(self.surface, Chuck) else ()
+
+    def alone(self, name: str) -> Part:
+        """Return one part of a chuck, at its place there.
+
+        Raises
+        ------
+        InputError
+            If this is no chuck, or it has no part of this name.
+        """
+        if not isinstance(self.surface, Chuck):
+            raise InputError(f"the surface is no chuck, so it has no part {name[:40]!r}: leave the name out")
+        one = self.surface.mounted(name)
+        return replace(self, surface=one.placed, outline=one.border, correction=one.correction, name=name)
+
+    @property
+    def apart(self) -> tuple[Part, ...]:
+        """The parts of a chuck, each with its own surface only; this part if it is none."""
+        surface = self.surface.surface if isinstance(self.surface, Continued) else self.surface
+        if not isinstance(surface, Assembled):
+            return (self,)
+        return tuple(
+            replace(self, surface=one, outline=outline, name=name)
+            for one, outline, name in zip(surface.surfaces, surface.outlines, surface.names, strict=True)
+        )
 
     @property
     def border(self) -> Outline:
@@ -193,6 +236,8 @@ class Part(TableModel):
     @property
     def aimed(self) -> Part:
         """The part that the tool path is planned for: the design with its correction added."""
+        if isinstance(self.surface, Chuck) and (aimed := self.surface.aimed) is not self.surface:
+            return replace(self, surface=aimed).continued
         if self.correction is None:
             return self.continued
         return replace(self, surface=self.surface + self.correction, correction=None).continued
@@ -279,7 +324,7 @@ def _extends(surface: Surface, outline: Outline) -> bool:
 
 def _require_on(surface: Surface, outline: Outline) -> None:
     """Raise unless the surface is defined everywhere on an outline."""
-    (x_low, x_high), (low, high) = ((float(one.min()), float(one.max())) for one in outline.curves(OUTLINE_SAMPLES)[0])
+    x_low, x_high, low, high = outline.box
     x, y = (
         one.ravel()
         for one in np.meshgrid(np.linspace(x_low, x_high, GRID_SAMPLES), np.linspace(low, high, GRID_SAMPLES))

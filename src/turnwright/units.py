@@ -373,3 +373,6 @@ Count: TypeAlias = Annotated[int, plain(1, 10**9)]
 Natural: TypeAlias = Annotated[int, plain(0, 10**9)]
 Flag: TypeAlias = Annotated[bool, plain()]
 Text: TypeAlias = Annotated[str, plain()]
+
+NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9 _-]{0,29}$"
+"""Names that are valid for a sub-program of a controller and for a file."""

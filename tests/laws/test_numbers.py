@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+from turnwright.chuck import Assembled
 from turnwright.metrology import Nesting
 from turnwright.post import Dialect
 from turnwright.strategy import Valleys
@@ -62,6 +63,16 @@ JOB = tw.Job.read(
 )
 SPREAD = tw.studies.Spread(kind="normal", numbers=(0.0, 1e-6), source="assumed")
 SPECTRUM = np.linspace(0, 310, 32)
+
+MOUNTED = tw.Mounted(
+    name="A",
+    surface=PLANE,
+    outline=tw.Outline(disc=1.0),
+    position=(2.0, 1.0),
+    height=0.1,
+    clocking=0.2,
+    tilt=(0.1, 0.0),
+)
 
 EXAMPLES = [
     tw.Instrument(pixel=1e-3, numerical_aperture=0.3, wavelength=5e-4, filling=0.5, stylus_radius=1e-3, noise=1e-6),
@@ -127,6 +138,10 @@ EXAMPLES = [
     tw.Outline(rectangle=(3.0, 2.0), angle=0.1),
     tw.Outline(polygon=((0.0, 0.0), (2.0, 0.0), (0.0, 2.0))),
     tw.Part(surface=PLANE, outline=tw.Outline(rectangle=(3.0, 2.0)), air_clearance=0.05),
+    tw.Outline(several=(tw.Outline(disc=1.0), tw.Outline(disc=1.0, centre=(3.0, 0.0)))),
+    MOUNTED,
+    tw.Chuck(parts=(MOUNTED,)),
+    Assembled(surfaces=(PLANE,), outlines=(tw.Outline(disc=1.0),), names=("A",)),
     tw.Part(surface=PLANE, radius=1.0, stock=0.1),
     tw.Spiral(angle=X, radius=X, y=X, radius_rate=X, y_rate=X, lift=X),
     tw.Path(

@@ -188,7 +188,7 @@ def correct(
 
         measured = _register_maps(files, job, progress, unit, keys)
         diagnosis = diagnose(measured, progress=progress)
-        base = measured[0].job if of is None else _load_job(of, keys)
+        base = _load_job(of or job[0], keys)
         correction = correct(base, diagnosis, measured, out=folder, source=of or job[0], progress=progress)
         progress("report", 0, 1)
         from turnwright.report import archive_correction, write_correction  # noqa: PLC0415 - costly to import

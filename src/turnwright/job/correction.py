@@ -176,7 +176,8 @@ def correct(
     CorrectionError
         If no correction is certain to help, or a map does not match its part; nothing is written then.
     """
-    watch = Watch(progress)
+    watch, stated = Watch(progress), job
+    job = stated.alone() if measured else stated
     _check(job, diagnosis)
     every = [measured] if isinstance(measured, Measured) else list(measured or ())
     for one in every:
@@ -202,8 +203,11 @@ def correct(
         )
         update(1, 2)
         out.mkdir(parents=True, exist_ok=True)
-        better = _write_corrected(job, diagnosis, plan, [(one, _entry(one, names, plan)) for one in every], out)
-        write_atomic(file, edit_text(text, job, better, folder=source_folder, into=out))
+        entries = [(one, _entry(one, names, plan)) for one in every]
+        better = _write_corrected(job, diagnosis, plan, entries, out)
+        if job is not stated:  # the correction is that of one part of a chuck
+            better = stated.with_alone(better)
+        write_atomic(file, edit_text(text, stated, better, folder=source_folder, into=out))
     return Correction(
         job=better, file=file, cutoff=plan.cutoff, measured=before, predicted=predicted, simulated=simulated,
         proof=plan.proof, sources=names,

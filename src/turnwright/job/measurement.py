@@ -237,6 +237,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     InputError
         If the map counts pixels and the job does not state their size, or too little of the map is on the part.
     """
+    job = job.alone()
     watch, settings, part = Watch(progress), job.measurement, job.part
     pieces, free = part.surface.in_pieces, _free_dofs(job)
     with watch.stage("register"):

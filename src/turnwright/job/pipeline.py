@@ -273,7 +273,7 @@ class Pipeline:
         return whole_part.pv_nm
 
     def _predict(self, name: str) -> Prediction:
-        names = [WHOLE, *(patch.name for patch in self.job.simulation.patches)]
+        names = self.job.map_names
         if name not in names:
             raise InputError(f"patch must be one of {', '.join(names)}, got {name!r}")
         if "commanded" not in vars(self.finishing) and can_predict_window(self.job):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from turnwright._arrays import Floats
+from turnwright.chuck import Chuck
 from turnwright.errors import InputError
 from turnwright.generation import generate, generate_polar
 from turnwright.heightmap import HeightMap
@@ -19,10 +20,14 @@ from turnwright.job.prediction import Prediction
 from turnwright.job.schema import Job
 from turnwright.job.verdict import WHOLE
 from turnwright.metrology import roughness
+from turnwright.part import Part
 from turnwright.path import Motion
 from turnwright.progress import Progress, StageProgress
 
 __all__ = ["follow_motion", "predict"]
+
+PART_PIXELS = 240
+"""Pixels along the longer side of the map of one part of a chuck."""
 
 
 def predict(
@@ -51,7 +56,7 @@ def predict(
     nominal
         Nominal motion of the axes, if ``motion`` is precorrected for the servos; servo errors are counted from it.
     only
-        Names of the maps to predict: patches and "whole part"; all of them if not given.
+        Names of the maps to predict: patches, "whole part" and the parts of a chuck; all of them if not given.
     extremes
         Whether to find the highest and the lowest point of the whole part; a motion over some azimuths has none.
     watch, progress
@@ -68,7 +73,9 @@ def predict(
     straight = machine.controller.interpolation == "linear"
     off = 0.0 if straight else max(chord_error(one) for one in (motion, real) if one is not None)
 
-    def make(name: str, form: int | str, simulate: Callable[[Motion, Progress], HeightMap]) -> Prediction:
+    def make(
+        name: str, form: int | str, simulate: Callable[[Motion, Progress], HeightMap], part: Part = part
+    ) -> Prediction:
         with watch.stage(f"simulate {name}") as update:
             error = replace(part.form_error(simulate(motion, update)), name=name)
         added = None
@@ -105,13 +112,32 @@ def predict(
     predictions = [make(WHOLE, "none", whole_part)] if is_requested(WHOLE) else []
     if extremes and predictions:
         predictions = [_with_extremes(job, predictions[0], real or motion, watch)]
-    for patch in filter(lambda one: is_requested(one.name), job.simulation.patches):
+    for name, form, axes, one_part in filter(lambda one: is_requested(one[0]), _rectangles(job)):
 
-        def rectangle(one: Motion, update: Progress, axes: tuple[Floats, Floats] = patch.axes) -> HeightMap:
+        def rectangle(one: Motion, update: Progress, axes: tuple[Floats, Floats] = axes) -> HeightMap:
             return generate(one, tool, x=axes[0], y=axes[1], machine=machine, progress=update)
 
-        predictions.append(make(patch.name, job.roughness.form, rectangle))
+        predictions.append(make(name, form, rectangle, one_part))
     return tuple(predictions)
+
+
+def _rectangles(job: Job) -> Iterator[tuple[str, int | str, tuple[Floats, Floats], Part]]:
+    """Yield name, form removal, axes and part of each rectangular map: of the parts of a chuck, and the patches."""
+    if isinstance(job.part.surface, Chuck):
+        for one in job.part.apart:
+            yield one.name, "none", _part_axes(one), one
+    for patch in job.simulation.patches:
+        yield patch.name, job.roughness.form, patch.axes, job.part
+
+
+def _part_axes(part: Part) -> tuple[Floats, Floats]:
+    """Return columns and rows of the map of one part of a chuck, of square pixels. Each (n,) [mm]."""
+    x_low, x_high, low, high = part.border.box
+    pixel = max(x_high - x_low, high - low) / PART_PIXELS
+    return (
+        np.linspace(x_low, x_high, max(round((x_high - x_low) / pixel), 2) + 1),
+        np.linspace(low, high, max(round((high - low) / pixel), 2) + 1),
+    )
 
 
 def _with_extremes(job: Job, whole: Prediction, motion: Motion, watch: Watch) -> Prediction:

@@ -20,6 +20,7 @@ from turnwright._faults import faults as faults_of, sentences
 from turnwright._io import bytes_of, read_toml, write_atomic
 from turnwright._tables import adapter, read_by, types_of, write_table
 from turnwright._validate import check_numbers
+from turnwright.chuck import Chuck
 from turnwright.diagnosis import ERROR_SOURCES
 from turnwright.errors import InputError, JobError
 from turnwright.job.replacing import replace_field
@@ -33,12 +34,11 @@ from turnwright.speed_profile import Speeds, check_one_speed
 from turnwright.strategy import STRATEGIES, Strategy, Turning
 from turnwright.surface import FAMILIES, Surface
 from turnwright.tool import Tool, Waviness, WavinessTable
-from turnwright.units import Angle, Count, Feed, Flag, Length, Size, Speed, Step, Text, Thickness, unit
+from turnwright.units import NAME_PATTERN, Angle, Count, Feed, Flag, Length, Size, Speed, Step, Text, Thickness, unit
 
 __all__ = ["Job", "PassTable", "faults"]
 
-Name: TypeAlias = Annotated[str, Strict(), Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _-]{0,29}$")]
-"""A name that is valid for a sub-program of a controller and for a file."""
+Name: TypeAlias = Annotated[str, Strict(), Field(pattern=NAME_PATTERN)]
 
 Accepted: TypeAlias = Literal["nose radius", "included angle", "clearance", "rake", "valley", "step", "limits", "gouge"]
 
@@ -280,6 +280,8 @@ class MeasurementTable(Table):
 
     Parameters
     ----------
+    part
+        Name of the part of the chuck that the map shows. The stated position and clocking are then those on this part.
     pixel_size
         Pixel size of the map, for a file that does not state it: one size, or one along x and one along y. [mm]
     units
@@ -348,6 +350,7 @@ class MeasurementTable(Table):
         "this job", if this corrected job cut the measured part although its map still shows the corrected error.
     """
 
+    part: Text = ""
     pixel_size: Size | tuple[Size, Size] | None = None
     units: Literal["m", "mm", "um", "in"] | None = None
     sag_units: Literal["m", "mm", "um", "nm", "in"] | None = None
@@ -619,10 +622,22 @@ class Job(Table):
         self._check_fast_tool()
         if allowance > 0:
             raise JobError(f"the allowance of the last pass must be 0 mm, got {allowance:g} mm: set it to 0 mm")
-        _require_unique("simulation.patches", ["whole part", *(patch.name for patch in self.simulation.patches)])
+        _require_unique("simulation.patches", self.map_names)
         for number, patch in enumerate(self.simulation.patches, 1):
             self._check_patch(number, patch)
         _ = self.actual_tool, self.actual_machine
+        if self.measurement.part:
+            try:
+                self.part.alone(self.measurement.part)
+            except InputError as error:
+                raise JobError(f"measurement.part: {error}") from error
+
+    @property
+    def map_names(self) -> list[str]:
+        """Names of the maps to predict: the whole part, the parts of a chuck, and the patches."""
+        surface = self.part.surface
+        parts = surface.names if isinstance(surface, Chuck) else ()
+        return ["whole part", *parts, *(patch.name for patch in self.simulation.patches)]
 
     def _check_patch(self, number: int, patch: Patch) -> None:
         """Raise unless a patch is on the part."""
@@ -704,6 +719,43 @@ class Job(Table):
             )
         if height is not None and self.strategy.moves_fast_tool:
             raise JobError("program.dry_run is stated, a fast tool has no dry run: leave it out")
+
+    def alone(self) -> Job:
+        """Return the job of the part of a chuck that the map shows, at its place there; this job without a chuck.
+
+        Raises
+        ------
+        JobError
+            If the job does not state which part of the chuck the map shows.
+        """
+        chuck, stated = self.part.surface, self.measurement
+        if not isinstance(chuck, Chuck):
+            return self
+        if not stated.part:
+            raise JobError(
+                f"the map shows one part of the chuck: state measurement.part, one of {', '.join(chuck.names)}"
+            )
+        mounted, part = chuck.mounted(stated.part), self.part.alone(stated.part)
+        pose = mounted.pose.after(stated.pose or Pose())
+        patches = tuple(one for one in self.simulation.patches if part.covers(*np.meshgrid(*one.axes)).all())
+        return replace(
+            self, part=part, simulation=replace(self.simulation, patches=patches),
+            measurement=replace(stated, part="", shift=pose.shift, rotation=pose.rotation),
+        )  # fmt: skip
+
+    def with_alone(self, other: Job) -> Job:
+        """Return this job with tool, machine and correction of the job of one part of its chuck, see `alone`."""
+        chuck, stated = self.part.surface, self.measurement
+        if not isinstance(chuck, Chuck):
+            return other
+        parts = tuple(
+            replace(one, correction=other.part.correction) if one.name == stated.part else one for one in chuck.parts
+        )
+        measurement = replace(stated, corrected=other.measurement.corrected, cut_by=other.measurement.cut_by)
+        part = replace(self.part, surface=replace(chuck, parts=parts))
+        return replace(
+            self, part=part, tool=other.tool, machine=other.machine, actual=other.actual, measurement=measurement
+        )
 
     def servo(self, cut: PassTable) -> Strategy:
         """Return the strategy of one pass, with the values that the pass replaces."""

@@ -68,6 +68,9 @@ UNEVEN_POINTS = 3
 MAX_BELOW_MM = 1e-4
 """Depth below the path, outside the part, up to which the parabola at the end of a crossing is taken for the path."""
 
+SLOWER = (1.5, 2.0, 3.0)
+"""Ratios that are tried, where the path rises faster than Z can while C turns."""
+
 MAX_SLOWER = 4.0
 """Largest ratio of the time of a crossing to that at the speed of the cut, or that the ramps of Z take."""
 
@@ -299,7 +302,7 @@ class _Crossings:
         if not lower:
             up, down, turn = self._rise(ends[0], height), self._rise(ends[1].reverse(), height), self._turn(*ends, 0.0)
             least = up.duration + down.duration
-            for wanted in (least, max(natural, least)):
+            for wanted in (least, max(natural, least), *(factor * max(natural, least) for factor in SLOWER)):
                 if turn is not None and turn.duration < wanted:
                     turn = self._turn(*ends, wanted)
                 if turn is None or turn.duration > MAX_SLOWER * max(natural, least):

@@ -28,7 +28,7 @@ from turnwright.edge import Edge
 from turnwright.errors import InputError
 from turnwright.part import Part
 from turnwright.path import Path, Spiral
-from turnwright.placing.air import cross_air, find_near, select_near
+from turnwright.placing.air import cross_air, find_near, join_parts, require_passage, select_near
 from turnwright.placing.breaks import SLOPE_OFFSET_MM
 from turnwright.placing.search import CHUNK, search
 from turnwright.placing.tangent import (
@@ -105,7 +105,7 @@ def place(
     GougeError
         If the edge has no tangent of the surface's slope (along the normal only).
     InputError
-        If ``along`` is neither "z" nor "normal".
+        If ``along`` is neither "z" nor "normal", or the tool cannot pass between two parts of a chuck.
 
     Sources
     -------
@@ -116,8 +116,13 @@ def place(
     edge = tool.cutting_edge(spiral.sense)
     if not part.leaves_air:
         return _place_on(spiral, part.continued, edge, along, progress)
-    near = find_near(spiral, part, edge)
-    return cross_air(spiral, part, near, _place_on(select_near(spiral, near), part.continued, edge, along, progress))
+    placed = []
+    for one in part.apart:
+        near = find_near(spiral, one, edge)
+        placed.append((near, _place_on(select_near(spiral, near), one.continued, edge, along, progress)))
+    if len(placed) > 1:
+        require_passage(spiral, part, placed, edge)
+    return cross_air(spiral, part, *join_parts(part, spiral, placed, edge))
 
 
 def _place_on(spiral: Spiral, part: Part, edge: Edge, along: Literal["z", "normal"], progress: Progress | None) -> Path:

@@ -122,7 +122,7 @@ def write_correction(
 ) -> File:
     """Write the page of a correction, see `write_page`."""
     sizes = correction.numbers_nm
-    is_compensated = correction.job.part.correction is not None
+    is_compensated = correction.job.alone().part.correction is not None
     names = {"measured": "as measured", "predicted": "predicted after the correction", "simulated": "simulated alone"}
     maps = {"measured": correction.measured, "predicted": correction.predicted, "simulated": correction.simulated}
     changes = [
@@ -145,7 +145,7 @@ def write_correction(
                 title="Before and after",
                 text=[*correction.sentences, PREDICTION_TEXT, *([SIMULATION_TEXT] if is_compensated else [])],
                 items=[
-                    draw.places_map(one, correction.job.part.border, names[name], what=f"Error {names[name]}")
+                    draw.places_map(one, correction.job.alone().part.border, names[name], what=f"Error {names[name]}")
                     for name, one in maps.items()
                     if one is not None
                 ],

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright.chuck import Chuck
 from turnwright.job import judge, part_shape
 from turnwright.path import Motion
 from turnwright.post import dialect_of, stop_instructions
@@ -93,6 +94,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
         notes=result.warnings,
         sections=[
             _things(result.job),
+            _setup(result),
             Section(
                 title="Access",
                 items=[_access_table(result.access), draw.access_map(result.part, result.access.findings)],
@@ -417,6 +419,44 @@ def _things(job: Job) -> Section:
             Table(title="Machine", rows=list(about_machine.items()), span=2),
         ],
     )
+
+
+def _setup(result: Result) -> Section:
+    """Return the set-up sheet: zeros, directions, what to do after a stop, and the places of parts on a chuck."""
+    job, start = result.job, result.job.program.start
+    convention = result.machine.convention
+    surface = job.part.surface
+    frame = "chuck" if isinstance(surface, Chuck) else "part"
+    rows = [
+        ("Work offset", start.work_offset or "the one that is active"),
+        ("Tool call", start.tool_call or "the tool that is active"),
+        ("X0", "tool tip on the spindle axis"),
+        ("Z0", "tool tip at the height of the origin of the " + frame),
+        ("C under the tool at the +x direction of the " + frame, f"{math.degrees(convention.clocking):.4g}°"),
+        ("X away from the axis", "grows" if convention.x_side > 0 else "falls"),
+        ("Z away from the part", "grows" if convention.z_sign > 0 else "falls"),
+    ]
+    items = [Table(title="Zeros and directions", rows=rows, span=2)]
+    if isinstance(surface, Chuck):
+        items.append(
+            Table(
+                title="Parts on the chuck",
+                columns=("Part", "Surface", "x [mm]", "y [mm]", "Height [mm]", "Clocking", "From the axis [mm]", "At"),
+                numeric=range(2, 8),
+                rows=[
+                    [
+                        one.name, type(one.surface).__name__, *(f"{at + 0.0:.4f}" for at in one.position),
+                        f"{one.height + 0.0:.4f}", f"{math.degrees(one.clocking):.4g}°",
+                        f"{math.hypot(*one.position):.4f}",
+                        f"{math.degrees(math.atan2(one.position[1], one.position[0])) + 0.0:.4g}°",
+                    ]
+                    for one in surface.parts
+                ],
+                notes=["Positions of the origin of each part in the frame of the chuck, seen from the tool."],
+                span=8,
+            )
+        )  # fmt: skip
+    return Section(title="Set-up", items=items)
 
 
 def _deviations(tool: Tool) -> dict[str, str]:
