@@ -359,6 +359,8 @@ def _aperture(part: Part) -> dict[str, str]:
         return {"Clear aperture, semi-diameter": f"{part.reach:.6g} mm"}
     reach = f"{part.nearest:.6g} to {part.reach:.6g} mm from the axis"
     air = {"Clearance in air": _length(part.air_clearance)} if part.leaves_air else {}
+    if isinstance(part.surface, Chuck):
+        return {"Clear aperture": f"{len(part.surface.parts)} parts, see set-up; {reach}", **air}
     return {"Clear aperture": f"{part.outline.words}; {reach}", **air}
 
 
@@ -453,7 +455,7 @@ def _setup(result: Result) -> Section:
                     for one in surface.parts
                 ],
                 notes=["Positions of the origin of each part in the frame of the chuck, seen from the tool."],
-                span=8,
+                span=4,
             )
         )  # fmt: skip
     return Section(title="Set-up", items=items)
