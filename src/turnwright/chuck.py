@@ -202,10 +202,11 @@ class Chuck(Assembled):
     """
 
     family: ClassVar[str] = "chuck"
+    has_outline: ClassVar[bool] = True
     example: ClassVar[Mapping[str, Any]] = MappingProxyType({
         "parts": [{
-            "name": "mirror", "surface": {"family": "sphere", "radius": "200 mm"},
-            "outline": {"rectangle": ["20 mm", "10 mm"]}, "position": ["30 mm", "0 mm"],
+            "name": "A", "surface": {"family": "plane"}, "outline": {"disc": "2 mm"},
+            "position": ["3 mm", "0 mm"],
         }]
     })  # fmt: skip
     hidden: ClassVar[tuple[str, ...]] = ("surfaces", "outlines", "names")

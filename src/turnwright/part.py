@@ -124,6 +124,8 @@ class Part(TableModel):
         check_numbers(self)
         if isinstance(self.surface, Chuck):
             self._check_chuck(self.surface)
+        elif isinstance(getattr(self.surface, "surface", None), Chuck) and not isinstance(self.surface, Continued):
+            raise InputError("a chuck is placed as a whole: state the position and clocking of its parts")
         if (self.radius is None) == (self.outline is None):
             raise InputError(
                 f"the part has {'neither radius nor' if self.outline is None else 'both radius and'} outline, it needs "

@@ -80,13 +80,17 @@ def job_template(family: str, strategy: str = "slow tool servo") -> str:
     schema = job_schema()
     moves_fast_tool = "fast" in strategy or "hybrid" in strategy
     machine = {"name": "nanoform-fts-70"} if moves_fast_tool else _EXAMPLES["machine"]
+    part, patches = dict(_EXAMPLES["part"]), [("simulation.patches", "Patch", _ADDED["simulation.patches"])]
+    if FAMILIES[family].has_outline:
+        del part["radius"]
+        patches = []  # they must be on the part
     tables: list[tuple[str, str, Mapping[str, Any]]] = [
-        ("part", "Part", _EXAMPLES["part"]),
+        ("part", "Part", part),
         ("part.surface", FAMILIES[family].__name__, {"family": family, **FAMILIES[family].example}),
         ("tool", "Tool", _EXAMPLES["tool"]),
         ("machine", "MachineTable", machine),
         ("strategy", STRATEGIES[strategy].__name__, {"kind": strategy, **STRATEGIES[strategy].example}),
-        ("simulation.patches", "Patch", _ADDED["simulation.patches"]),
+        *patches,
         ("tolerances", "Tolerances", _ADDED["tolerances"]),
     ]
     if moves_fast_tool:

@@ -63,7 +63,8 @@ class Family(TableModel):
     """A family of surfaces in a job file: a class of surfaces, or of files of heights.
 
     ``series`` names the fields that are coefficients of a formula, ``formula_units`` the unit of a formula that a job
-    file must confirm, ``needed`` the required keys whose fields have defaults; ``example`` is an example table.
+    file must confirm, ``needed`` the required keys whose fields have defaults; ``example`` is an example table;
+    ``has_outline`` says whether the surface states the clear aperture of the part.
     """
 
     __slots__ = ()
@@ -72,6 +73,7 @@ class Family(TableModel):
     formula_units: ClassVar[str] = ""
     needed: ClassVar[Collection[str]] = ()
     example: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+    has_outline: ClassVar[bool] = False
 
     @classmethod
     def table_keys(cls) -> Mapping[str, Any]:
