@@ -157,3 +157,19 @@ def test_a_measurement_names_its_part():
         measure(job.replace("measurement.part", ""), flat)
     with pytest.raises(tw.JobError, match="M3"):
         job.replace("measurement.part", "M3")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("strategy", {"kind": "turning", "feed": "50 um/rev", "spindle_speed": "500 rpm", "chord": "1 nm"}),
+        ("strategy", {"kind": "adaptive tool servo", "scallop": "50 nm", "chord": "1 nm"}),
+        ("passes", [
+            {"name": "rough", "kind": "turning", "spindle_speed": "500 rpm", "chord": "1 um", "allowance": "5 um"},
+            {"name": "finish"},
+        ]),
+    ],
+)  # fmt: skip
+def test_strategies_that_cannot_cut_a_chuck_are_refused(key, value):
+    with pytest.raises(tw.JobError, match=r"chuck|outline"):
+        Job.read({**JOB, key: value})

@@ -117,6 +117,11 @@ class Strategy(TableModel, ABC):
 
     def require_crossings(self, part: Part) -> None:
         """Raise if the tool leaves a part within a revolution, and the strategy cannot lift it there."""
+        if self.spindle_mode is not None and len(part.apart) > 1:
+            raise InputError(
+                "the parts of a chuck are no surface of revolution, in spindle mode the tool cannot follow them: cut "
+                "them with C as an axis, in roughing passes too"
+            )
         if part.leaves_air and self.spindle_mode is None and not self.crosses_air:
             kinds = [name for name, one in STRATEGIES.items() if one.crosses_air]
             raise InputError(
