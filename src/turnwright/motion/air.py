@@ -277,6 +277,8 @@ class _Crossings:
         """Return the way from the air to the first cut, or from the last one to the air, C at the speed of the cut."""
         height, on_path = self._height(run), self._state(point, before=not entering)
         ramp = self._rise(on_path.reverse() if entering else on_path, height)
+        if ramp is None:
+            return None
         duration = ramp.duration + LEAD_S
         points = np.arange(self.course.time.size)[run]
         rate = (self.axes[points[-1]] - self.axes[points[0]]) / np.ptp(self.course.time[points])
@@ -301,7 +303,7 @@ class _Crossings:
         height, natural = self._height(inside), float(self.course.time[last] - self.course.time[first])
         if not lower:
             up, down, turn = self._rise(ends[0], height), self._rise(ends[1].reverse(), height), self._turn(*ends, 0.0)
-            least = up.duration + down.duration
+            least = math.inf if up is None or down is None else up.duration + down.duration
             for wanted in (least, max(natural, least), *(factor * max(natural, least) for factor in SLOWER)):
                 if turn is not None and turn.duration < wanted:
                     turn = self._turn(*ends, wanted)
@@ -320,7 +322,7 @@ class _Crossings:
             tried = (low + high) / 2
             up, down = self._rise(ends[0], tried), self._rise(ends[1].reverse(), tried)
             one = None
-            if up.duration + down.duration <= turn.duration:
+            if up is not None and down is not None and up.duration + down.duration <= turn.duration:
                 one = self._sample(ends, turn, up, down, tried, inside, touches=touches)
             if one is None:
                 high = tried
@@ -330,6 +332,8 @@ class _Crossings:
 
     def _turn(self, start: _State, end: _State, least: float) -> Trajectory | None:
         """Return the motion of all axes but Z between two states, of at least a duration [s]."""
+        if math.isinf(least):
+            return None
         some = [0, *range(2, len(self.letters))]
         made = _find_profile(
             _State(*(part[some] for part in start)), _State(*(part[some] for part in end)),
@@ -339,15 +343,12 @@ class _Crossings:
             return None  # C would turn back
         return made
 
-    def _rise(self, start: _State, height: float) -> Trajectory:
+    def _rise(self, start: _State, height: float) -> Trajectory | None:
         """Return the motion of Z from a state to rest at a height."""
         target = _State(np.array([height]), np.zeros(1), np.zeros(1))
-        made = _find_profile(
+        return _find_profile(
             _State(*(part[1:2] for part in start)), target, _Limits(*(part[1:2] for part in self.limits)), 0.0
         )
-        if made is None:
-            raise ArithmeticError
-        return made
 
     def _sample(
         self,
@@ -381,12 +382,12 @@ class _Crossings:
             axes[on, 1], velocity[on, 1] = ends[0 if way > 0 else 1].position[1] + z[:, 0], way * rate[:, 0]
         for row, end in zip((0, -1), ends, strict=True):
             axes[row], velocity[row] = end.position, end.speed
-        path = np.interp(axes[:, 0], self.axes[inside, 0], self.axes[inside, 1])
-        below = axes[:, 1] < path - MAX_BELOW_MM
-        if below.any():
-            if not touches:
-                return None
-            axes[below, 1] = path[below]
+        path = self.axes[inside]
+        if touches:
+            axes[:, 1] = np.maximum(axes[:, 1], np.interp(axes[:, 0], path[:, 0], path[:, 1]))
+        # Between two points of the crossing there are many of the path, which may rise there.
+        if (np.interp(path[:, 0], axes[:, 0], axes[:, 1], right=np.inf) < path[:, 1] - MAX_BELOW_MM).any():
+            return None
         return self._course(time, axes, velocity)
 
     def _course(self, time: Floats, axes: Floats, velocity: Floats) -> Course:
@@ -405,7 +406,7 @@ def _find_profile(start: _State, end: _State, limits: _Limits, least: float) -> 
 
     A state beyond the limits, as the path may have, is one of its own.
     """
-    from ruckig import InputParameter, Result, Ruckig, Trajectory  # noqa: PLC0415 - costly to import
+    from ruckig import InputParameter, Result, Ruckig, RuckigError, Trajectory  # noqa: PLC0415 - costly to import
 
     count = start.position.size
     task, made = InputParameter(count), Trajectory(count)
@@ -417,9 +418,11 @@ def _find_profile(start: _State, end: _State, limits: _Limits, least: float) -> 
     task.max_acceleration, task.max_jerk = np.maximum.reduce(most), limits.jerk
     if least:
         task.minimum_duration = least
-    if Ruckig(count).calculate(task, made) != Result.Working:
+    try:
+        result = Ruckig(count).calculate(task, made)
+    except RuckigError:  # it finds none, such as for a duration of many revolutions
         return None
-    return made
+    return made if result == Result.Working else None
 
 
 def _knots(motion: Trajectory) -> Floats:

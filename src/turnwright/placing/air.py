@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
-from itertools import permutations
+from itertools import combinations
 
 import numpy as np
 
@@ -12,26 +12,27 @@ from turnwright._arrays import Bools, Floats, Ints
 from turnwright.edge import Edge
 from turnwright.errors import InputError
 from turnwright.outlined import OWN_BAND_MM
-from turnwright.part import OVERLAP_FEEDS, OVERLAP_MM, Part
+from turnwright.part import OVERLAP_FEEDS, OVERLAP_MM, Part, evenly
 from turnwright.path import Path, Spiral
 
-__all__ = ["cross_air", "find_near", "join_parts", "require_passage", "select_near"]
+__all__ = ["cross_air", "find_near", "join_parts", "require_distances", "select_near"]
 
 TURN = 2 * np.pi
 
-NEAR_POINTS = 26
-"""Points before and after those that may touch the part that are placed as well: a spline of the controller forgets a
-gap within 24."""
-
 WIDEST_EDGE_MM = 50.0
-PASSAGE_TIPS, PASSAGE_PLACES = 20_000, 65
-"""Tips close to another part, and places along the edge, where the edge is compared with the other part."""
+EDGE_PLACES, CHUNK = 129, 5_000
+"""Places along the edge at which it is compared with a neighbouring part, and tips compared at once."""
 
-MAX_PASSAGE_DEPTH_MM = 1e-6
-"""Depth in another part that is rounding. [mm]"""
+TOP_POINTS = 2000
+"""Points of a part at which its highest point is looked for."""
 
-NEAR_POINTS = 26
-"""Points before and after them that are placed as well: a spline of the controller forgets a gap within 24."""
+BISECTIONS, ON_BORDER_MM = 40, 1e-9
+
+AIR_MARGIN_MM = 0.02
+"""Least height of the edge above a neighbouring part while it crosses air close to it."""
+
+MAX_DEPTH_MM = 1e-6
+"""Depth in a neighbouring part that is rounding."""
 
 
 def find_near(spiral: Spiral, part: Part, edge: Edge) -> Ints:
@@ -89,54 +90,29 @@ def join_parts(part: Part, spiral: Spiral, placed: Sequence[tuple[Ints, Path]], 
     return near, replace(placed[0][1], **values), cuts  # type: ignore[arg-type]
 
 
-def require_passage(spiral: Spiral, part: Part, placed: Sequence[tuple[Ints, Path]], edge: Edge) -> None:
-    """Raise `InputError` if the edge would cut into one part of a chuck while it cuts another."""
-    overlap = _overlap(spiral)
-    for (one, (points, path)), other in permutations(zip(part.apart, placed, strict=True), 2):
-        second, (_, there) = other
-        cuts = np.flatnonzero(_find_cuts(points, path, one, overlap))
-        _require_distance(one, second, (points, path), other[1], overlap)
-        rise = max(0.0, float(there.z.max() - path.z[cuts].min(initial=0.0)))
-        reach = min(edge.half_width + rise / edge.flank_slope + abs(edge.dx) + abs(edge.dy), WIDEST_EDGE_MM)
-        tips = select_near(spiral, points[cuts])
-        close = np.flatnonzero(second.border.distance(*_plan(tips)) <= reach)
-        close = close[:: max(1, close.size // PASSAGE_TIPS)]
-        if not close.size:
-            continue
-        u, v, e = (
-            values[:, np.newaxis] for values in edge.points(edge.sweeps(np.linspace(-reach, reach, PASSAGE_PLACES)))
-        )
-        cosine, sine = np.cos(tips.angle[close]), np.sin(tips.angle[close])
-        along, across = path.radius[cuts[close]] + u, v + (0.0 if tips.y is None else tips.y[close])
-        x, y = along * cosine - across * sine, along * sine + across * cosine
-        depth = np.where(second.covers(x, y), second.heights(x, y) - path.z[cuts[close]] - e, -np.inf)
-        if depth.max() > MAX_PASSAGE_DEPTH_MM:
-            at = np.unravel_index(int(depth.argmax()), depth.shape)
-            raise InputError(
-                f"the tool cannot pass between the parts {one.name!r} and {second.name!r}: where it cuts the first it "
-                f"would cut {depth[at] * 1e3:.3g} um into the second, at x = {x[at]:.4g} mm, y = {y[at]:.4g} mm: place "
-                "them farther apart, or bring their edges to one height"
-            )
+def require_distances(part: Part, spiral: Spiral, placed: Sequence[tuple[Ints, Path]]) -> None:
+    """Raise `InputError` if the tool would have to be at two heights at once to cut the edges of two parts."""
+    for (one, there), (other, other_there) in combinations(zip(part.apart, placed, strict=True), 2):
+        _require_distance(one, other, there, other_there, _overlap(spiral))
 
 
 def _require_distance(
     one: Part, other: Part, placed: tuple[Ints, Path], there: tuple[Ints, Path], overlap: float
 ) -> None:
-    """Raise `InputError` if the tool would have to be at two heights at once to cut the edges of two parts."""
     (points, path), (points_there, path_there) = placed, there
     cuts = points[_find_cuts(points, path, one, overlap)]
     both = np.intersect1d(cuts, points_there[_find_cuts(points_there, path_there, other, overlap)])
     if not both.size:
         return
     apart = np.abs(path.z[np.searchsorted(points, both)] - path_there.z[np.searchsorted(points_there, both)]).max()
-    if apart > MAX_PASSAGE_DEPTH_MM:
+    if apart > MAX_DEPTH_MM:
         raise InputError(
             f"the tool cannot pass between the parts {one.name!r} and {other.name!r}: it cuts {overlap * 1e3:.4g} um "
             f"beyond both, where their surfaces differ by {apart * 1e3:.3g} um: place them farther apart"
         )
 
 
-def cross_air(spiral: Spiral, part: Part, near: Ints, placed: Path, cutting: Bools) -> Path:
+def cross_air(spiral: Spiral, part: Part, edge: Edge, near: Ints, placed: Path, cutting: Bools) -> Path:
     """Return the path over all points of a spiral from the one through its near points, with the heights in air.
 
     Material may be anywhere outside the outline, as high as the finished surface continues plus the stock.
@@ -166,9 +142,92 @@ def cross_air(spiral: Spiral, part: Part, near: Ints, placed: Path, cutting: Boo
     )  # fmt: skip
     cuts = np.zeros(number.size, dtype=np.bool_)
     cuts[near] = cutting
+    if len(part.apart) > 1:
+        path = replace(path, z=_pass_neighbours(path, part, cuts, edge))
     if cuts.all():
         return path
-    return replace(path, air_height=np.where(cuts, np.nan, z + part.stock + part.air_clearance))
+    return replace(path, air_height=np.where(cuts, np.nan, path.z + part.stock + part.air_clearance))
+
+
+def _pass_neighbours(path: Path, part: Part, cuts: Bools, edge: Edge) -> Floats:
+    """Return the heights of a path that clears every part of a chuck with the whole edge, flanks included. (n,) [mm].
+
+    Where it cuts a part it is not changed: `InputError` is raised if the edge would cut into another one there.
+    """
+    z = np.array(path.z)
+    across = np.zeros(z.size) if path.y is None else path.y
+    cosine, sine = np.cos(path.angle), np.sin(path.angle)
+    tip_x, tip_y = path.radius * cosine - across * sine, path.radius * sine + across * cosine
+    owner = np.argmin([one.border.distance(path.contact_x, path.contact_y) for one in part.apart], axis=0)
+    for k, one in enumerate(part.apart):
+        border_x, border_y = one.border.border(EDGE_PLACES)
+        top = float(one.surface.evaluate(*evenly(one, TOP_POINTS), 0)[0].max())
+        top = max(top, float(one.surface.evaluate(border_x, border_y, 0)[0].max())) + AIR_MARGIN_MM
+        reach = edge.half_width + max(top - float(z.min()), 0.0) / edge.flank_slope + abs(edge.dx) + abs(edge.dy)
+        reach = min(reach, WIDEST_EDGE_MM)
+        others = np.flatnonzero(~(cuts & (owner == k)))
+        distance = one.border.distance(tip_x[others], tip_y[others])
+        places = np.linspace(-reach, reach, EDGE_PLACES)
+        low = others[(distance <= reach) & (z[others] + _lowest_beyond(edge, places, distance) < top)]
+        needed, at_x, at_y = np.full(z.size, -np.inf), np.zeros(z.size), np.zeros(z.size)
+        for start in range(0, low.size, CHUNK):
+            some = low[start : start + CHUNK]
+
+            def over(place: Floats, some: Ints = some) -> tuple[Floats, Floats, Floats]:
+                u, v, e = edge.points(edge.sweeps(place.ravel())).reshape(3, *place.shape)
+                along, side = path.radius[some, np.newaxis] + u, across[some, np.newaxis] + v
+                x = along * cosine[some, np.newaxis] - side * sine[some, np.newaxis]
+                return x, along * sine[some, np.newaxis] + side * cosine[some, np.newaxis], e
+
+            every = _with_borders(np.tile(places, (some.size, 1)), one, over)
+            x, y, e = over(every)
+            over_part, row = np.full(x.shape, -np.inf), np.arange(some.size)
+            on = one.border.distance(x, y) <= ON_BORDER_MM
+            over_part[on] = one.surface.evaluate(x[on], y[on], 0)[0] - e[on]
+            place = over_part.argmax(axis=1)
+            highest = over_part[row, place]
+            needed[some], at_x[some], at_y[some] = highest, x[row, place], y[row, place]
+        # A wall rises between two points: the edge must be above from the point before, until the point after.
+        before, after = np.append(-np.inf, needed[:-1]), np.append(needed[1:], -np.inf)
+        walls = np.where(np.isinf(needed), np.maximum(before, after), needed)
+        depth = np.where(cuts & (owner != k), walls - z, -np.inf)
+        if depth.max() > MAX_DEPTH_MM:
+            at = int(depth.argmax())
+            near = at + np.array([0, -1, 1])[np.argmax([needed[at], before[at], after[at]])]
+            cut = part.apart[int(owner[at])]
+            raise InputError(
+                f"the tool cannot pass between the parts {cut.name!r} and {one.name!r}: where it cuts the first it "
+                f"would cut {depth[at] * 1e3:.3g} um into the second, at x = {at_x[near]:.4g} mm, y = "
+                f"{at_y[near]:.4g} mm: place them farther apart, or bring their edges to one height"
+            )
+        z = np.where(cuts, z, np.maximum(z, np.maximum.reduce([before, walls, after]) + AIR_MARGIN_MM))
+    return z
+
+
+def _lowest_beyond(edge: Edge, places: Floats, distance: Floats) -> Floats:
+    """Return the lowest height of the edge at given distances from the tip or more. (n,) [mm]."""
+    u, v, e = edge.points(edge.sweeps(places))
+    away = np.hypot(u, v)
+    order = np.argsort(away)
+    lowest = np.minimum.accumulate(e[order][::-1])[::-1]
+    return np.asarray(lowest[np.maximum(np.searchsorted(away[order], distance, "right") - 1, 0)])
+
+
+def _with_borders(places: Floats, part: Part, over: Callable[[Floats], tuple[Floats, Floats, Floats]]) -> Floats:
+    """Return places along the edge and those on the border of a part next to the tip. (n, m + 2) [mm]."""
+    x, y, _ = over(places)
+    on = part.border.covers(x, y)
+    rows, middle = np.arange(places.shape[0]), places.shape[1] // 2
+    borders = []
+    for first, step in ((on[:, middle:].argmax(axis=1) + middle, -1), (middle - on[:, middle::-1].argmax(axis=1), 1)):
+        inside, outside = places[rows, first], places[rows, np.clip(first + step, 0, places.shape[1] - 1)]
+        for _ in range(BISECTIONS):
+            between = (inside + outside) / 2
+            x, y, _ = over(between[:, np.newaxis])
+            covered = part.border.covers(x, y)[:, 0]
+            inside, outside = np.where(covered, between, inside), np.where(covered, outside, between)
+        borders.append(inside)
+    return np.column_stack([places, *borders])
 
 
 def _heights_around(part: Part, x: Floats, y: Floats) -> Floats:

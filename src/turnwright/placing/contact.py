@@ -28,7 +28,7 @@ from turnwright.edge import Edge
 from turnwright.errors import InputError
 from turnwright.part import Part
 from turnwright.path import Path, Spiral
-from turnwright.placing.air import cross_air, find_near, join_parts, require_passage, select_near
+from turnwright.placing.air import cross_air, find_near, join_parts, require_distances, select_near
 from turnwright.placing.breaks import SLOPE_OFFSET_MM
 from turnwright.placing.search import CHUNK, search
 from turnwright.placing.tangent import (
@@ -120,9 +120,8 @@ def place(
     for one in part.apart:
         near = find_near(spiral, one, edge)
         placed.append((near, _place_on(select_near(spiral, near), one.continued, edge, along, progress)))
-    if len(placed) > 1:
-        require_passage(spiral, part, placed, edge)
-    return cross_air(spiral, part, *join_parts(part, spiral, placed, edge))
+    require_distances(part, spiral, placed)
+    return cross_air(spiral, part, edge, *join_parts(part, spiral, placed, edge))
 
 
 def _place_on(spiral: Spiral, part: Part, edge: Edge, along: Literal["z", "normal"], progress: Progress | None) -> Path:
