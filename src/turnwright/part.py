@@ -141,8 +141,18 @@ class Part(TableModel):
             )
         if self.stock < 0:
             raise InputError(f"stock is {self.stock:g} mm, it cannot be below 0 mm: give the thickness to remove")
+        self._require_defined()
+
+    def _require_defined(self) -> None:
+        """Raise unless the surface is defined everywhere in the clear aperture."""
         if self.outline is None:
             self.surface.require_disc(self.reach, "the radius of the clear aperture")
+        elif isinstance(self.surface, Chuck):
+            for one in self.surface.parts:
+                try:
+                    _require_on(one.placed, one.border)
+                except DomainError as error:
+                    raise DomainError(f"the part {one.name!r} of the chuck: {error}") from error
         else:
             _require_on(self.surface, self.outline)
 
@@ -199,6 +209,16 @@ class Part(TableModel):
     def nearest(self) -> float:
         """Smallest distance of the clear aperture from the axis. [mm]."""
         return 0.0 if self.outline is None else self.outline.nearest
+
+    @property
+    def turned_share(self) -> float:
+        """Share of a spiral over the radii of the part that is on the part, to about 1 %."""
+        if not self.leaves_air:
+            return 1.0
+        radius, angle = np.meshgrid(
+            np.linspace(self.nearest, self.reach, RING_SAMPLES[0] * 4), np.linspace(0, 2 * np.pi, RING_SAMPLES[1] * 4)
+        )
+        return float(self.covers(radius * np.cos(angle), radius * np.sin(angle)).mean())
 
     @property
     def leaves_air(self) -> bool:

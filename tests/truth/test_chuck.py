@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
-from turnwright.job import Job, correct, diagnose, measure
+from turnwright.job import Job, correct, diagnose, measure, preview
 
 TOOL = tw.Tool(nose_radius=0.5, included=np.deg2rad(90), clearance=np.deg2rad(10))
 PARABOLA = tw.OffAxis(parent=tw.Conic(radius=150.0, conic=-1.0), distance=30.0)
@@ -99,6 +99,28 @@ def test_a_tool_that_cannot_pass_between_two_parts_is_refused(gap):
     tw.place(servo.spiral(apart, TOOL), apart, TOOL)
 
 
+@pytest.mark.parametrize("inside_out", [False, True])
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_tall_neighbour_is_never_cut(side, inside_out):
+    # Diagonally behind the low part: the tool must rise 1 mm, and the flank at 45 degrees reaches over the tall part.
+    low = tw.Mounted(name="low", surface=tw.Plane(), outline=tw.Outline(rectangle=(4.0, 4.0)), position=(12.0, 0.0))
+    tall = replace(low, name="tall", outline=tw.Outline(rectangle=(3.0, 4.0)), position=(16.2, side * 4.8), height=1.0)
+    part, machine = tw.Part(surface=tw.Chuck(parts=(low, tall)), stock=0.01), tw.Machine.load("nanoform")
+    servo = tw.SlowToolServo(feed=0.05, spindle_rpm=5, points_per_rev=720, inside_out=inside_out)
+    motion = tw.drive(tw.place(servo.spiral(part, TOOL), part, TOOL), servo, machine)
+    assert tw.check_limits(motion, machine).ok
+    for one, (x_low, x_high, low_y, high_y) in ((alone, alone.border.box) for alone in part.apart):
+        x, y = np.meshgrid(np.linspace(x_low, x_high, 61), np.linspace(low_y, high_y, 61))
+        made = tw.generate_points(motion, TOOL, x=x.ravel(), y=y.ravel())
+        assert (made - one.surface.sag(x, y).ravel()).min() > -1e-9
+
+
+def test_a_part_outside_the_domain_of_its_surface_is_named():
+    ball = tw.Mounted(name="ball", surface=tw.Sphere(radius=3.0), outline=tw.Outline(disc=4.0))
+    with pytest.raises(tw.TurnwrightError, match=r"'ball'.*Sphere"):
+        tw.Part(surface=tw.Chuck(parts=(ball,)))
+
+
 JOB = {
     "part": {
         "stock": "10 um",
@@ -148,6 +170,10 @@ def test_a_map_of_one_part_corrects_this_part(tmp_path):
     amplitude = np.linalg.lstsq(terms, on_chuck, rcond=None)[0][0]
     assert amplitude == pytest.approx(-60e-6, rel=0.1)
     assert Job.load(tmp_path / "job.toml").part.surface.parts[1].correction is not None
+
+
+def test_a_chuck_can_be_checked_before_a_run():
+    assert preview(Job.read(JOB)).refused == ()
 
 
 def test_a_measurement_names_its_part():

@@ -190,8 +190,9 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
             refused = (sentence,)
             break
         speed = stated or most if profile is None else float(profile.spindle_rpm.max())
-        times = cut.repeats(stock)
-        points[cut.name] = times * size
+        # Air is crossed faster and with few points.
+        times = cut.repeats(stock) * (1.0 if servo.spindle_mode is not None else job.part.turned_share)
+        points[cut.name] = round(times * size)
         # The points of a fast tool are in its own table.
         blocks = 0 if job.program.fast_tool else size - 1
         shortest[cut.name] = times * max(spiral.turns * 60 / speed, blocks / machine.block_rate_hz)

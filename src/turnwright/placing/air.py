@@ -36,17 +36,15 @@ MAX_DEPTH_MM = 1e-6
 
 
 def find_near(spiral: Spiral, part: Part, edge: Edge) -> Ints:
-    """Return the points of a spiral at which the edge may touch the part, or close to it. (n,)."""
+    """Return the points of a spiral at which the edge may touch the part, or close to it; none or at least 2. (n,)."""
     x, y = _plan(spiral)
     width = edge.half_width + abs(edge.dx) + abs(edge.dy)
     # Beyond the band in which the surface is its own it has kinks, and a placing would take long.
     reach = max(OWN_BAND_MM - width, width + _overlap(spiral))
-    near = np.flatnonzero(part.border.distance(x, y) <= reach)
-    if near.size < 2:
-        raise InputError(
-            f"the spiral has {near.size} points on the part, it needs at least 2: use a smaller feed or more points"
-        )
-    return near
+    close = part.border.distance(x, y) <= reach
+    # A point without a neighbour is no cut: it is far from the part, or the other end of a single revolution.
+    joined = close[1:] & close[:-1] & (np.abs(np.diff(spiral.angle)) <= TURN / 2)
+    return np.flatnonzero(np.append(joined, False) | np.append(False, joined))
 
 
 def select_near(spiral: Spiral, near: Ints) -> Spiral:
@@ -61,13 +59,15 @@ def select_near(spiral: Spiral, near: Ints) -> Spiral:
     return replace(spiral.select(near), **rates)
 
 
-def join_parts(part: Part, spiral: Spiral, placed: Sequence[tuple[Ints, Path]], edge: Edge) -> tuple[Ints, Path, Bools]:
+def join_parts(
+    parts: Sequence[Part], spiral: Spiral, placed: Sequence[tuple[Ints, Path]], edge: Edge
+) -> tuple[Ints, Path, Bools]:
     """Return the points at which the edge may touch any part, the path through them, and where it cuts.
 
     Where the edge cuts a part of a chuck, the path is that of this part alone; in air, the highest one of those that
     the edge may reach, else the nearest.
     """
-    parts, overlap = part.apart, _overlap(spiral)
+    overlap = _overlap(spiral)
     width = edge.half_width + overlap
     near = np.unique(np.concatenate([points for points, _ in placed]))
     rank, owner = np.full(near.size, -np.inf), np.empty(near.size, dtype=np.int64)
@@ -90,9 +90,9 @@ def join_parts(part: Part, spiral: Spiral, placed: Sequence[tuple[Ints, Path]], 
     return near, replace(placed[0][1], **values), cuts  # type: ignore[arg-type]
 
 
-def require_distances(part: Part, spiral: Spiral, placed: Sequence[tuple[Ints, Path]]) -> None:
+def require_distances(parts: Sequence[Part], spiral: Spiral, placed: Sequence[tuple[Ints, Path]]) -> None:
     """Raise `InputError` if the tool would have to be at two heights at once to cut the edges of two parts."""
-    for (one, there), (other, other_there) in combinations(zip(part.apart, placed, strict=True), 2):
+    for (one, there), (other, other_there) in combinations(zip(parts, placed, strict=True), 2):
         _require_distance(one, other, there, other_there, _overlap(spiral))
 
 

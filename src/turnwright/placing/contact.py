@@ -116,12 +116,16 @@ def place(
     edge = tool.cutting_edge(spiral.sense)
     if not part.leaves_air:
         return _place_on(spiral, part.continued, edge, along, progress)
-    placed = []
-    for one in part.apart:
-        near = find_near(spiral, one, edge)
-        placed.append((near, _place_on(select_near(spiral, near), one.continued, edge, along, progress)))
-    require_distances(part, spiral, placed)
-    return cross_air(spiral, part, edge, *join_parts(part, spiral, placed, edge))
+    nears = [find_near(spiral, one, edge) for one in part.apart]
+    if not any(near.size for near in nears):
+        raise InputError("the spiral has no 2 neighbouring points on the part: use a smaller feed or more points")
+    parts = tuple(one for one, near in zip(part.apart, nears, strict=True) if near.size)
+    placed = [
+        (near, _place_on(select_near(spiral, near), one.continued, edge, along, progress))
+        for one, near in zip(parts, filter(len, nears), strict=True)
+    ]
+    require_distances(parts, spiral, placed)
+    return cross_air(spiral, part, edge, *join_parts(parts, spiral, placed, edge))
 
 
 def _place_on(spiral: Spiral, part: Part, edge: Edge, along: Literal["z", "normal"], progress: Progress | None) -> Path:
