@@ -165,7 +165,7 @@ def _pass_neighbours(path: Path, part: Part, cuts: Bools, edge: Edge) -> Floats:
         top = max(top, float(one.surface.evaluate(border_x, border_y, 0)[0].max())) + AIR_MARGIN_MM
         reach = edge.half_width + max(top - float(z.min()), 0.0) / edge.flank_slope + abs(edge.dx) + abs(edge.dy)
         reach = min(reach, WIDEST_EDGE_MM)
-        others = np.flatnonzero(~(cuts & (owner == k)))
+        others = np.flatnonzero(owner != k)  # close to a part itself, its path is placed above it
         distance = one.border.distance(tip_x[others], tip_y[others])
         places = np.linspace(-reach, reach, EDGE_PLACES)
         low = others[(distance <= reach) & (z[others] + _lowest_beyond(edge, places, distance) < top)]
@@ -200,7 +200,8 @@ def _pass_neighbours(path: Path, part: Part, cuts: Bools, edge: Edge) -> Floats:
                 f"would cut {depth[at] * 1e3:.3g} um into the second, at x = {at_x[near]:.4g} mm, y = "
                 f"{at_y[near]:.4g} mm: place them farther apart, or bring their edges to one height"
             )
-        z = np.where(cuts, z, np.maximum(z, np.maximum.reduce([before, walls, after]) + AIR_MARGIN_MM))
+        above = np.maximum.reduce([before, walls, after]) + AIR_MARGIN_MM
+        z = np.where(cuts | (owner == k), z, np.maximum(z, above))
     return z
 
 
