@@ -17,7 +17,7 @@ from turnwright._validate import check_angle, check_numbers, finite_tuple, insta
 from turnwright.errors import InputError
 from turnwright.units import Angle, Length, Size
 
-__all__ = ["Outline"]
+__all__ = ["BORDER_TOL", "Outline"]
 
 SHAPES = ("disc", "annulus", "rectangle", "polygon", "several")
 

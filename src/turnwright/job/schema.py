@@ -27,6 +27,7 @@ from turnwright.job.replacing import replace_field
 from turnwright.job.tables import AnyInstrument, AnyMachine, ExistingFile, MachineDeviations, Table, context_of
 from turnwright.machine import Machine
 from turnwright.motion import require_variable
+from turnwright.outline import BORDER_TOL
 from turnwright.part import Part
 from turnwright.pose import Pose
 from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED, ProgramStart, WorkOffset, dialect_of, require_spindle_modes
@@ -50,6 +51,9 @@ MAX_VALUES = 100_000
 
 MAX_SAMPLES = 1e8
 """Heights in one map: a pixel that gives more has a wrong unit."""
+
+PATCH_SAMPLES = 33
+"""Points along each side of a patch that must be on the outline of the part."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -196,6 +200,12 @@ class Patch(Table):
                 )
             axes.append(np.asarray(middle + (np.arange(count) - (count - 1) / 2) * self.pixel, dtype=np.float64))
         return axes[0], axes[1]
+
+    @property
+    def samples(self) -> tuple[Floats, Floats]:
+        """Points over the patch and its sides, few enough to test whether it is on an outline. Each (n, n) [mm]."""
+        x, y = np.meshgrid(*(np.linspace(one[0], one[-1], PATCH_SAMPLES) for one in self.axes))
+        return x, y
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -495,13 +505,6 @@ class ProgramTable(Table):
             )
 
 
-PATCH_SAMPLES = 33
-"""Points along each side of a patch that must be on the outline of the part."""
-
-BORDER_TOL = 1e-9
-"""Distance of a patch beyond the outline that is rounding. [mm]"""
-
-
 def _require_unique(what: str, names: list[str]) -> None:
     """Raise if two names would give the same file name."""
     alike = [re.sub("[ -]+", "-", name).casefold() for name in names]
@@ -649,7 +652,7 @@ class Job(Table):
             )
         if self.part.outline is None:
             return
-        x, y = np.meshgrid(*(np.linspace(one[0], one[-1], PATCH_SAMPLES) for one in patch.axes))
+        x, y = patch.samples
         off = self.part.outline.distance(x, y)
         if off.max() > BORDER_TOL:
             k = int(off.argmax())
@@ -737,7 +740,7 @@ class Job(Table):
             )
         mounted, part = chuck.mounted(stated.part), self.part.alone(stated.part)
         pose = mounted.pose.after(stated.pose or Pose())
-        patches = tuple(one for one in self.simulation.patches if part.covers(*np.meshgrid(*one.axes)).all())
+        patches = tuple(one for one in self.simulation.patches if part.covers(*one.samples).all())
         return replace(
             self, part=part, simulation=replace(self.simulation, patches=patches),
             measurement=replace(stated, part="", shift=pose.shift, rotation=pose.rotation),

@@ -234,8 +234,6 @@ class _Crossings:
             values, at = self.axes[:, k], time
             cutting, axis = cuts, self.machine.axes.get(letter, Axis())
             for order, kind in enumerate(SPEED_POWERS, 1):
-                if values.size < MIN_POINTS:
-                    break
                 # The mean of the times gives divided differences, up to factors near 1.
                 values, at = np.diff(values) / np.diff(at), (at[1:] + at[:-1]) / 2
                 cutting = cutting[1:] & cutting[:-1]

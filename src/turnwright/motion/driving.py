@@ -13,7 +13,15 @@ from turnwright._arrays import Floats, Ints
 from turnwright.errors import InputError, LimitError
 from turnwright.machine import FAST, Machine
 from turnwright.motion.air import cross_air, cut_sections
-from turnwright.motion.limits import LIMIT_TOL, TURN, Course, find_axis_peaks, find_limit_demands, find_speed_factor
+from turnwright.motion.limits import (
+    LIMIT_TOL,
+    TURN,
+    Course,
+    LimitDemand,
+    find_axis_peaks,
+    find_limit_demands,
+    find_speed_factor,
+)
 from turnwright.motion.pvt import find_fastest_course, reach_stated_speed, slow_to_limits
 from turnwright.path import Motion, Path, SpindleMode
 from turnwright.speed_profile import SpeedProfile
@@ -180,12 +188,7 @@ def _rank_speeds(course: Course, air: Floats, machine: Machine) -> Iterable[floa
     times = {}
     for omega in (fastest * SPEED_STEP ** np.arange(SPEED_TRIALS)).tolist():
         crossed = [cross_air(course.select(one).at_speed(omega), air[one], machine) for one in samples]
-        every = [np.arange(one.time.size) for one in crossed]
-        demands = [
-            find_limit_demands(one, at, find_axis_peaks(one, at, machine, (False, False)), machine, bands=False)
-            for one, at in zip(crossed, every, strict=True)
-        ]
-        within = all(not demand.exceeded for some in demands for demand in some)
+        within = all(not demand.exceeded for one in crossed for demand in _find_demands(one, machine))
         times[omega] = (not within, sum(float(np.ptp(one.time)) for one in crossed))
     return sorted(times, key=times.__getitem__)
 
@@ -195,12 +198,16 @@ def _find_omega_in_cuts(course: Course, air: Floats, machine: Machine) -> float:
     fastest = machine.spindle_rpm * TURN / 60
     for section in cut_sections(air):
         if section.stop - section.start >= MIN_SECTION:
-            part = course.select(section)
-            every = np.arange(part.time.size)
-            peaks = find_axis_peaks(part, every, machine, (False, False))
-            demands = find_limit_demands(part, every, peaks, machine, bands=False)
+            demands = _find_demands(course.select(section), machine)
             fastest = min(fastest, *(demand.speed_factor for demand in demands))
     return fastest
+
+
+def _find_demands(course: Course, machine: Machine) -> list[LimitDemand]:
+    """Return the demands of a part of a motion, all of whose points are in the program."""
+    every = np.arange(course.time.size)
+    peaks = find_axis_peaks(course, every, machine, (False, False))
+    return find_limit_demands(course, every, peaks, machine, bands=False)
 
 
 def _find_omega(

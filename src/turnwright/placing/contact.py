@@ -28,7 +28,7 @@ from turnwright.edge import Edge
 from turnwright.errors import InputError
 from turnwright.part import Part
 from turnwright.path import Path, Spiral
-from turnwright.placing.air import cross_air, find_near, join_parts, require_distances, select_near
+from turnwright.placing.air import place_apart
 from turnwright.placing.breaks import SLOPE_OFFSET_MM
 from turnwright.placing.search import CHUNK, search
 from turnwright.placing.tangent import (
@@ -87,7 +87,8 @@ def place(
     Notes
     -----
     Outside an outline that the tool leaves within a revolution, the surface continues as `Part.continued` does. The
-    path states the height for crossing air there; points further out are not placed but interpolated.
+    path states the height for crossing air there. Points further out are not placed, their height is that of the
+    continuation, or on a chuck that of the nearest border.
 
     Returns
     -------
@@ -116,16 +117,11 @@ def place(
     edge = tool.cutting_edge(spiral.sense)
     if not part.leaves_air:
         return _place_on(spiral, part.continued, edge, along, progress)
-    nears = [find_near(spiral, one, edge) for one in part.apart]
-    if not any(near.size for near in nears):
-        raise InputError("the spiral has no 2 neighbouring points on the part: use a smaller feed or more points")
-    parts = tuple(one for one, near in zip(part.apart, nears, strict=True) if near.size)
-    placed = [
-        (near, _place_on(select_near(spiral, near), one.continued, edge, along, progress))
-        for one, near in zip(parts, filter(len, nears), strict=True)
-    ]
-    require_distances(parts, spiral, placed)
-    return cross_air(spiral, part, edge, *join_parts(parts, spiral, placed, edge))
+
+    def place_on(some: Spiral, one: Part) -> Path:
+        return _place_on(some, one, edge, along, progress)
+
+    return place_apart(spiral, part, edge, place_on)
 
 
 def _place_on(spiral: Spiral, part: Part, edge: Edge, along: Literal["z", "normal"], progress: Progress | None) -> Path:

@@ -13,6 +13,7 @@ import numpy as np
 from turnwright._arrays import Floats, Ints
 from turnwright._tables import TableModel, forget_adapters, types_of, write_table, written_by
 from turnwright._validate import check_numbers, one_of, positive
+from turnwright.chuck import Chuck
 from turnwright.errors import InputError
 from turnwright.machine import Machine
 from turnwright.part import Part
@@ -117,7 +118,7 @@ class Strategy(TableModel, ABC):
 
     def require_crossings(self, part: Part) -> None:
         """Raise if the tool leaves a part within a revolution, and the strategy cannot lift it there."""
-        if self.spindle_mode is not None and len(part.apart) > 1:
+        if self.spindle_mode is not None and isinstance(part.surface, Chuck):
             raise InputError(
                 "the parts of a chuck are no surface of revolution, in spindle mode the tool cannot follow them: cut "
                 "them with C as an axis, in roughing passes too"
