@@ -138,6 +138,7 @@ from .surface import (
     Zernike as Zernike,
 )
 from .tool import (
+    Shank as Shank,
     Tool as Tool,
     WavinessTable as WavinessTable,
 )

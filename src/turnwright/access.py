@@ -14,7 +14,7 @@ from turnwright.errors import DomainError, InputError
 from turnwright.part import Part
 from turnwright.placing import touch
 from turnwright.progress import Progress
-from turnwright.tool import Tool
+from turnwright.tool import Shank, Tool
 from turnwright.units import say_length
 
 __all__ = ["Access", "AccessFinding", "check_access", "check_depths"]
@@ -51,6 +51,13 @@ REFINEMENT_STEPS = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 """Steps from each point, in radial and circumferential direction, that a refinement tries."""
 
 FLANK_POINTS = 120
+
+BODY_GAP_MM = 0.1
+"""Least distance along z between the part with its stock and the shank or holder of a tool."""
+BODY_RINGS, BODY_RAYS = 8, 24
+"""Rings and rays of the points of a cylinder that are compared with the part at each position of the tool."""
+BODY_STEPS, BODY_SHRINK = 40, 0.7
+"""Refinements of the least gap, and what each leaves of the step."""
 MAX_NOSE_RADIUS_MM = 20.0
 """Nose radius beyond which a unit error is likely."""
 
@@ -62,13 +69,14 @@ class AccessFinding:
     Parameters
     ----------
     name
-        "nose radius", "included angle", "clearance", "rake", "valley" or "step"; "depth of cut" of a pass.
+        "nose radius", "included angle", "clearance", "rake", "valley" or "step"; "shank" or "holder" if the tool states
+        it; "depth of cut" of a pass.
     value
-        The nose radius of the tool, the angle that the part requires, the size of a valley or step, or the depth of cut
-        of a pass. [mm or rad]
+        The nose radius of the tool, the angle that the part requires, the size of a valley or step, the least distance
+        of shank or holder from the part along z, or the depth of cut of a pass. [mm or rad]
     limit
-        The nose radius that the part allows, the angle of the tool, or the largest depth of cut; ``None`` if there is
-        no limit or it is not given.
+        The nose radius that the part allows, the angle of the tool, the least distance that is allowed, or the largest
+        depth of cut; ``None`` if there is no limit or it is not given.
     margin
         Distance to the limit, negative where it is exceeded; ``None`` without a limit.
     where
@@ -141,7 +149,9 @@ class Reach(NamedTuple):
         return -self.climb
 
 
-def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress | None = None) -> Access:
+def check_access(
+    part: Part, tool: Tool, *, sense: int = 1, lead_in: float = 0.0, progress: Progress | None = None
+) -> Access:
     r"""Check whether a tool can cut a part: requirements, margins and the tightest places.
 
     At radius :math:`\rho` and azimuth :math:`\theta` let :math:`f_u = \partial f/\partial\rho` be the slope outward and
@@ -157,7 +167,8 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
     Only concave places (:math:`\kappa > 0`) limit the nose, to :math:`1/\max\kappa`. The nose touches at the angle
     whose tangent is :math:`w'`. Collisions of the edge away from the contact do not follow from the curvature: placing
     the tool detects them exactly. Clearance, rake and valleys: see the theory of access. A required included or
-    clearance angle that is not given fails.
+    clearance angle that is not given fails. Shank and holder, if the tool states them, must stay clear of the part with
+    its stock wherever the tip touches the part.
 
     Parameters
     ----------
@@ -165,6 +176,8 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
         Part and tool; of the tool the actual nose radius and the nominal angles.
     sense
         +1 where the azimuth of the part under the tool grows, -1 where it falls.
+    lead_in
+        How far beyond the rim the tip begins; only shank and holder depend on it. [mm]
     progress
         Called with (done, total).
 
@@ -181,7 +194,7 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
 
     >>> from turnwright.part import Part
     >>> from turnwright.surface import SineGrid
-    >>> from turnwright.tool import Tool
+    >>> from turnwright.tool import Shank, Tool
     >>> grid = Part(surface=SineGrid(amplitude=(0.002, 0.002), period=(2.5, 2.5)), radius=5.0)
     >>> tool = Tool(nose_radius=0.514, clearance=np.deg2rad(10), included=np.deg2rad(60))
     >>> access = check_access(grid, tool)
@@ -219,6 +232,7 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
     limit = 1 / curvature if curvature > 0 else math.inf
     needed, at_needed = (2 * high, at_high) if high >= minus_low else (2 * minus_low, at_low)
     clearance = max(minus_fall, 0.0)
+    beyond = 0.0 if part.leaves_air else max(lead_in, tool.actual_radius * math.sin(max(minus_low, 0.0)))
     rakes = (tool.rake - steep, tool.rake + minus_fall)
     rake_words = (
         f"the rake relative to the surface ranges from {_deg(rakes[0])} {_position(climbing)} to {_deg(rakes[1])} "
@@ -232,6 +246,7 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
             name="rake", value=rakes[0], limit=None, margin=None, where=climbing, ok=True, sentence=rake_words
         ),
         *_borders(part, tool, places),
+        *(_body(part, tool, name, sense, beyond) for name in tool.bodies),
     ]
     return Access(
         nose_radius_limit=limit,
@@ -276,7 +291,7 @@ def check_depths(
 
     >>> from turnwright.part import Part
     >>> from turnwright.surface import Plane
-    >>> from turnwright.tool import Tool
+    >>> from turnwright.tool import Shank, Tool
     >>> tool = Tool(nose_radius=0.5, included=np.deg2rad(60), clearance=np.deg2rad(10))
     >>> flat = Part(surface=Plane(slope=(0.0, 0.0)), radius=5.0)
     >>> findings = check_depths(flat, tool, {"roughing": 0.05, "too deep": 0.5})
@@ -385,6 +400,87 @@ def _extended_surface(part: Part, x: Floats, y: Floats) -> Floats:
     slope = (zx * flat_x[over] + zy * flat_y[over]) / part.reach
     z.ravel()[over] += np.maximum(slope, 0.0) * (distance.ravel()[over] - part.reach)
     return z
+
+
+def _body(part: Part, tool: Tool, name: str, sense: int, beyond: float) -> AccessFinding:
+    """Check that shank or holder stays clear of the part, wherever the tip touches it."""
+    body = tool.bodies[name]
+    gap, tip, where = _body_gap(part, tool, body, sense, beyond)
+    ok = gap >= BODY_GAP_MM
+    near = f"stays {say_length(gap)} above the part" if gap > 0 else f"cuts {say_length(-gap)} into the part"
+    words = f"the {name} {near} along z {_position(where)}, with the tip {_position(tip)}"
+    if math.isinf(gap):
+        words, where = f"the {name} is nowhere above the part", (math.nan, math.nan)
+    if not ok:
+        more = BODY_GAP_MM - gap
+        words += (
+            f", the limit is {say_length(BODY_GAP_MM)}: use a slimmer {name}, or one that begins "
+            f"{body.height + more:.4g} mm above the tip (now {body.height:.4g} mm)"
+        )
+    return AccessFinding(
+        name=name, value=gap, limit=BODY_GAP_MM, margin=gap - BODY_GAP_MM, where=None if math.isinf(gap) else where,
+        ok=ok, sentence=words,
+    )  # fmt: skip
+
+
+def _body_gap(
+    part: Part, tool: Tool, body: Shank, sense: int, beyond: float
+) -> tuple[float, tuple[float, float], tuple[float, float]]:
+    """Return the least height of a cylinder above the part with its stock, and (x, y) of the tip and of that point."""
+    count = np.arange(DEPTH_POINTS)
+    reach = part.reach + beyond
+    square = part.nearest**2 + (reach**2 - part.nearest**2) * (count + 0.5) / DEPTH_POINTS
+    ring = np.linspace(0, TURN, RING_POINTS, endpoint=False)
+    ends = [np.full(RING_POINTS, one) for one in (reach, part.reach, part.nearest)]
+    radius = np.concatenate([np.sqrt(square), *ends])
+    angle = np.concatenate([count * GOLDEN_ANGLE, ring, ring, ring])
+    out, turned = (one.ravel() for one in np.meshgrid(
+        np.linspace(0, body.radius, BODY_RINGS + 1), np.linspace(0, TURN, BODY_RAYS, endpoint=False)
+    ))  # fmt: skip
+    rows = np.repeat(np.arange(radius.size), out.size)
+
+    def gaps(radius: Floats, angle: Floats, out: Floats, turned: Floats, at: Ints) -> Floats:
+        """Return the height of points of the cylinder above the part; ``at`` numbers their positions of the tip."""
+        tip = touch(part.surface, tool, angle=angle, radius=radius, sense=sense, rim=part.reach).z
+        if part.outline is not None:
+            tip[~part.covers(radius * np.cos(angle), radius * np.sin(angle))] = np.inf
+        along = radius[at] + body.offset[0] + out * np.cos(turned)
+        across = body.offset[1] + out * np.sin(turned)
+        c, s = np.cos(angle[at]), np.sin(angle[at])
+        return np.asarray(tip[at] + body.height - _top_of_stock(part, along * c - across * s, along * s + across * c))
+
+    gap = gaps(radius, angle, np.tile(out, radius.size), np.tile(turned, radius.size), rows)
+    best = np.argsort(gap, kind="stable")[: 8 * MAX_STARTS : 8]
+    places = np.stack([radius[rows[best]], angle[rows[best]], out[best % out.size], turned[best % out.size]])
+    least = gap[best]
+    steps = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 4)).reshape(4, -1)
+    size = np.array([reach / math.sqrt(DEPTH_POINTS), 0.0, body.radius / BODY_RINGS, TURN / BODY_RAYS])
+    low, high = np.array([part.nearest, -np.inf, 0.0, -np.inf]), np.array([reach, np.inf, body.radius, np.inf])
+    for _ in range(BODY_STEPS):
+        size[1] = size[0] / max(part.reach / 8, 1e-9)
+        near = places[:, :, None] + (size[:, None] * steps)[:, None, :]
+        near = np.clip(near, low[:, None, None], high[:, None, None]).reshape(4, -1)
+        values = gaps(near[0], near[1], near[2], near[3], np.arange(near.shape[1])).reshape(least.size, -1)
+        top = values.argmin(axis=1)
+        pick = np.arange(least.size) * steps.shape[1] + top
+        better = values[np.arange(least.size), top] < least
+        places[:, better], least[better] = near[:, pick[better]], values[np.arange(least.size), top][better]
+        size *= BODY_SHRINK
+    worst = int(np.argmin(least))
+    rho, theta, far, way = places[:, worst].tolist()
+    along, across = rho + body.offset[0] + far * math.cos(way), body.offset[1] + far * math.sin(way)
+    c, s = math.cos(theta), math.sin(theta)
+    return float(least[worst]), (rho * c, rho * s), (along * c - across * s, along * s + across * c)
+
+
+def _top_of_stock(part: Part, x: Floats, y: Floats) -> Floats:
+    """Return the finished surface plus stock, out to the blank if it is stated; -inf where there is no part. [mm]."""
+    reach = part.reach if part.blank is None else part.blank.reach
+    z = _extended_surface(part, x, y) + part.stock
+    on = np.hypot(x, y) <= reach
+    if part.outline is not None and part.blank is None:
+        on &= part.covers(x, y)
+    return np.where(on & ~np.isnan(z), z, -np.inf)
 
 
 def odd_sizes(part: Part, tool: Tool) -> tuple[str, ...]:

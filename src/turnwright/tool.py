@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pydantic_core import CoreSchema
     from scipy.interpolate import CubicSpline
 
-__all__ = ["LARGEST_ERROR", "Tool", "WavinessTable"]
+__all__ = ["LARGEST_ERROR", "Shank", "Tool", "WavinessTable"]
 
 HALF_CIRCLE = np.pi / 2 - 1e-3
 """Half of the included angle of a nose whose maker states none: the arc ends just before its wall is vertical. [rad]"""
@@ -132,6 +132,36 @@ class _Waviness(read_by):
 Waviness: TypeAlias = Annotated[tuple[float, ...] | WavinessTable, _Waviness("waviness")]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shank(TableModel):
+    """The shank or the holder of a tool: a cylinder along z, from its lower end upward.
+
+    Parameters
+    ----------
+    radius
+        Radius of the cylinder; for a square shank half of its diagonal. [mm]
+    height
+        Height of its lower end above the tip; the stick-out, for a holder. [mm]
+    offset
+        (dx, dy), position of its centre line minus that of the tip; dy is positive toward growing spindle angle. [mm]
+
+    Raises
+    ------
+    InputError
+        If the radius or the height is not positive.
+    """
+
+    radius: Size
+    height: Size
+    offset: tuple[Length, Length] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        positive(self.radius, "radius of a shank or holder", "mm")
+        positive(self.height, "height of a shank or holder", "mm")
+        object.__setattr__(self, "offset", finite_tuple(self.offset, "offset (dx, dy)", 2))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tool(TableModel, Value):
     """A round-nosed diamond tool, with its deviations.
@@ -164,6 +194,8 @@ class Tool(TableModel, Value):
         Name of the tool.
     edge_length
         Length of the sharp flank beyond each end of the arc; ``None`` if only the arc cuts. [mm]
+    shank, holder
+        Cylinders above the diamond that must stay clear of the part; ``None`` if not stated.
     plausible
         Plausible sizes (standard deviations) of tool errors, where they differ from `ERROR_SOURCES`: "offset x",
         "offset y", "offset z", "radius error", "waviness". [mm]
@@ -192,6 +224,8 @@ class Tool(TableModel, Value):
     offset: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
     name: Text = ""
     edge_length: Size | None = None
+    shank: Shank | None = None
+    holder: Shank | None = None
     plausible: Annotated[Mapping[str, float], Plausible(PLAUSIBLE, PLAUSIBLE_TEXTS)] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -248,6 +282,12 @@ class Tool(TableModel, Value):
     def perfect(self) -> bool:
         """Whether the edge is an arc of one circle, without waviness."""
         return not isinstance(self.waviness, WavinessTable) and not any(self.waviness)
+
+    @property
+    def bodies(self) -> Mapping[str, Shank]:
+        """Shank and holder, as far as they are stated, by name."""
+        stated = {"shank": self.shank, "holder": self.holder}
+        return {name: one for name, one in stated.items() if one is not None}
 
     @property
     def actual_radius(self) -> float:

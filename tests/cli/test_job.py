@@ -162,6 +162,7 @@ def test_a_run_leaves_the_cusps_of_its_tool(tmp_path):
     assert list(dict.fromkeys(stages)) == [
         "access", "depth of cut", "plan", "place", "drive", "limits", "approach", "write program", "read program",
         "compare", "simulate whole part", "roughness", "highest and lowest point", "simulate patch",
+        "check moves",
     ]  # fmt: skip
     assert set(result.timings) == set(stages)
     assert 0.01 < result.peak_memory_gb < 4

@@ -104,3 +104,31 @@ def test_programs_by_hand_are_judged(tmp_path, surface, radius, nose, text, mess
     wrong = find_wrong_move(job, tmp_path / "hand.nc")
     assert message in wrong
     assert bool(wrong) == bool(message)
+
+
+AT_REST = "G21 G90\nG0 X0.7 C90 Z5\n"
+SHANK = {"radius": "3 mm", "height": "2 mm"}
+WALL = {"family": "expression", "formula": "1.5*(1 + tanh((x - 3.5)/0.1))", "units": "mm"}
+BODIES = {
+    # The rim of the dome, 5 mm from the axis, is at -0.314 mm: the shank 3 mm further in than X is at Z + 2 mm.
+    "next to the dome": (DOME, f"{HEAD}G0 X8.1 Z5\nG0 Z-3\nG0 Z5\n{CUT}", ""),
+    "shank into the rim": (DOME, f"{HEAD}G0 X7.9 Z5\nG0 Z-3\nG0 Z5\n{CUT}", "line 5 "),
+    "shank over the rim": (DOME, f"{HEAD}G0 X7.9 Z5\nG0 Z-2.2\nG0 Z5\n{CUT}", ""),
+    # A wall that is 2.1 mm high at x = 3.5 + 0.1 atanh(0.4) = 3.54 mm, at rest: the shank reaches X + 3 mm.
+    "turned away from the wall": (WALL, f"{AT_REST}G0 X0.7 C180\nG0 Z0.1\n{TURN}", ""),
+    "away from the wall": (WALL, f"{AT_REST}G0 X0.4 C0\nG0 Z0.1\n{TURN}", ""),
+    "shank into the wall": (WALL, f"{AT_REST}G0 X0.7 C0\nG0 Z0.1\n{TURN}", "line 4 "),
+}
+
+
+@pytest.mark.parametrize(("surface", "text", "message"), BODIES.values(), ids=BODIES)
+def test_the_shank_is_part_of_the_tool_in_every_move(tmp_path, surface, text, message):
+    """Oracle: distances by hand."""
+    job = tw.Job.read({
+        "part": {"surface": surface, "radius": "5 mm"}, "tool": {**TOOL, "shank": SHANK},
+        "machine": {"name": "nanoform"}, "strategy": SLOW,
+    })  # fmt: skip
+    (tmp_path / "hand.nc").write_text(text)
+    wrong = find_wrong_move(job, tmp_path / "hand.nc")
+    assert message in wrong
+    assert ("brings its shank" in wrong) == bool(message)

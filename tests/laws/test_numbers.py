@@ -43,6 +43,7 @@ TOOL = tw.Tool(
     radius_error=1e-4,
     offset=(1e-3, 1e-3, 1e-3),
     edge_length=0.1,
+    shank=tw.Shank(radius=1.0, height=2.0, offset=(0.1, 0.1)),
     plausible={"offset x": 1e-3},
 )
 MILL = tw.cutting.SlotMill(radius=1.0, feed_per_tooth=1e-3, depth=0.1, teeth=2, corner_radius=0.5, entry=0.1, exit=1.0)
@@ -133,6 +134,7 @@ EXAMPLES = [
     tw.surface.Sum(terms=(PLANE, PLANE)),
     tw.Pose(shift=(0.1, 0.1, 0.1), rotation=0.1, tilt=(0.1, 0.1)),
     tw.Blank(radius=2.0),
+    TOOL.shank,
     tw.Outline(disc=2.0, centre=(1.0, 0.5)),
     tw.Outline(annulus=(2.0, 1.0)),
     tw.Outline(rectangle=(3.0, 2.0), angle=0.1),

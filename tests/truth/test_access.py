@@ -1,8 +1,11 @@
 """What a part asks of a tool, against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import turnwright as tw
 from turnwright.access import check_access
 from turnwright.part import Part
 from turnwright.surface import Surface
@@ -196,3 +199,66 @@ def test_a_step_is_found():
     assert step.value == pytest.approx(0.01)
     assert step.where[0] == pytest.approx(1)
     assert not access.ok
+
+
+def shank_of(part, tool, **how):
+    (one,) = [one for one in tw.check_access(part, tool, **how).findings if one.name == "shank"]
+    return one
+
+
+@pytest.mark.parametrize(
+    ("radius", "aperture", "wide", "height", "lead_in"),
+    [(8.0, 4.0, 3.0, 0.6, 0.0), (8.0, 5.0, 2.0, 2.0, 0.0), (-6.0, 4.0, 3.0, 2.0, 0.0), (-6.0, 4.0, 3.0, 2.0, 1.0)],
+)
+def test_the_shank_stays_clear_of_spheres_by_the_closed_form(radius, aperture, wide, height, lead_in):
+    """Oracle: circles of the tip's path and of the part in the radial plane, searched densely."""
+    nose = 0.5
+    tool = tw.Tool(
+        nose_radius=nose, included=np.deg2rad(140), clearance=0.6, shank=tw.Shank(radius=wide, height=height)
+    )
+    beyond = 0.0 if radius > 0 else max(lead_in, nose * aperture / -radius)
+    rho = np.linspace(0, aperture + beyond, 400_001)
+    nearest = np.where(radius > 0, np.minimum(rho + wide, aperture), np.maximum(rho - wide, 0.0))
+    tip = radius - nose - np.sign(radius) * np.sqrt((radius - nose) ** 2 - rho**2)
+    gap = tip + height - (radius - np.sign(radius) * np.sqrt(radius**2 - nearest**2))
+    one = shank_of(tw.Part(surface=tw.Sphere(radius=radius), radius=aperture), tool, lead_in=lead_in)
+    assert one.value == pytest.approx(gap.min(), abs=1e-8)
+    assert one.ok == (gap.min() >= 0.1)
+
+
+def test_the_holder_next_to_the_tip_is_compared_with_what_is_under_it():
+    """Oracle: brute force over tips and points of the cylinder, on a surface without symmetry, with stock."""
+    surface = tw.Biconic(radius_x=6.0, radius_y=-9.0, conic_x=0.0, conic_y=0.0)
+    body = tw.Shank(radius=1.5, height=1.0, offset=(0.8, -0.6))
+    tool = tw.Tool(nose_radius=0.2, included=np.deg2rad(150), clearance=0.7, shank=body)
+    one = shank_of(tw.Part(surface=surface, radius=3.0, stock=0.05), tool)
+    rho, theta = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 3, 31), np.linspace(0, 2 * np.pi, 91)))
+    u = np.linspace(-0.19, 0.19, 201)
+    along = np.clip(rho[:, None] + u, -3, 3)
+    tip = surface.sag(along * np.cos(theta)[:, None], along * np.sin(theta)[:, None])
+    tip = (tip - (0.2 - np.sqrt(0.04 - (along - rho[:, None]) ** 2))).max(axis=1)
+    out, turned = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 1.5, 16), np.linspace(0, 2 * np.pi, 61)))
+    along, across = rho[:, None] + 0.8 + out * np.cos(turned), -0.6 + out * np.sin(turned)
+    c, s = np.cos(theta)[:, None], np.sin(theta)[:, None]
+    x, y = along * c - across * s, along * s + across * c
+    inside = np.hypot(x, y) <= 3.0
+    top = np.where(inside, surface.sag(np.where(inside, x, 0), np.where(inside, y, 0)) + 0.05, -np.inf)
+    least = (tip[:, None] + 1.0 - top).min()
+    assert least - 0.01 < one.value <= least + 1e-3
+
+
+def test_the_shank_meets_the_taller_part_of_a_chuck():
+    """Oracle: two flats, one 1 mm higher: the shank reaches over it from the lower one."""
+    flat = tw.Plane(slope=(0.0, 0.0))
+    parts = [
+        tw.Mounted(name=name, surface=flat, outline=tw.Outline(disc=2.0), position=(x, 0.0), height=z)
+        for name, x, z in (("low", -4.0, 0.0), ("tall", 4.0, 1.0))
+    ]
+    part = tw.Part(surface=tw.Chuck(parts=parts))
+    tool = tw.Tool(nose_radius=0.5, included=2.0, clearance=0.2)
+    for wide, gap in ((3.9, 2.0), (4.2, 1.0)):
+        one = shank_of(part, replace(tool, shank=tw.Shank(radius=wide, height=2.0)))
+        assert one.value == pytest.approx(gap, abs=1e-9)
+    low = shank_of(part, replace(tool, shank=tw.Shank(radius=4.2, height=1.05)))
+    assert not low.ok
+    assert "begins 1.1 mm above the tip" in low.sentence

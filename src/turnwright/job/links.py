@@ -13,6 +13,7 @@ from turnwright._arrays import Floats
 from turnwright.job.approach import blank_heights
 from turnwright.job.schema import Job
 from turnwright.post import Move, read_moves
+from turnwright.tool import Shank
 from turnwright.units import say_length
 
 __all__ = ["find_wrong_move"]
@@ -23,14 +24,19 @@ TOLERANCE_MM = 1e-3
 AZIMUTHS, RADII, PLACES = 360, 2000, 400
 """Lines around the axis, steps along each, and most places along a move where the tool is compared with the part."""
 
+FEW_RADII = 400
+"""Steps along a line where the part at rest is compared with shank and holder."""
+
 TURN = 2 * math.pi
+ALL_AROUND = tuple((np.arange(AZIMUTHS) * (TURN / AZIMUTHS)).tolist())
 
 
 def find_wrong_move(job: Job, file: File, *, block_delete: bool | None = None) -> str:
-    """Return a sentence on the first move that brings the edge below the part, or in rapid or at rest into the stock.
+    """Return a sentence on the first move that brings the tool below the part, or in rapid or at rest into the stock.
 
-    The moves are those of `turnwright.post.read_moves` but for the last cut, as straight lines. The edge is that of the
-    nominal tool. The part ends at its clear aperture, stock at the blank if the job states one. Empty if there is none.
+    The moves are those of `turnwright.post.read_moves` but for the last cut, as straight lines. The tool is the nominal
+    one: its edge with the flanks, and its shank and holder if they are stated. The part ends at its clear aperture,
+    stock at the blank if the job states one. Empty if there is none.
     """
     section = _Section(job)
     moves = read_moves(file, job.machine, block_delete=block_delete)
@@ -42,14 +48,14 @@ def find_wrong_move(job: Job, file: File, *, block_delete: bool | None = None) -
             is_cut = is_cut or section.depth(move, raised=True)[0] > TOLERANCE_MM
             if move.spindle_cut == last_cut:
                 continue
-        depth, x, z = section.depth(move, raised=raised)
+        depth, x, z, body = section.depth(move, raised=raised)
         if depth > TOLERANCE_MM:
             what = "stock" if raised and section.depth(move, raised=False)[0] <= TOLERANCE_MM else "finished surface"
             how = " in rapid" if move.is_rapid else "" if move.turns else " with the part at rest"
             where = f"X {x:.4g} mm, Z {z:.4g} mm" if math.isfinite(x) else f"Z {z:.4g} mm while X is not known"
+            which = f"{say_length(depth)} below" if not body else f"which brings its {body} {say_length(depth)} into"
             return (
-                f"line {move.line} moves the tool to {where}{how}, {say_length(depth)} below the {what}: correct its "
-                "approach or retract"
+                f"line {move.line} moves the tool to {where}{how}, {which} the {what}: correct its approach or retract"
             )
     return ""
 
@@ -58,44 +64,75 @@ class _Section:
     """Lines through the axis of the part, and the edge above them."""
 
     def __init__(self, job: Job) -> None:
-        self.part, self.tool = job.part.continued, job.tool
+        self.part, self.tool = job.part.aimed, job.tool
         self.edge = job.tool.cutting_edge(job.strategy.sense)
-        self.line = lru_cache(maxsize=64)(self._line)
+        self.line, self.polar = lru_cache(maxsize=64)(self._line), lru_cache(maxsize=2)(self._polar)
 
     def _line(self, angles: tuple[float, ...], *, raised: bool) -> tuple[Floats, Floats]:
         """Return places on a line through the axis, and the highest of some azimuths of the finished surface or stock.
 
         Each (n,) [mm]. Azimuths of the negative side are half a turn on.
         """
-        part = self.part
-        reach = part.blank.reach if raised and part.blank is not None else part.reach
-        radius = np.linspace(0, reach, RADII + 1)
         sides = []
         for turn in (0.0, math.pi):
-            around = np.asarray(angles) + turn
-            if raised:
-                heights = blank_heights(part, radius, around, 0.0)
-            else:
-                inside = radius * (1 - 1e-12)
-                heights = part.heights(inside * np.cos(around)[:, None], inside * np.sin(around)[:, None])
-                heights = np.where(np.isnan(heights), -np.inf, heights)
+            radius, heights = self._heights(np.asarray(angles) + turn, RADII, raised=raised)
             sides.append(heights.max(axis=0))
         return np.concatenate((-radius[::-1], radius)), np.concatenate((sides[1][::-1], sides[0]))
 
-    def depth(self, move: Move, *, raised: bool) -> tuple[float, float, float]:
-        """Return the largest depth of the edge below the material in a move, -inf if it is clear of it, and X and Z."""
+    def _polar(self, *, raised: bool) -> tuple[Floats, Floats]:
+        """Return radii (n,) and the finished surface or stock there at all azimuths, (n_angle, n). [mm]."""
+        return self._heights(np.asarray(ALL_AROUND), FEW_RADII, raised=raised)
+
+    def _heights(self, angle: Floats, steps: int, *, raised: bool) -> tuple[Floats, Floats]:
+        part = self.part
+        radius = np.linspace(0, part.blank.reach if raised and part.blank is not None else part.reach, steps + 1)
+        if raised:
+            return radius, blank_heights(part, radius, angle, 0.0)
+        inside = radius * (1 - 1e-12)
+        heights = part.heights(inside * np.cos(angle)[:, None], inside * np.sin(angle)[:, None])
+        return radius, np.where(np.isnan(heights), -np.inf, heights)
+
+    def depth(self, move: Move, *, raised: bool) -> tuple[float, float, float, str]:
+        """Return the largest depth of the tool below the material in a move, -inf if it is clear of it.
+
+        With X and Z there, and "shank" or "holder" if it is that of one.
+        """
         at, height = self.line(_angles(move, self.part.surface.of_revolution), raised=raised)
+        around = self.line(ALL_AROUND, raised=raised)[1] if self.tool.bodies else height
         dx, _, dz = self.tool.offset
-        worst = (-math.inf, math.nan, math.nan)
-        for x, z in _places(move, float(at[-1]) + 2 * self.edge.half_width):
+        wide = [2 * self.edge.half_width, *(math.hypot(*one.offset) + one.radius for one in self.tool.bodies.values())]
+        worst = (-math.inf, math.nan, math.nan, "")
+        for x, z in _places(move, float(at[-1]) + max(wide)):
             if not math.isfinite(x):  # anywhere
-                worst = max(worst, (float(height.max()) - z, x, z), key=lambda one: one[0])
+                worst = max(worst, (float(height.max()) - z, x, z, ""), key=lambda one: one[0])
                 continue
             with np.errstate(invalid="ignore"):
                 low = self.edge.rake_cos * self.edge.profile(at - x - dx)[0]
                 gap = height - low - dz
-            worst = max(worst, (float(np.nanmax(gap, initial=-math.inf)) - z, x, z), key=lambda one: one[0])
+            worst = max(worst, (float(np.nanmax(gap, initial=-math.inf)) - z, x, z, ""), key=lambda one: one[0])
+            for name, one in self.tool.bodies.items():
+                far = math.hypot(x + one.offset[0], one.offset[1])
+                top = _highest(at, around, far - one.radius, far + one.radius) - one.height
+                if top - z > max(TOLERANCE_MM, worst[0]) and not move.turns and math.isfinite(move.end[0]):
+                    top = self._under(one, x, move.end[0], raised=raised) - one.height
+                worst = max(worst, (top - z, x, z, name), key=lambda one: one[0])
         return worst
+
+    def _under(self, body: Shank, x: float, angle: float, *, raised: bool) -> float:
+        """Return the highest material under a cylinder, with the part at rest. [mm]."""
+        radius, height = self.polar(raised=raised)
+        azimuth = np.asarray(ALL_AROUND)[:, None] - angle
+        away = np.hypot(
+            radius * np.cos(azimuth) - x - body.offset[0], radius * np.sin(azimuth) - body.offset[1]
+        )  # fmt: skip
+        return float(height.max(where=away <= body.radius + float(radius[1]), initial=-math.inf))
+
+
+def _highest(at: Floats, height: Floats, low: float, high: float) -> float:
+    """Return the highest material between two distances from the axis. [mm]."""
+    step = float(at[-1] - at[-2])
+    within = (np.abs(at) >= low - step) & (np.abs(at) <= high + step)
+    return float(height.max(where=within, initial=-math.inf))
 
 
 def _angles(move: Move, is_alike: bool) -> tuple[float, ...]:
@@ -107,7 +144,7 @@ def _angles(move: Move, is_alike: bool) -> tuple[float, ...]:
         return (c1 % TURN,)
     if math.isfinite(c0) and math.isfinite(c1) and abs(c1 - c0) < TURN and c0 != c1:
         return tuple(np.linspace(c0, c1, 1 + math.ceil(abs(c1 - c0) / TURN * AZIMUTHS)).tolist())
-    return tuple((np.arange(AZIMUTHS) * (TURN / AZIMUTHS)).tolist())
+    return ALL_AROUND
 
 
 def _places(move: Move, reach: float) -> Iterable[tuple[float, float]]:
@@ -122,5 +159,5 @@ def _places(move: Move, reach: float) -> Iterable[tuple[float, float]]:
     if x0 == x1:
         return [(x1, min(z0, z1))] if z1 < z0 else [(x1, z1)]
     low, high = sorted(min(max((bound - x0) / (x1 - x0), 0.0), 1.0) for bound in (-reach, reach))
-    share = np.linspace(low, high, PLACES)
+    share = np.linspace(low, high, 2 + math.ceil((high - low) * abs(x1 - x0) / (2 * reach) * PLACES))
     return zip((x0 + share * (x1 - x0)).tolist(), (z0 + share * (z1 - z0)).tolist(), strict=True)

@@ -117,11 +117,12 @@ class Pipeline:
     @cached_property
     def access(self) -> Access:
         """Whether the tool reaches the part."""
-        part, tool, sense = self.job.part.aimed, self.job.tool, self.job.strategy.sense
+        part, tool, strategy = self.job.part.aimed, self.job.tool, self.job.strategy
+        lead_in = getattr(strategy, "lead_in", None) or 0.0
         with self.watch.stage("access") as update:
             if self.watch.progress is None:
-                return _check_access(part, tool, sense=sense)
-            return check_access(part, tool, sense=sense, progress=update)
+                return _check_access(part, tool, sense=strategy.sense, lead_in=lead_in)
+            return check_access(part, tool, sense=strategy.sense, lead_in=lead_in, progress=update)
 
     @cached_property
     def depths(self) -> tuple[AccessFinding, ...]:

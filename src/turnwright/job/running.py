@@ -19,6 +19,7 @@ from turnwright.job.approach import Entry
 from turnwright.job.contributions import has_servos
 from turnwright.job.cutting import PassChips, predicted_chips
 from turnwright.job.gouge import find_gouge
+from turnwright.job.links import find_wrong_move
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.pipeline import Cut, Pipeline, describe_gouge
 from turnwright.job.programs import predicted_motion, rounding_effect
@@ -234,14 +235,15 @@ def _or_accept(sentence: str, what: str) -> str:
 
 
 def _accepted_program(line: Pipeline, limit: float) -> list[str]:
-    """Warn of a gouge of the program if the job accepts it; else delete the program and raise."""
+    """Warn of a gouge or a wrong move of the program if the job accepts it; else delete the program and raise."""
     gouge = find_gouge(line.job, line.predictions[0], line.program_motion, limit)
-    if gouge is None:
-        return []
-    if "gouge" not in line.job.accept:
+    with line.watch.stage("check moves"):
+        wrong = find_wrong_move(line.job, line.program.files[0])
+    sentences = [one for one in (gouge.sentence if gouge else "", wrong) if one]
+    if sentences and "gouge" not in line.job.accept:
         for file in line.program.files:
             file.unlink()
-    return _accept_findings(line.job, GougeError, [("gouge", gouge.sentence)])
+    return _accept_findings(line.job, GougeError, [("gouge", one) for one in sentences])
 
 
 def _widens(servo: Strategy) -> bool:

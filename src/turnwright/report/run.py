@@ -391,6 +391,10 @@ def _things(job: Job) -> Section:
         "Rake": angle(tool.rake),
         "Clearance": angle(tool.clearance),
     }
+    about_tool |= {
+        name.capitalize(): f"radius {one.radius:.4g} mm, from {one.height:.4g} mm above the tip"
+        for name, one in tool.bodies.items()
+    }
     planned = _deviations(tool)
     about_tool |= {name: value for name, value in planned.items() if value}
     for name, value in _deviations(job.actual_tool).items():
