@@ -452,19 +452,25 @@ def _body_gap(
     gap = gaps(radius, angle, np.tile(out, radius.size), np.tile(turned, radius.size), rows)
     best = np.argsort(gap, kind="stable")[: 8 * MAX_STARTS : 8]
     places = np.stack([radius[rows[best]], angle[rows[best]], out[best % out.size], turned[best % out.size]])
-    least = gap[best]
-    steps = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 4)).reshape(4, -1)
-    size = np.array([reach / math.sqrt(DEPTH_POINTS), 0.0, body.radius / BODY_RINGS, TURN / BODY_RAYS])
+    least, size = (
+        gap[best],
+        np.array([reach / math.sqrt(DEPTH_POINTS), 0.0, body.radius / BODY_RINGS, TURN / BODY_RAYS]),
+    )
     low, high = np.array([part.nearest, -np.inf, 0.0, -np.inf]), np.array([reach, np.inf, body.radius, np.inf])
+    nine = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])).reshape(2, 1, 9)
+    row, every = np.arange(least.size), np.repeat(np.arange(9 * least.size), 9)
     for _ in range(BODY_STEPS):
         size[1] = size[0] / max(part.reach / 8, 1e-9)
-        near = places[:, :, None] + (size[:, None] * steps)[:, None, :]
-        near = np.clip(near, low[:, None, None], high[:, None, None]).reshape(4, -1)
-        values = gaps(near[0], near[1], near[2], near[3], np.arange(near.shape[1])).reshape(least.size, -1)
+        # Nine positions of the tip around each of the best, and nine points of the cylinder for each of them.
+        near = places[:, :, None] + size[:, None, None] * np.concatenate([nine, nine])
+        near = np.clip(near, low[:, None, None], high[:, None, None])
+        of_body = np.broadcast_to(near[2:, :, None, :], (2, least.size, 9, 9)).reshape(2, -1)
+        values = gaps(near[0].ravel(), near[1].ravel(), of_body[0], of_body[1], every).reshape(least.size, 81)
         top = values.argmin(axis=1)
-        pick = np.arange(least.size) * steps.shape[1] + top
-        better = values[np.arange(least.size), top] < least
-        places[:, better], least[better] = near[:, pick[better]], values[np.arange(least.size), top][better]
+        better = values[row, top] < least
+        tip, point = np.divmod(top, 9)
+        moved = np.concatenate([near[:2, row, tip], near[2:, row, point]])
+        places[:, better], least[better] = moved[:, better], values[row, top][better]
         size *= BODY_SHRINK
     worst = int(np.argmin(least))
     rho, theta, far, way = places[:, worst].tolist()
