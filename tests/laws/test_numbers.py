@@ -298,7 +298,7 @@ ANSWERS = """
     LearnedMaterial Lenslet Lenslets Limits Measured Move Outcome OutlierRemoval PartShape Pass Plan PoseCandidate
     Prediction Preview ProfileRoughness ProgramFiles ProgramInfo ProgramPass Proof Registration Result Roughness
     Sensitivity Series Slopes Spectrum Stretch Tightening TiledMap ToleranceStudy Trial TurnedEdge TurningCentre
-    ProgramStart Undetermined Verdict ZernikeFit
+    ProgramStart ToolChange Undetermined Verdict ZernikeFit
 """
 """Classes that only functions make: there nan and infinity say what could not be found."""
 

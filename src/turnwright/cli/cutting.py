@@ -113,7 +113,7 @@ def check(context: typer.Context, job: JobFile) -> None:
         plan = preview(recipe, progress=progress)
     for sentence in (*plan.remarks, *plan.shape.sentences):
         session.echo(sentence)
-    for finding in plan.access.findings:
+    for finding in plan.findings:
         session.echo(f"{'ok' if finding.ok else 'NO'}: {finding.sentence}")
     for name, points in plan.points.items():
         session.echo(f"{name}: {points} points, at least {plan.shortest_s[name] / 60:.1f} min")

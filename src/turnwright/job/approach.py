@@ -98,10 +98,12 @@ def entries_of(job: Job, motions: Mapping[str, Motion]) -> dict[str, Entry]:
     the edge gouges the finished surface in a plunge, unless the job accepts that.
     """
     entries: dict[str, Entry] = {}
-    before: Motion | None = None
+    before: tuple[Motion, Tool] | None = None
+    cuts = job.cuts
     for name, motion in motions.items():
-        entries[name] = _plan_entry(job, name, motion, before)
-        before = motion
+        one = job.for_pass(cuts[name]) if name in cuts else job
+        entries[name] = _plan_entry(one, name, motion, before)
+        before = motion, one.tool
     return entries
 
 
@@ -195,7 +197,7 @@ def _beyond_travel(job: Job, name: str, fast: Mapping[str, Floats]) -> str:
     return ""
 
 
-def _plan_entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
+def _plan_entry(job: Job, name: str, motion: Motion, before: tuple[Motion, Tool] | None) -> Entry:
     part, tool = job.part.aimed, job.tool
     turned, axes = entry_path(motion)
     x0, y0 = float(motion.axes["X"][0]), float(motion.axes["Y"][0]) if "Y" in motion.axes else 0.0
@@ -308,9 +310,9 @@ def _azimuths(part: Part, radius: float) -> Floats:
 
 
 def _material_before(
-    part: Part, tool: Tool, before: Motion | None, x0: float, angle: Floats, wider: float
+    part: Part, tool: Tool, before: tuple[Motion, Tool] | None, x0: float, angle: Floats, wider: float
 ) -> _Material:
-    """Return the material before a pass, under the edge at its first point."""
+    """Return the material before a pass, under the edge at its first point; ``before`` has its tool."""
     edge = tool.cutting_edge()
     flank = max(edge.flank_slope, 0.05)
     reach = 2 * edge.half_width + (part.stock + 4 * GAP) / flank
@@ -321,7 +323,7 @@ def _material_before(
         radius = np.union1d(radius, [end, np.nextafter(end, np.inf)])
     height = blank_heights(part, radius, angle, wider)
     if before is not None:
-        previous = generate_polar(before, tool, radius=radius, angle=angle).z
+        previous = generate_polar(*before, radius=radius, angle=angle).z
         height = np.minimum(height, np.where(np.isnan(previous), np.inf, previous))
     return _Material(radius, angle, height)
 

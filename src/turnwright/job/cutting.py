@@ -50,16 +50,20 @@ class PassChips:
 
 
 def chips_of(
-    job: Job, motion: Motion, before: Motion | None, allowance: float, update: Progress
+    job: Job, motion: Motion, before: Motion | None, allowance: float, depth: float, update: Progress
 ) -> tuple[PassChips, ChipMap] | str:
-    """Return the chips of a pass, or the reason why they cannot be computed."""
+    """Return the chips of a pass, or the reason why they cannot be computed.
+
+    Without a motion ``before`` the stock is the finished surface raised by allowance and depth.
+    """
     material, part = job.part.substance, job.part
     if before is None and not part.stock > 0:
         return "chip thickness of the first pass needs the stock, the part states none: add part.stock"
     try:
         chips = chip_map(
-            motion, job.tool, part, before=before, material=material, points=_spread(motion), progress=update
-        )
+            motion, job.tool, part, before=before, stock=allowance + depth if before is None else None,
+            material=material, points=_spread(motion), progress=update,
+        )  # fmt: skip
     except InputError as error:
         return f"chip thickness cannot be computed: {error}"
     inside = chips.inside
@@ -135,7 +139,7 @@ def predicted_chips(job: Job, access: Access, cut: PassTable, feed: float, stock
     depth = (stock - cut.allowance) / cut.repeats(stock)
     try:
         return predict_chips(
-            job.tool, material, feed=feed, depth=depth, bend=float(bend.min()), rakes=access.rake_range,
+            cut.tool or job.tool, material, feed=feed, depth=depth, bend=float(bend.min()), rakes=access.rake_range,
             allowance=cut.allowance,
         )  # fmt: skip
     except InputError as error:

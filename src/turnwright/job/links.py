@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from functools import lru_cache
+from itertools import groupby
 from pathlib import Path as File
 
 import numpy as np
@@ -13,7 +14,7 @@ from turnwright._arrays import Floats
 from turnwright.job.approach import blank_heights
 from turnwright.job.schema import Job
 from turnwright.post import Move, read_moves
-from turnwright.tool import Shank
+from turnwright.tool import Shank, Tool
 from turnwright.units import say_length
 
 __all__ = ["find_wrong_move"]
@@ -35,14 +36,16 @@ def find_wrong_move(job: Job, file: File, *, block_delete: bool | None = None) -
     """Return a sentence on the first move that brings the tool below the part, or in rapid or at rest into the stock.
 
     The moves are those of `turnwright.post.read_moves` but for the last cut, as straight lines. The tool is the nominal
-    one: its edge with the flanks, and its shank and holder if they are stated. The part ends at its clear aperture,
-    stock at the blank if the job states one. Empty if there is none.
+    one of each pass: its edge with the flanks, and its shank and holder if they are stated. The part ends at its clear
+    aperture, stock at the blank if the job states one. Empty if there is none.
     """
-    section = _Section(job)
+    tools = [next(group) for _, group in groupby(job.for_pass(cut).tool for cut in job.passes)]
+    sections = [_Section(job, tool) for tool in tools]
     moves = read_moves(file, job.machine, block_delete=block_delete)
     last_cut = max((move.spindle_cut for move in moves), default=0)
     is_cut = False  # whether anything has touched the stock before
     for move in moves:
+        section = sections[min(move.changes, len(sections) - 1)]
         raised = not is_cut and not move.cuts and not move.spindle_cut and (move.is_rapid or not move.turns)
         if move.spindle_cut:
             is_cut = is_cut or section.depth(move, raised=True)[0] > TOLERANCE_MM
@@ -63,9 +66,9 @@ def find_wrong_move(job: Job, file: File, *, block_delete: bool | None = None) -
 class _Section:
     """Lines through the axis of the part, and the edge above them."""
 
-    def __init__(self, job: Job) -> None:
-        self.part, self.tool = job.part.aimed, job.tool
-        self.edge = job.tool.cutting_edge(job.strategy.sense)
+    def __init__(self, job: Job, tool: Tool) -> None:
+        self.part, self.tool = job.part.aimed, tool
+        self.edge = tool.cutting_edge(job.strategy.sense)
         self.line, self.polar = lru_cache(maxsize=64)(self._line), lru_cache(maxsize=2)(self._polar)
 
     def _line(self, angles: tuple[float, ...], *, raised: bool) -> tuple[Floats, Floats]:

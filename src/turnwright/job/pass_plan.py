@@ -54,7 +54,8 @@ class PassPlan:
     """The stages of a pass up to its axis motion, the finishing pass by default; each is computed on first access."""
 
     def __init__(self, job: Job, cut: PassTable | None = None, watch: Watch | None = None) -> None:
-        self.job, self.cut = job, job.passes[-1] if cut is None else cut
+        self.cut = job.passes[-1] if cut is None else cut
+        self.job = job.for_pass(self.cut)
         self._watch = watch or Watch()
 
     @cached_property

@@ -29,6 +29,7 @@ from turnwright.motion import Limits, check_limits
 from turnwright.path import Motion, Path, Spiral
 from turnwright.post import ProgramFiles
 from turnwright.progress import StageProgress
+from turnwright.tool import Tool
 
 __all__ = ["Cut", "Pipeline", "describe_gouge"]
 
@@ -42,7 +43,11 @@ _check_access = lru_cache(maxsize=8)(check_access)
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """One cut of a pass, the pass itself or each of its repetitions: depth and remaining allowance [mm], motions."""
+    """One cut of a pass, the pass itself or each of its repetitions.
+
+    Depth, remaining allowance, and the height of the cusps before it where another tool has left them [mm]; its motion
+    and that of the cut before with the same tool.
+    """
 
     plan: PassPlan
     name: str
@@ -50,6 +55,7 @@ class Cut:
     allowance: float
     motion: Motion
     before: Motion | None
+    cusps: float
     watch: Watch
 
     @cached_property
@@ -62,7 +68,7 @@ class Cut:
     def chips(self) -> tuple[PassChips, ChipMap] | str:
         """Uncut chip thickness along the cut, or the reason why it is not computed."""
         with self.watch.stage("chips") as update:
-            return chips_of(self.plan.job, self.motion, self.before, self.allowance, update)
+            return chips_of(self.plan.job, self.motion, self.before, self.allowance, self.depth + self.cusps, update)
 
     def as_pass(self, chips: PassChips | None = None) -> Pass:
         """Return the cut as an entry of `Result.passes`."""
@@ -125,17 +131,36 @@ class Pipeline:
             return check_access(part, tool, sense=strategy.sense, lead_in=lead_in, progress=update)
 
     @cached_property
+    def findings(self) -> tuple[AccessFinding, ...]:
+        """The findings of the tool, then those of the tools of roughing passes, which name their pass."""
+        findings = list(self.access.findings)
+        for cut in self.job.passes:
+            if cut.tool is not None:
+                part, sense = self.job.part.aimed, self.job.strategy.sense
+                lead_in = getattr(self.job.servo(cut), "lead_in", None) or 0.0
+                with self.watch.stage("access"):
+                    access = _check_access(part, cut.tool, sense=sense, lead_in=lead_in)
+                findings += [replace(one, sentence=f"pass {cut.name}: {one.sentence}") for one in access.findings]
+        return tuple(findings)
+
+    @cached_property
     def depths(self) -> tuple[AccessFinding, ...]:
         """Whether the depth of cut of each pass stays within the cutting edge."""
-        job, depths, stock = self.job, {}, self.job.part.stock
+        job, stock = self.job, self.job.part.stock
+        by_tool: dict[Tool, dict[str, float]] = {}
         for cut in job.passes:
+            depths = by_tool.setdefault(cut.tool or job.tool, {})
             depths[cut.name] = (stock - cut.allowance) / cut.repeats(stock)
             stock = cut.allowance
         with self.watch.stage("depth of cut") as update:
-            return check_depths(
-                job.part.aimed, job.tool, depths, inside_out=job.strategy.inside_out, sense=job.strategy.sense,
-                progress=update,
-            )  # fmt: skip
+            checked = [
+                check_depths(
+                    job.part.aimed, tool, depths, inside_out=job.strategy.inside_out, sense=job.strategy.sense,
+                    progress=update,
+                )
+                for tool, depths in by_tool.items()
+            ]  # fmt: skip
+        return tuple(finding for findings in checked for finding in findings)
 
     @cached_property
     def finishing(self) -> PassPlan:
@@ -164,13 +189,16 @@ class Pipeline:
 
     def cuts(self) -> Iterator[Cut]:
         """Yield every cut of every pass in the order of cutting; plans are freed as soon as possible."""
-        stock, before = self.job.part.stock, None
+        stock, before, last, cusps = self.job.part.stock, None, None, 0.0
         for one in self.job.passes:
             plan = self.finishing if one is self.job.passes[-1] else PassPlan(self.job, one, self.watch)
+            if last is not None and last.job.tool != plan.job.tool:  # its chips are those of the stock that is left
+                before, cusps = None, last.feed**2 / (8 * last.job.tool.actual_radius)
+            last = plan
             plan.require_steps()
             for name, depth, allowance, motion in _repeat(one, plan.commanded, stock):
-                yield Cut(plan, name, depth, allowance, motion, before, self.watch)
-                before = motion
+                yield Cut(plan, name, depth, allowance, motion, before, cusps, self.watch)
+                before, cusps = motion, 0.0
             stock = one.allowance
 
     @cached_property
@@ -290,7 +318,7 @@ class Pipeline:
         Findings that the job accepts are left out.
         """
         accepted, reasons = self.job.accept, []
-        reasons += [one.sentence for one in self.access.findings if not one.ok and one.name not in accepted]
+        reasons += [one.sentence for one in self.findings if not one.ok and one.name not in accepted]
         if not reasons:
             reasons += [one.sentence for one in self.depths if not one.ok]
         if "path" in vars(self.finishing) and "gouge" not in accepted:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path as File
 from typing import Any
@@ -17,7 +17,16 @@ from turnwright.job.pass_plan import PassPlan, Watch
 from turnwright.job.predicting import follow_motion
 from turnwright.job.schema import Job
 from turnwright.path import Motion
-from turnwright.post import ProgramFiles, ProgramHeader, dialect_of, read_fast_tool, read_nc, write_fast_tool, write_nc
+from turnwright.post import (
+    ProgramFiles,
+    ProgramHeader,
+    ToolChange,
+    dialect_of,
+    read_fast_tool,
+    read_nc,
+    write_fast_tool,
+    write_nc,
+)
 from turnwright.progress import Progress, StageProgress
 
 __all__ = ["predicted_motion", "program_shares", "read_back", "rounding_effect", "write_programs"]
@@ -35,23 +44,40 @@ def write_programs(
     part, machine, file = job.part, job.machine, out / f"{job.program.name}.nc"
     stated = ", ".join(one for one in (part.material_name, part.material_note) if one)
     notes = f"material {stated}" if stated else ""
-    header = ProgramHeader(design=part.name, tool=job.tool.name, notes=notes)
+    first = job.for_pass(job.passes[0])
+    header = ProgramHeader(design=part.name, tool=first.tool.name, notes=notes)
+    start = replace(job.program.start, tool_call=job.passes[0].tool_call or job.program.tool_call)
     shared: dict[str, Any] = {
-        "header": header, "start": job.program.start, "progress": update,
+        "header": header, "start": start, "progress": update,
         "clearance": max(one.clearance for one in entries.values()),
         "depth": {name: one.depth for name, one in entries.items()}, "plunge_feed": job.program.plunge_feed,
         "entry_heights": {name: one.heights for name, one in entries.items()},
+        "changes": tool_changes(job, list(motions)),
     }  # fmt: skip
     by = job.program.fast_tool
     if by is None:
         done = write_nc(motions, machine, file, max_lines=job.program.max_lines, **shared)
         return done if job.program.dry_run is None else _add_dry_run(job, motions, file, done, shared)
     (motion,) = motions.values()
+    del shared["changes"]
     for each in ("depth", "entry_heights"):
         (shared[each],) = shared[each].values()  # the program of a fast tool has one pass, named by `write_fast_tool`
     both = write_fast_tool(motion, machine, file, by=by, rate_hz=job.program.fast_tool_rate, **shared)
     size = both.program.bytes + both.table.stat().st_size
     return replace(both.program, files=(*both.program.files, both.table), bytes=size)
+
+
+def tool_changes(job: Job, names: Sequence[str]) -> dict[str, ToolChange]:
+    """Return the changes of tool of a program before its cuts, by their names."""
+    changes: dict[str, ToolChange] = {}
+    cuts, height, before = job.cuts, job.program.change_height, None
+    for name in names:
+        cut = cuts.get(name, job.passes[-1])
+        tool, call = (cut.tool, cut.tool_call) if cut.tool is not None else (job.tool, job.program.tool_call)
+        if height is not None and before not in (None, call):
+            changes[name] = ToolChange(call=call, tool=tool.name, height=height)
+        before = call
+    return changes
 
 
 def _add_dry_run(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from turnwright.access import Access
+from turnwright.access import Access, AccessFinding
 from turnwright.cutting import ChipMap
 from turnwright.job.approach import Entry
 from turnwright.job.cutting import PassChips
@@ -31,6 +31,8 @@ class Preview:
     ----------
     access
         Whether the tool reaches the part.
+    findings
+        Its findings, then those of the tools of roughing passes.
     points
         Number of program points by pass; none where it would be refused.
     shortest_s
@@ -48,6 +50,7 @@ class Preview:
     """
 
     access: Access
+    findings: tuple[AccessFinding, ...]
     points: Mapping[str, int]
     shortest_s: Mapping[str, float]
     refused: tuple[str, ...]

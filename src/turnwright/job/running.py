@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
+from functools import lru_cache
 from os import PathLike
 from tempfile import TemporaryDirectory
 
@@ -67,9 +68,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
             result = run(job, progress=progress, out=folder)
         return replace(result, program=replace(result.program, files=()))
     line = Pipeline(job, progress=progress, out=out)
-    warnings = _accept_findings(
-        job, GougeError, ((one.name, one.sentence) for one in line.access.findings if not one.ok)
-    )
+    warnings = _accept_findings(job, GougeError, ((one.name, one.sentence) for one in line.findings if not one.ok))
     warnings += odd_sizes(job.part.aimed, job.tool)
     for finding in line.depths:
         if not finding.ok:  # no job can accept that
@@ -141,15 +140,19 @@ def _wall_warnings(job: Job, passes: list[Pass], entries: Mapping[str, Entry]) -
     if not plunging:
         return []
     warnings, part = [], job.part.aimed
-    limit, _ = largest_depth(part, job.tool, side=1, sense=job.strategy.sense, nearest=part.reach)
+    cuts = job.cuts
     for one in plunging:
-        wall = job.part.stock - one.allowance
+        tool, wall = job.for_pass(cuts[one.name]).tool, job.part.stock - one.allowance
+        limit, _ = _largest_depth(part, tool, side=1, sense=job.strategy.sense, nearest=part.reach)
         if wall > limit * (1 + 1e-9):
             warnings.append(
                 f"pass {one.name} plunges next to an uncut wall {say_length(wall)} high, the edge cuts up to "
                 f"{say_length(limit)}: state part.blank, and a lead_in with which the pass begins outside the blank"
             )
     return warnings
+
+
+_largest_depth = lru_cache(maxsize=8)(largest_depth)
 
 
 def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
@@ -166,7 +169,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
     watch, access = line.watch, line.access
     part, tool, machine = job.part.aimed, job.tool, job.machine
     refused = tuple(
-        _or_accept(one.sentence, one.name) for one in access.findings if not one.ok and one.name not in job.accept
+        _or_accept(one.sentence, one.name) for one in line.findings if not one.ok and one.name not in job.accept
     )
     points, shortest, chips = {}, {}, {}
     stock = part.stock
@@ -177,6 +180,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
         with watch.stage("plan") as update:
             # A job is checked while it is typed, so points are counted without computing all of them.
             target = servo.target(job.part)
+            tool = cut.tool or job.tool
             size, spiral = servo.extent(target, tool, progress=update)
             if _widens(servo):
                 PassPlan(job, cut).require_steps()
@@ -204,7 +208,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
     if not refused:  # otherwise the edge may not reach the finished surface
         refused = tuple(one.sentence for one in line.depths if not one.ok)
     return Preview(
-        access=access, points=points, shortest_s=shortest, refused=refused, chips=chips,
+        access=access, findings=line.findings, points=points, shortest_s=shortest, refused=refused, chips=chips,
         remarks=job.part.surface.remarks, warnings=odd_sizes(part, tool), shape=part_shape(job.part),
     )  # fmt: skip
 

@@ -30,7 +30,15 @@ from turnwright.motion import require_variable
 from turnwright.outline import BORDER_TOL
 from turnwright.part import Part
 from turnwright.pose import Pose
-from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED, ProgramStart, WorkOffset, dialect_of, require_spindle_modes
+from turnwright.post import (
+    FASTEST_PLUNGE,
+    PLUNGE_FEED,
+    Dialect,
+    ProgramStart,
+    WorkOffset,
+    dialect_of,
+    require_spindle_modes,
+)
 from turnwright.speed_profile import Speeds, check_one_speed
 from turnwright.strategy import STRATEGIES, Strategy, Turning
 from turnwright.surface import FAMILIES, Surface
@@ -96,6 +104,10 @@ class ToolDeviations(Table):
             raise JobError("only one of waviness and waviness_file can be stated, got both: remove one")
 
 
+NOT_CHOICES = ("name", "kind", "allowance", "depth", "tool", "tool_call")
+"""Keys of a pass that replace no value of the strategy."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PassTable(Table):
     """One pass: values that differ from the strategy, its allowance and its depth of cut.
@@ -130,6 +142,10 @@ class PassTable(Table):
     depth
         Depth of cut: the pass is repeated, each time deeper, until its allowance is reached; a single cut if left
         out. [mm]
+    tool
+        The tool of a roughing pass, if it is not that of the job.
+    tool_call
+        Words that call this tool with its offset, such as "T0202".
     """
 
     key_names = MappingProxyType({"spindle_rpm": "spindle_speed"})
@@ -146,11 +162,13 @@ class PassTable(Table):
     scallop: Size | None = None
     allowance: Thickness = 0.0
     depth: Size | None = None
+    tool: Tool | None = None
+    tool_call: Text = ""
 
     @property
     def choices(self) -> dict[str, Any]:
         """The values of the strategy that the pass replaces."""
-        names = (name for name in types_of(PassTable) if name not in ("name", "kind", "allowance", "depth"))
+        names = (name for name in types_of(PassTable) if name not in NOT_CHOICES)
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     def __post_init__(self) -> None:
@@ -475,6 +493,8 @@ class ProgramTable(Table):
         Functions that are on during the program, by their names in the dialect, such as "mist".
     dry_run
         Height by which a second program, NAME-dry, runs above the first, to try it in air. [mm]
+    change_height
+        Height above the clear plane of the passes at which the tool is changed, where they use several tools. [mm]
     plunge_feed
         Fastest plunge into the material while C turns, where a pass cannot begin outside the blank. [mm/s]
     """
@@ -488,6 +508,7 @@ class ProgramTable(Table):
     tool_call: Text = ""
     auxiliary: tuple[Text, ...] = ()
     dry_run: Size | None = None
+    change_height: Size | None = None
     plunge_feed: Annotated[float, unit("mm/s", above=0.0)] = PLUNGE_FEED
 
     @property
@@ -594,6 +615,7 @@ class Job(Table):
         self._check_passes()
         self._check_servos()
         self._check_dry_run()
+        self._check_tools(dialect)
 
     def _check_passes(self) -> None:
         """Raise unless each pass cuts deeper than the one before, and all patches are on the part."""
@@ -723,6 +745,49 @@ class Job(Table):
         if height is not None and self.strategy.moves_fast_tool:
             raise JobError("program.dry_run is stated, a fast tool has no dry run: leave it out")
 
+    def _check_tools(self, dialect: Dialect) -> None:
+        """Raise unless the tool of each pass is called where the passes use several."""
+        program, changing = self.program, any(cut.tool is not None for cut in self.passes)
+        if self.passes[-1].tool is not None:
+            raise JobError("the last pass states a tool, it is cut with the tool of the job: state it as [tool]")
+        if changing and program.change_height is None:
+            raise JobError(
+                "a pass states a tool, but program.change_height is missing: state the height above the part at which "
+                "the tool is changed, enough for the longest tool"
+            )
+        for number, cut in enumerate(self.passes, 1):
+            if (cut.tool is None) != (not cut.tool_call) or (changing and not program.tool_call):
+                raise JobError(
+                    f"passes[{number}] states {'a' if cut.tool else 'no'} tool and "
+                    f"{repr(cut.tool_call) if cut.tool_call else 'no'} tool_call: a pass with a tool of its own needs "
+                    "a tool_call, and so does [program] for the tool of the job"
+                )
+            if cut.tool_call == program.tool_call != "":
+                raise JobError(
+                    f"passes[{number}].tool_call is that of the program, {cut.tool_call!r}: each tool needs its "
+                    "own offset, correct one of them"
+                )
+            try:
+                ProgramStart(tool_call=cut.tool_call).lines(dialect)
+            except InputError as error:
+                raise JobError(f"passes[{number}]: {error}") from error
+
+    def for_pass(self, cut: PassTable) -> Job:
+        """Return the job with the tool of a pass; this job if the pass has none of its own."""
+        if cut.tool is None:
+            return self
+        return replace(self, tool=cut.tool, actual=replace(self.actual, tool=ToolDeviations()))
+
+    @property
+    def cuts(self) -> dict[str, PassTable]:
+        """The pass of every cut, by the name of the cut, in the order of cutting."""
+        cuts: dict[str, PassTable] = {}
+        stock = self.part.stock
+        for one in self.passes:
+            cuts |= dict.fromkeys(one.names(stock), one)
+            stock = one.allowance
+        return cuts
+
     def alone(self) -> Job:
         """Return the job of the part of a chuck that the map shows, at its place there; this job without a chuck.
 
@@ -764,7 +829,7 @@ class Job(Table):
         """Return the strategy of one pass, with the values that the pass replaces."""
         if cut.kind is not None and self.strategy.kind != cut.kind:
             return self._rough_turning(cut)
-        servo = self.strategy.with_fields(**cut.choices).adapted_to(self.tool, self.machine)
+        servo = self.strategy.with_fields(**cut.choices).adapted_to(cut.tool or self.tool, self.machine)
         if servo.spindle_speeds is not None:
             require_variable(self.machine)
         return servo

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from os import PathLike
@@ -190,6 +190,25 @@ class ProgramStart:
         return [*filter(None, (self.work_offset, self.tool_call)), *on], list(dict.fromkeys(off))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToolChange:
+    """A change of tool before a pass: the tool goes up, then these words call the next one with its offset.
+
+    Parameters
+    ----------
+    call
+        Words that call the tool, as in `ProgramStart`.
+    tool
+        Name of the tool.
+    height
+        Height above the highest clear plane at which it is called. [mm]
+    """
+
+    call: str
+    tool: str
+    height: float
+
+
 def plain(text: str) -> str:
     """Return text that is allowed in a controller's comment."""
     one_line = " ".join(text.split()).translate(str.maketrans("()", "[]"))
@@ -236,6 +255,7 @@ def lines(
     links_s: float,
     spindle: Sequence[str],
     start: ProgramStart,
+    changes: Mapping[str, ToolChange],
 ) -> list[str]:
     """Return the header as comment lines.
 
@@ -273,6 +293,8 @@ def lines(
         *_before_start(start),
     ]
     for cut, approach, begin, turning in zip(passes, approaches, begins, spindle, strict=True):
+        if (change := changes.get(cut.name)) is not None:
+            written.append(f"( TOOL FROM {cut.name}: {change.call}{plain(f', {change.tool}' if change.tool else '')} )")
         written.append(f"( ENTRY {cut.name}: {entry_words(approach).upper()} )")
         if not dialect.wrapped and not turning:
             written.append(f"( APPROACH {cut.name}: BEGINS AT {begin} )")

@@ -218,6 +218,8 @@ class Move(NamedTuple):
         Number of cuts with C as an axis before it.
     spindle_cut
         Number of the cut in spindle mode of which it is a block; 0 for other moves.
+    changes
+        Number of changes of tool after a cut before it.
     """
 
     line: int
@@ -227,6 +229,7 @@ class Move(NamedTuple):
     turns: bool
     cuts: int
     spindle_cut: int
+    changes: int
 
 
 def read_moves(path: str | PathLike[str], machine: Machine, *, block_delete: bool | None = None) -> tuple[Move, ...]:
@@ -253,8 +256,8 @@ def read_moves(path: str | PathLike[str], machine: Machine, *, block_delete: boo
         return float(turned), x * signs["X"], z * signs["Z"]
 
     return tuple(
-        Move(line, rapid, place(start), place(end), turns, cuts, spindle_cut)
-        for line, rapid, start, end, turns, cuts, spindle_cut in moves
+        Move(line, rapid, place(start), place(end), turns, cuts, spindle_cut, changes)
+        for line, rapid, start, end, turns, cuts, spindle_cut, changes in moves
     )
 
 
@@ -417,7 +420,10 @@ class _Reader:
         self.begun: set[str] = set()  # axes whose first coordinate was set by G92
         self.lost: set[str] = set()  # axes whose position in the part's coordinates is unknown
         self.spindle = Spindle()
-        self.moves: list[tuple[int, bool, Floats, Floats, bool, int, int]] | None = None  # recorded where requested
+        self.moves: list[tuple[int, bool, Floats, Floats, bool, int, int, int]] | None = (
+            None  # recorded where requested
+        )
+        self.changes = 0  # of tool, after a cut
         self.c_cuts = 0  # cuts with C as an axis
         self.work_offset = 54.0
         self.tool = self.length = 0.0  # T and H in force
@@ -930,6 +936,7 @@ class _Reader:
         if not changes:
             return
         if self.cuts:
+            self.changes += any(one.startswith("T") for one in changes)
             self.tool_change = f"line {int(self.state[LINES])} changed the tool or its length ({', '.join(changes)})"
         self._close()
         self._lose("XYZ")
@@ -1085,7 +1092,7 @@ class _Reader:
         line, rapid = int(self.state[LINES]), not self.state[LINEAR]
         spindle_cut = self.cuts if self.cut is not None and self.cut.spindle is not None else 0
         place = self.real[:4] + self.shift
-        self.moves.append((line, rapid, before + self.shift, place, turns, self.c_cuts, spindle_cut))
+        self.moves.append((line, rapid, before + self.shift, place, turns, self.c_cuts, spindle_cut, self.changes))
 
     def _move_c(self, before: Floats, step: Floats) -> None:
         """Follow a move with C as an axis: a feed move of C is a cut, all others position the tool."""

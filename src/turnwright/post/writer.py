@@ -45,6 +45,7 @@ from turnwright.post.header import (
     ProgramHeader,
     ProgramPass,
     ProgramStart,
+    ToolChange,
     bytes_to_hash,
     is_signed,
     language,
@@ -148,6 +149,7 @@ def write_nc(
     *,
     header: ProgramHeader | None = None,
     start: ProgramStart | None = None,
+    changes: Mapping[str, ToolChange] | None = None,
     clearance: float = 5.0,
     depth: float | Mapping[str, float | None] | None = 0.0,
     plunge_feed: float = PLUNGE_FEED,
@@ -179,6 +181,8 @@ def write_nc(
         Design, tool, date and notes for the header.
     start
         Work offset, tool call and auxiliary functions; none by default.
+    changes
+        Changes of tool before passes, by the names of these; none by default.
     clearance
         Height of approach and retract above the highest point of the pass; more than the stock. [mm]
     depth
@@ -247,7 +251,9 @@ def write_nc(
     try:
         header = header or ProgramHeader()
         header = replace(header, date=header.date or datetime.now(UTC).date().isoformat())
-        job = _Job(folder, path, dialect, machine, header, start or ProgramStart(), limit, progress)
+        job = _Job(
+            folder, path, dialect, machine, header, start or ProgramStart(), dict(changes or {}), limit, progress
+        )
         written = job.write(passes)
         _put_in_place(folder, path.parent, [path.name, *written], _find_stale_files(path, written))
         return job.summary(written)
@@ -401,6 +407,7 @@ class _Job:
     machine: Machine
     header: ProgramHeader
     start: ProgramStart
+    changes: dict[str, ToolChange]
     limit: int
     progress: Progress | None
     lines: int = 0
@@ -426,6 +433,7 @@ class _Job:
             for one in passes
         ]
         self.links_s = link_seconds([(one.approach, one.motion) for one in passes], self.machine)
+        self.links_s += sum(2 * change.height / TRAVERSE_FEED for change in self.changes.values())
         begin, end = self.start.lines(self.dialect)
         main = [*self.dialect.setup, *begin]
         blocks = self.total + sum(
@@ -445,7 +453,7 @@ class _Job:
                 # The hashes in the header are known at the end: it is written twice, with the same length.
                 self._text(file, self._head() + main)
                 for index, one in enumerate(passes):
-                    self._text(file, [f"( PASS: {one.name} )", *self._approach(one)])
+                    self._text(file, [*self._change(one), f"( PASS: {one.name} )", *self._approach(one)])
                     if one.motion.spindle_mode is not None:
                         rows, digest = self._spindle_cut(one, one.motion.spindle_mode)
                         self._text(file, [*rows, *self._retract(one)])
@@ -464,7 +472,7 @@ class _Job:
                     names, digest = self._sub_programs(one)
                     self.entries[index] = self._entry(one, digest)
                     subs += names
-                    main += [f"( PASS {index + 1} OF {len(passes)} )"]
+                    main += [*self._change(one), f"( PASS {index + 1} OF {len(passes)} )"]
                     main += [self.dialect.call.format(file=name) for name in names]
                 self._text(file, [*self._head(), *main, *end, self.dialect.program_end, *self.dialect.end])
         return subs
@@ -481,6 +489,7 @@ class _Job:
             self.links_s,
             self.spindle,
             self.start,
+            self.changes,
         )
 
     def summary(self, written: list[str]) -> ProgramFiles:
@@ -512,6 +521,13 @@ class _Job:
         file.write(data)
         self.lines += len(rows)
         self.bytes += len(data)
+
+    def _change(self, one: _Pass) -> list[str]:
+        """Return the lines of a change of tool before a pass: up first, as the next tool may be longer."""
+        if (change := self.changes.get(one.name)) is None:
+            return []
+        up = one.word("Z", max(approach.clear for approach in self.approaches.values()) + change.height)
+        return [*self.dialect.cut_end, *self.dialect.straight(up, TRAVERSE_FEED, "TOOL CHANGE"), change.call]
 
     def _approach(self, one: _Pass) -> list[str]:
         start, dialect = one.approach.start, self.dialect

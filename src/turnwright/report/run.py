@@ -443,6 +443,8 @@ def _setup(result: Result) -> Section:
         ("Z away from the part", "grows" if convention.z_sign > 0 else "falls"),
     ]
     items = [Table(title="Zeros and directions", rows=rows, span=2)]
+    if any(cut.tool is not None for cut in job.passes):
+        items.append(_tools(job))
     if isinstance(surface, Chuck):
         items.append(
             Table(
@@ -465,6 +467,28 @@ def _setup(result: Result) -> Section:
     return Section(title="Set-up", items=items)
 
 
+def _tools(job: Job) -> Table:
+    """Return the table of the tools in the order of the passes."""
+    rows = []
+    for cut in job.passes:
+        tool = cut.tool or job.tool
+        rows.append(
+            (
+                cut.name, tool.name or "–", cut.tool_call or job.program.tool_call, f"{tool.nose_radius:.4g}",
+                "–" if tool.included is None else f"{math.degrees(tool.included):.4g}°", _length(cut.allowance),
+            )
+        )  # fmt: skip
+    height = job.program.change_height or 0.0
+    return Table(
+        title="Tools",
+        columns=("Pass", "Tool", "Tool call", "Nose radius [mm]", "Included angle", "Leaves"),
+        numeric=range(3, 6),
+        rows=rows,
+        notes=[f"A tool is changed {height:.4g} mm above the clear plane of the passes."],
+        span=4,
+    )
+
+
 def _deviations(tool: Tool) -> dict[str, str]:
     """Return the deviations of a cutting edge from the ideal one; empty strings where there is none."""
     waviness = float(np.abs(tool.deviation(np.linspace(*tool.arc, 721))).max())
@@ -478,7 +502,7 @@ def _deviations(tool: Tool) -> dict[str, str]:
 def _access_table(access: Access) -> Table:
     rows = []
     for finding in access.findings:
-        is_length = finding.name in ("nose radius", "step")
+        is_length = finding.name in ("nose radius", "step", "shank", "holder")
 
         def shown(value: float | None, *, is_length: bool = is_length) -> str:
             if value is None:

@@ -260,7 +260,7 @@ def check(data: dict[str, Any], folder: str) -> dict[str, Any]:
         }
     )
     result["chips"] = dict(plan.chips)
-    accepted = [one.sentence for one in plan.access.findings if not one.ok and one.name in job.accept]
+    accepted = [one.sentence for one in plan.findings if not one.ok and one.name in job.accept]
     result["warnings"] = [*accepted, *plan.warnings]
     points = sum(plan.points.values())
     if points > MAX_POINTS:
