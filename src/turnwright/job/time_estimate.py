@@ -65,7 +65,8 @@ def steps_of_run(job: Job) -> tuple[Step, ...]:
         Step(stage="read program", work=READ_S * points),
         Step(stage="compare", work=0.2),
     ]
-    return (*steps, *steps_of_prediction(job), Step(stage="report", work=REPORT_S))
+    moves = Step(stage="check moves", work=0.2 + READ_S * program_points)
+    return (*steps, *steps_of_prediction(job), moves, Step(stage="report", work=REPORT_S))
 
 
 def steps_of_prediction(job: Job, *, tracking: bool | None = None) -> tuple[Step, ...]:
