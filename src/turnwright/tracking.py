@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +26,7 @@ from turnwright.machine import (
     Machine,
     RationalResponse,
     Response,
+    blend_blocks,
 )
 from turnwright.path import Motion
 from turnwright.progress import Progress
@@ -65,7 +67,9 @@ def track(
     * "linear": straight lines between the points;
     * "hermite" (PVT): cubics through the points, with the velocities of the motion, or, if it has none, with the slopes
       of parabolas through three neighbouring points;
-    * "quadratic spline", "cubic spline": B-splines with the points as control points, which cut corners.
+    * "quadratic spline", "cubic spline": B-splines with the points as control points, which cut corners;
+    * "linuxcnc": what LinuxCNC 2.9 makes of straight blocks in which C moves. It blends each block into the next and
+      takes its own time; the result has a point for every servo cycle.
 
     A fast tool (axes W and U) has its own controller, which keeps the times and interpolates linearly; the blocks of
     the lathe are then those of `Motion.lathe`.
@@ -103,6 +107,10 @@ def track(
     """
     positive(chord, "chord", "mm")
     machine = machine or motion.machine
+    if machine.controller.interpolation == "linuxcnc":
+        machine = replace(machine, controller=replace(machine.controller, interpolation="linear"))
+        if motion.spindle_mode is None:
+            motion = _blend(motion, machine)
     time = _controller_times(motion, machine)
     velocity = _velocities(motion, machine, time)
     blocks = motion.blocks if FAST.keys() & motion.axes.keys() else slice(None)
@@ -233,6 +241,20 @@ def _check_log(missed: Mapping[str, ArrayLike], motion: Motion) -> dict[str, Flo
     logged = {letter: frozen(values, f"the log of axis {letter}") for letter, values in missed.items()}
     same_length([("time", motion.time), *logged.items()])
     return logged
+
+
+def _blend(motion: Motion, machine: Machine) -> Motion:
+    """Return the commands of LinuxCNC to its servos, one for each of its cycles."""
+    cycles = blend_blocks(motion.time, motion.axes, machine)
+    axes = {}
+    for letter, planned in cycles.axes.items():
+        # Its interpolator between planner and servos is a uniform cubic B-spline, here without its delay.
+        held = np.concatenate((planned[:1], planned, planned[-1:]))
+        axes[letter] = (held[:-2] + 4 * held[1:-1] + held[2:]) / 6
+    moves = np.append(True, np.abs(np.diff(axes["C"])) > 0)
+    return Motion(
+        time=cycles.time[moves], axes={letter: one[moves] for letter, one in axes.items()}, machine=motion.machine
+    )
 
 
 def _velocities(motion: Motion, machine: Machine, time: Floats) -> dict[str, Floats]:

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["jit", "jit_inline", "jit_sums"]
+__all__ = ["jit", "jit_exact", "jit_inline", "jit_sums"]
 
 _LOCK = threading.RLock()
 
@@ -48,6 +48,11 @@ class Kernel:
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a kernel: cached on disk, without the interpreter lock, fused multiply-adds, NumPy's error model."""
     return Kernel(function, {"contract"})
+
+
+def jit_exact(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a kernel as `jit` does, without fused multiply-adds: rounded as a program without them rounds."""
+    return Kernel(function, set())
 
 
 def jit_inline(function: Callable[..., Any]) -> Callable[..., Any]:

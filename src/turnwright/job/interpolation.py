@@ -24,10 +24,10 @@ MAX_SEGMENTS = 5_000_000
 def interpolate_motion(motion: Motion, machine: Machine, progress: Progress | None = None) -> Motion:
     """Return the real axes in linear segments within 0.01 nm of the controller's curves, or as close as memory allows.
 
-    With linear interpolation the segments of `track` are sufficient.
+    Where the controller moves in straight lines the segments of `track` are sufficient.
     """
     real = track(motion, machine, chord=MAX_CHORD, progress=progress)
-    if machine.controller.interpolation == "linear":
+    if machine.controller.is_straight:
         return real
     off = chord_error(real)
     # The distance falls with the square of the number of segments.

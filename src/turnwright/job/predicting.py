@@ -70,7 +70,7 @@ def predict(
     watch = watch or Watch(progress)
     part, tool, machine = job.part, job.actual_tool, job.actual_machine
     motion, real = follow_motion(job, motion, job.simulation.tracking if tracking is None else tracking, nominal, watch)
-    straight = machine.controller.interpolation == "linear"
+    straight = machine.controller.is_straight
     off = 0.0 if straight else max(chord_error(one) for one in (motion, real) if one is not None)
 
     def make(

@@ -152,6 +152,9 @@ def _wall_warnings(job: Job, passes: list[Pass], entries: Mapping[str, Entry]) -
     return warnings
 
 
+SLOWED = 0.97
+"""Share of the stated spindle speed below which a controller that blends its blocks is reported."""
+
 _largest_depth = lru_cache(maxsize=8)(largest_depth)
 
 
@@ -280,11 +283,20 @@ def _revolutions(motion: Motion) -> tuple[Motion, ...]:
 def _assumption_warnings(job: Job, passes: list[Pass]) -> list[str]:
     """Warn of limiting axis data without a published source, and of servos that the simulation ignores."""
     sources, warnings = job.machine.sources, []
+    blends = job.machine.controller.interpolation == "linuxcnc" and job.strategy.spindle_mode is None
     if has_servos(job.actual_machine) and not job.simulation.tracking:
         warnings.append(
             f"{job.actual_machine.name} states the response of its servos, the prediction ignores it: set tracking = "
             "true in [simulation]"
         )
+    cuts = job.cuts
+    for cut in passes:
+        stated = job.servo(cuts[cut.name]).spindle_rpm
+        if blends and stated is not None and cut.limits.spindle_rpm < SLOWED * stated:
+            warnings.append(
+                f"pass {cut.name}: LinuxCNC blends its blocks and turns C at {cut.limits.spindle_rpm:.4g} rpm, the job "
+                f"states {stated:g} rpm: use fewer points per revolution, or accept the time"
+            )
     for binding in dict.fromkeys(cut.limits.binding for cut in passes):
         letter, _, kind = binding.partition(" ")
         speed = "spindle_rpm" if job.strategy.spindle_mode is None else "spindle_mode_rpm"

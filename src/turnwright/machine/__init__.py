@@ -1,6 +1,7 @@
 """The lathe: limits, dynamics and geometric errors of its axes, and its controller."""
 
 from turnwright.machine.axes import FAST, ROTARY, Axis
+from turnwright.machine.blending import Blended, blend_blocks
 from turnwright.machine.controller import INTERPOLATIONS, Controller, Convention
 from turnwright.machine.lathe import PLAUSIBLE, ErrorSizes, Machine
 from turnwright.machine.responses import FrequencyResponse, RationalResponse, Response, SecondOrder, TransferFunction
@@ -11,6 +12,7 @@ __all__ = [
     "PLAUSIBLE",
     "ROTARY",
     "Axis",
+    "Blended",
     "Controller",
     "Convention",
     "ErrorSizes",
@@ -20,4 +22,5 @@ __all__ = [
     "Response",
     "SecondOrder",
     "TransferFunction",
+    "blend_blocks",
 ]

@@ -9,16 +9,16 @@ from typing import Annotated, TypeAlias
 
 from turnwright._arrays import Value
 from turnwright._tables import TableModel
-from turnwright._validate import check_angle, check_numbers, whole_number
+from turnwright._validate import check_angle, check_numbers, positive, whole_number
 from turnwright.errors import InputError
-from turnwright.units import Angle, Flag, Text, plain
+from turnwright.units import Angle, Flag, Text, Time, plain
 
 __all__ = ["INTERPOLATIONS", "Controller", "Convention"]
 
 Sign: TypeAlias = Annotated[int, plain()]
 
-INTERPOLATIONS = ("linear", "hermite", "quadratic spline", "cubic spline")
-"""Interpolations of a controller, in the order of the kernel's constants."""
+INTERPOLATIONS = ("linear", "hermite", "quadratic spline", "cubic spline", "linuxcnc")
+"""Interpolations of a controller, the first in the order of the kernel's constants."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -28,7 +28,9 @@ class Controller(TableModel, Value):
     Parameters
     ----------
     interpolation
-        "linear", "hermite" (PVT), "quadratic spline" or "cubic spline", see `track`.
+        "linear", "hermite" (PVT), "quadratic spline", "cubic spline" or "linuxcnc", see `track`.
+    cycle
+        Servo cycle, for the interpolation "linuxcnc". [s]
     look_ahead
         Number of blocks that the controller reads ahead, within which it must be able to brake; ``None`` for no limit.
     variable_speed
@@ -47,9 +49,16 @@ class Controller(TableModel, Value):
     look_ahead: Annotated[int, plain()] | None = None
     variable_speed: Flag = False
     other_interpolations: Mapping[str, Text] = field(default_factory=dict)
+    cycle: Time = 1e-3
+
+    @property
+    def is_straight(self) -> bool:
+        """Whether axes move in straight lines between the points, or between servo cycles."""
+        return self.interpolation in ("linear", "linuxcnc")
 
     def __post_init__(self) -> None:
         check_numbers(self)
+        positive(self.cycle, "cycle of the controller", "s")
         others = MappingProxyType(dict(self.other_interpolations))
         object.__setattr__(self, "other_interpolations", others)
         for name in (self.interpolation, *others):

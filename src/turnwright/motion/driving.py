@@ -11,7 +11,7 @@ import numpy as np
 
 from turnwright._arrays import Floats, Ints
 from turnwright.errors import InputError, LimitError
-from turnwright.machine import FAST, Machine
+from turnwright.machine import FAST, Machine, blend_blocks
 from turnwright.motion.air import cross_air, cut_sections
 from turnwright.motion.limits import (
     LIMIT_TOL,
@@ -37,6 +37,10 @@ SPEED_STEP, SPEED_TRIALS = 0.9, 25
 
 SAMPLES = 16
 """Turns of the path from which the time at these speeds is estimated."""
+
+OFF_CYCLE = 1e-4
+"""Share by which the program states blocks slower than LinuxCNC plays them. Where a block takes a whole number of servo
+cycles, rounding would decide whether it takes one more."""
 
 MIN_SECTION = 5
 """Points of the shortest cut that counts for the highest speed."""
@@ -87,6 +91,9 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     ends at rest: all axes accelerate and decelerate together along the path, within 0.1 nm of it, in ramps of at most
     half of the path. The search for the highest speed with ramps stops at the first step without a gain, so it may miss
     a higher one. With a fast tool the program accelerates and decelerates within one block.
+
+    With the interpolation "linuxcnc" the times are those that this controller takes, which may be longer; the program
+    states them.
 
     In spindle mode the motion follows straight lines between the points of the program, at the stated feed and speed.
 
@@ -144,8 +151,7 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
             speeds = [_find_omega(course, path, rpm, profile, machine)]
         else:
             speeds = list(_rank_speeds(course, air, machine))
-        course = _cross_air(course, speeds, air, machine, subject=subject)
-        return Motion(time=course.time, axes=course.axes, machine=machine, velocity=course.velocity or None)
+        return _timed(_cross_air(course, speeds, air, machine, subject=subject), machine)
     course = course.at_speed(_find_omega(course, path, rpm, profile, machine))
     if slopes and not FAST.keys() & axes.keys():
         course = (
@@ -153,7 +159,15 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
         )
     if not stated:
         course = slow_to_limits(course, machine)
-    return Motion(time=course.time, axes=course.axes, machine=machine, velocity=course.velocity or None)
+    return _timed(course, machine)
+
+
+def _timed(course: Course, machine: Machine) -> Motion:
+    """Return the motion of a course, at the times that the controller takes."""
+    time = course.time
+    if machine.controller.interpolation == "linuxcnc":
+        time = blend_blocks(time, course.axes, machine).ends * (1 + OFF_CYCLE)
+    return Motion(time=time, axes=course.axes, machine=machine, velocity=course.velocity or None)
 
 
 def _cross_air(

@@ -12,7 +12,7 @@ import numpy as np
 
 from turnwright._arrays import Floats, Ints, only_read
 from turnwright._kernels import limits as limits_kernel, tracking as tracking_kernel
-from turnwright.machine import FAST, ROTARY, Axis, Machine
+from turnwright.machine import FAST, ROTARY, Axis, Machine, blend_blocks
 from turnwright.path import Motion, block_points
 from turnwright.speed_profile import time_over_angle
 
@@ -38,6 +38,10 @@ LIMIT_TOL = 1e-3
 
 STATED_SPEED = "spindle speed as stated"
 """Binding constraint of a motion that stays below every limit."""
+
+BLENDING, BLENDING_SHARE = "blending of blocks", 0.75
+"""Binding constraint of a motion on LinuxCNC, and share of a block's time that blending takes where it binds: the rest
+is that of whole servo cycles."""
 
 DEFAULT_RESIDUAL = 1e-5
 """Default ``bandwidth_residual`` of an axis: amplitude of motion above its bandwidth. [mm or rad]"""
@@ -139,7 +143,8 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
     Speed, acceleration and jerk are divided differences over one, two and three neighbouring blocks; for a controller
     with interpolation "hermite" (PVT) they, and the travel, are the extremes of the cubics in each block. Positions
     rounded to :math:`q` add up to :math:`2q/t^2` to the acceleration and :math:`4q/t^3` to the jerk, where :math:`t` is
-    the block time. With a fast tool the blocks of the lathe are those of `Motion.lathe`.
+    the block time. With a fast tool the blocks of the lathe are those of `Motion.lathe`. The cycle time is that of the
+    motion; with the interpolation "linuxcnc" that of this controller.
 
     The highest frequency of an axis is the lowest one above which the motion has less power than a sine of amplitude
     ``bandwidth_residual`` (10 nm by default). The power is that of any two revolutions, after removal of their mean,
@@ -167,7 +172,10 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
     if motion.spindle_mode is not None:
         machine = machine.in_spindle_mode()
     demands = find_limit_demands(course, motion.blocks, peaks, machine)
-    length = float(motion.time[-1] - motion.time[0])
+    length, slowest = float(motion.time[-1] - motion.time[0]), STATED_SPEED
+    if machine.controller.interpolation == "linuxcnc" and motion.spindle_mode is None:
+        length = float(blend_blocks(motion.time, motion.axes, machine).time[-1])
+        slowest = BLENDING if _is_blended_slowly(motion, machine) else STATED_SPEED
     rpm = _cutting_rpm(motion)
     if motion.velocity is not None:
         rpm = course.top_rpm
@@ -197,11 +205,20 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
         utilisation=MappingProxyType(utilisation),
         binding=max(utilisation, key=utilisation.__getitem__)
         if max(utilisation.values()) >= BINDING_UTILISATION
-        else STATED_SPEED,
+        else slowest,
         ok=not findings,
         findings=tuple(findings),
         spindle_mode=motion.spindle_mode is not None,
     )
+
+
+def _is_blended_slowly(motion: Motion, machine: Machine) -> bool:
+    """Return whether most blocks take little more than their blending does, with half of the acceleration each."""
+    least = np.zeros(motion.time.size - 1)
+    for letter, values in motion.axes.items():
+        if (most := machine.axes[letter].acceleration) is not None:
+            least = np.maximum(least, np.sqrt(2 * np.abs(np.diff(values)) / most))
+    return bool(np.median(least / np.diff(motion.time)) > BLENDING_SHARE)
 
 
 def _cutting_rpm(motion: Motion) -> float:

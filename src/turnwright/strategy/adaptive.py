@@ -218,7 +218,8 @@ class AdaptiveToolServo(Strategy):
 
     def adapted_to(self, tool: Tool, machine: Machine) -> Strategy:  # noqa: ARG002 - as its siblings
         """Return the plan for the machine's interpolation; a two-axis fast tool makes the height of a split motion."""
-        interpolation: Any = machine.controller.interpolation  # an unsupported one raises an InputError
+        # An unsupported one raises an InputError.
+        interpolation: Any = "linear" if machine.controller.is_straight else machine.controller.interpolation
         servo = replace(self, interpolation=self.interpolation or interpolation)
         return FastToolServo(plan=servo) if self.x_motion == "split" else servo
 
