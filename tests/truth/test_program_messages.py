@@ -74,7 +74,11 @@ DAMAGED = {
     "formula": ("#1 = 1 + * 2\n", "line 1 has an expression that cannot be read"),
     "rest of a formula": ("#1 = 1 ] 2\n", "line 1 has an expression that cannot be read"),
     "condition": ("WHILE [#1] DO 1\n", "line 1 has a condition that cannot be read"),
-    "loop": ("#1 = 0\nWHILE [#1 LT 3] DO 1\n" + START + "#1 = #1 + 1\nEND 1\n", "line 8 repeats a loop"),
+    "endless loop": ("#1 = 0\nWHILE [#1 LT 3] DO 1\nG4 P0\nEND 1\n", "line 4 repeats loops more than 10,000 times"),
+    "endless loops": (
+        "WHILE [1 LT 3] DO 1\nWHILE [1 LT 2] DO 2\nG4 P0\nEND 2\nEND 1\n",
+        "repeats loops more than 10,000 times",
+    ),
     "no loop": ("#1 = 3\nWHILE [#1 LT 3] DO 1\n" + START, "line 2 begins a loop that runs 0 times"),
     "jump": ("IF [1 EQ 1] GOTO 5\n", "line 1 is a statement that Turnwright does not support"),
     "two cuts of one name": (
@@ -309,7 +313,7 @@ def test_options_that_make_no_sense(tmp_path, options, message):
 
 def test_unknown_dialect(tmp_path):
     with pytest.raises(
-        ProgramError, match="dialect 'klingon' is not known, Turnwright writes fanuc-30i, generic, "
+        ProgramError, match="dialect 'klingon' is not known, Turnwright writes diffsys-2d, fanuc-30i, generic, "
     ) as error:
         write_nc(motion(), machine("klingon"), tmp_path / "part.nc")
     sentence(error)

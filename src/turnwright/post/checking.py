@@ -31,6 +31,9 @@ HEIGHTS = {"rough": 0.01, "finish": 0.0}
 RADII = np.linspace(5.0, -0.01, 21)
 """Points of a test cut in spindle mode. [mm]"""
 
+LOOP_HEIGHTS = (0.05, 0.034, 0.018)
+"""Heights of the cuts of a test pass that is repeated. [mm]"""
+
 TIME_RATIO = 1e-3
 """Largest relative difference of the time of a pass that is read back."""
 
@@ -49,7 +52,8 @@ class DialectCheck:
         Largest relative difference of the time of a pass.
     programs
         Number of programs: both senses of rotation, with and without Y, in one file and with sub-programs; and in
-        spindle mode, at constant spindle speed and constant surface speed, as far as the dialect has them.
+        spindle mode, at constant spindle speed and constant surface speed, and with loops, as far as the dialect has
+        them.
     lines
         First lines of a cut, as written.
     """
@@ -106,11 +110,19 @@ def check_dialect(name: str) -> DialectCheck:
             motion = mode.motion(RADII, 0.1 - 0.03 * RADII + 0.01 * RADII**2, machine, sense=sense)
             write_nc(motion, machine, path, depth=0.02)
             _compare_spindle(dialect, read_nc(path, machine), motion, differences)
+            if dialect.loop_begin:
+                cuts = {
+                    f"rough {number}": replace(motion, axes={**motion.axes, "Z": motion.axes["Z"] + height})
+                    for number, height in enumerate(LOOP_HEIGHTS, 1)
+                }
+                write_nc({**cuts, "finish": motion}, machine, path, depth=0.02)
+                for each, cut in cuts.items():
+                    _compare_spindle(dialect, read_nc(path, machine, name=each), cut, differences)
     return DialectCheck(
         dialect=dialect,
         differences=differences,
         time_ratio=time_ratio,
-        programs=len(cases) + 2 * len(modes),
+        programs=len(cases) + (4 if dialect.loop_begin else 2) * len(modes),
         lines=lines,
     )
 

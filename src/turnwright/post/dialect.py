@@ -41,6 +41,7 @@ FEED_FORM = re.compile(r"(\.\d)?[fg]")
 PLACEHOLDERS = MappingProxyType({
     "begin": frozenset({"file"}), "call": frozenset({"file"}),
     "feed_move": frozenset({"words", "feed", "note"}), "rapid_move": frozenset({"words"}),
+    "loop_begin": frozenset({"count", "first", "step"}), "loop_end": frozenset({"step"}),
     "spindle_start": frozenset({"direction", "speed"}),
     "surface_speed_start": frozenset({"direction", "speed", "surface_speed"}),
 })  # fmt: skip
@@ -97,6 +98,12 @@ class Dialect(TableModel):
         The same for a constant ``{surface_speed}`` in m/min, with the highest ``{speed}``.
     spindle_end
         Lines that stop it.
+    loop_begin, loop_end
+        Lines around a pass in spindle mode that is repeated, each time deeper: the program's origin in Z is ``{first}``
+        above that of the last cut and moves down by ``{step}`` each time, ``{count}`` times in all. Empty for a dialect
+        that writes out every cut.
+    local_origin
+        Word that moves the origin of the program, "G52"; its axis words count from the work offset.
     auxiliary
         Functions of the machine that a job can name, such as mist or vacuum: the words that switch each on and off.
     feed_per_min, feed_per_rev
@@ -140,6 +147,9 @@ class Dialect(TableModel):
     spindle_start: tuple[Text, ...] = ()
     surface_speed_start: tuple[Text, ...] = ()
     spindle_end: tuple[Text, ...] = ("M05",)
+    loop_begin: tuple[Text, ...] = ()
+    loop_end: tuple[Text, ...] = ()
+    local_origin: Literal["", "G52"] = ""
     auxiliary: Mapping[str, tuple[Text, Text]] = field(default_factory=dict)
     feed_per_min: Text = "G94"
     feed_per_rev: Text = "G95"
@@ -170,13 +180,20 @@ class Dialect(TableModel):
             raise InputError(
                 f"feed is {self.feed!r} with velocities {str(self.velocities).lower()}: milliseconds go with velocities"
             )
+        stated = (bool(self.loop_begin), bool(self.loop_end), bool(self.local_origin))
+        if any(stated) and not all(stated):
+            raise InputError("loop_begin, loop_end or local_origin is missing, a loop needs all of them: state them")
         if self.always_call and not self.call:
             raise InputError("always_call is true and call is empty: state the call of a sub-program")
+        self._check_texts()
+
+    def _check_texts(self) -> None:
+        """Raise unless all lines are printable and have the placeholders of their fields."""
         for place, words in self.auxiliary.items():
             _check_lines(f"auxiliary.{place}", words)
         for place in ("block", "begin", "end", "setup", "cut_begin", "cut_resume", "cut_end", "feed_move", "rapid_move",
                       "call", "program_end", "call_end", "comment", "spindle_start", "surface_speed_start",
-                      "spindle_end", "feed_per_min", "feed_per_rev"):  # fmt: skip
+                      "spindle_end", "loop_begin", "loop_end", "feed_per_min", "feed_per_rev"):  # fmt: skip
             value = getattr(self, place)
             _check_lines(place, (value,) if isinstance(value, str) else value)
 

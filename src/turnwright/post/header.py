@@ -29,6 +29,8 @@ __all__ = [
 
 SIGNATURE = "( TURNWRIGHT PROGRAM 1 )"
 SUB_SIGNATURE = "( TURNWRIGHT SUB-PROGRAM 1 )"
+EACH_TIME = " #"
+"""End of the name of a pass that a loop repeats; the cuts are numbered from 1."""
 ENTRY = ", ENTRY"
 """Suffix of the name of a pass where its plunge begins, whose blocks are not part of the cut."""
 BEGIN = re.compile(r"\A(?:[%O<][^\n]{0,80}\n){0,3}")

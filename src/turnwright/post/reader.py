@@ -28,6 +28,7 @@ from turnwright.post.dialect import Dialect, dialect_of
 from turnwright.post.header import (
     BEGIN_BYTES,
     BOM,
+    EACH_TIME,
     ENTRY,
     SIGNATURE,
     SUB_SIGNATURE,
@@ -56,6 +57,8 @@ MAX_CALLS = 1000
 """Calls of one file; nested calls would otherwise multiply without limit."""
 MAX_NUMBER = 1e9
 MAX_MOVES = 100_000
+MAX_REPEATS, MAX_REPEATED_BYTES = 10_000, 100_000_000
+"""Repetitions of loops in a program, and the text that they repeat; more comes from a loop that does not end."""
 NO_NAME = "\x00"
 """Name that no pass has."""
 COPY_AGAIN = "copy all files of the program again from where they were written"
@@ -305,6 +308,14 @@ def _require_language(path: Path, info: ProgramInfo, machine: Machine, dialect: 
         )
 
 
+class _Loop(NamedTuple):
+    """A loop of a program: its condition, and where its first line is in the file, and the number of that before."""
+
+    condition: str
+    start: int
+    line: int
+
+
 @dataclass(slots=True)
 class _Cut:
     """Consecutive cutting blocks, in the controller's units."""
@@ -430,7 +441,11 @@ class _Reader:
         self.tool_change = ""  # change of tool or length since the last cut
         self.scratch: Floats = np.empty((self.height, 1 << 12))  # for blocks that were not requested
         self.macros = Macros(lambda what: self._error(what, "write it as a number"))
-        self.loops: dict[int, str] = {}  # condition by label
+        self.loops: dict[int, _Loop] = {}  # by label
+        self.here = self.next = 0  # positions in the file of this line and the next
+        self.repeats = self.repeated = 0  # of loops, and their bytes
+        self.visits: dict[str, int] = {}  # of passes that a loop repeats, by their name
+        self.origin: Floats = np.zeros(4)  # where the dialect's local origin is, G92 apart
         self.named: str | None = None
         self.cut: _Cut | None = None
         self.selected: _Cut | None = None
@@ -508,17 +523,7 @@ class _Reader:
         has_signature = is_signed(head, SIGNATURE, SUB_SIGNATURE)
         begin = len(BOM) if head.startswith(BOM) else 0  # of the buffer, in the file
         for text_bytes, data, end in self._buffers(path):
-            at = 0
-            while at < end and not (self.over or self.ended):
-                at, is_full = self._parse_blocks(data, at, end)
-                if at < end and not is_full:
-                    stop = text_bytes.find(b"\n", at, min(at + MAX_LINE_BYTES, end)) + 1
-                    self.state[LINES] += 1
-                    if stop <= at:
-                        raise self._error(f"is longer than {MAX_LINE_BYTES} bytes", "give a text file with line ends")
-                    self.coded = self.coded or not np.array_equal(before, self.real, equal_nan=True)
-                    self._line(text_bytes[at:stop].decode("latin-1"))
-                    at = stop
+            at = self._lines(text_bytes, data, end, begin, before)
             self._report(min(self.done, self.total))
             if self.over or self.ended:
                 self._warn_of_blocks_after_end(path, begin + at)
@@ -533,6 +538,40 @@ class _Reader:
         self.over, self.coded = False, True
         self.state[LINES] = outer
         self.stack.pop()
+
+    def _lines(self, text_bytes: bytearray, data: NDArray[np.uint8], end: int, begin: int, before: Floats) -> int:
+        """Follow the lines in a buffer that holds a file from ``begin`` on; return where it ended or was left."""
+        at = 0
+        while at < end and not (self.over or self.ended):
+            at, is_full = self._parse_blocks(data, at, end)
+            if at < end and not is_full:
+                stop = text_bytes.find(b"\n", at, min(at + MAX_LINE_BYTES, end)) + 1
+                self.state[LINES] += 1
+                if stop <= at:
+                    raise self._error(f"is longer than {MAX_LINE_BYTES} bytes", "give a text file with line ends")
+                self.coded = self.coded or not np.array_equal(before, self.real, equal_nan=True)
+                self.here, self.next = begin + at, begin + stop
+                self._line(text_bytes[at:stop].decode("latin-1"))
+                at = stop
+        return at
+
+    def _repeat(self, loop: _Loop, label: int) -> None:
+        """Follow the body of a loop again, as long as its condition holds."""
+        path, end = self.stack[-1], self.here
+        self.repeats, self.repeated = self.repeats + 1, self.repeated + end - loop.start
+        if self.repeats > MAX_REPEATS or self.repeated > MAX_REPEATED_BYTES:
+            raise self._error(
+                f"repeats loops more than {MAX_REPEATS:,} times, or {MAX_REPEATED_BYTES // 10**6} MB of them",
+                "check that the loop ends",
+            )
+        with path.open("rb") as file:
+            file.seek(loop.start)
+            body = file.read(end - loop.start)
+        line, buffer = self.state[LINES], bytearray(body) + bytes(kernel.BEHIND)
+        self.loops[label] = loop
+        self.state[LINES] = loop.line
+        self._lines(buffer, np.frombuffer(buffer, dtype=np.uint8), len(body), loop.start, self.real.copy())
+        self.state[LINES], self.here = line, end
 
     def _parse_blocks(self, data: NDArray[np.uint8], at: int, end: int) -> tuple[int, bool]:
         """Read plain cutting blocks; return where another line begins, and whether there is no room for more blocks."""
@@ -808,7 +847,7 @@ class _Reader:
         elif loop := WHILE.fullmatch(bare):
             if int(loop[2]) in self.loops:
                 raise self._error(f"begins loop {loop[2]} within itself", "give each loop its own number")
-            self.loops[int(loop[2])] = loop[1]
+            self.loops[int(loop[2])] = _Loop(loop[1], self.next, int(self.state[LINES]))
             if not self.macros.holds(loop[1]):
                 raise self._error("begins a loop that runs 0 times", "give a program whose loop runs once")
         elif end := END.fullmatch(bare):
@@ -816,8 +855,10 @@ class _Reader:
             if label != int(end[1]):
                 expected = "no loop is open" if label is None else f"the innermost open loop is {label}"
                 raise self._error(f"ends loop {end[1]}, {expected}", "give each WHILE its END")
-            if self.macros.holds(self.loops.pop(label)):
-                raise self._error("repeats a loop, only one run is allowed", "give a program of one pass")
+            runs = self.loops[label]
+            while self.macros.holds(runs.condition) and not self.ended:
+                self._repeat(runs, label)
+            self.loops.pop(label)
         elif OTHER.match(bare):
             raise self._error(f"is a statement that Turnwright does not support ({bare[:30]})", "give plain blocks")
         else:
@@ -825,6 +866,9 @@ class _Reader:
         return True
 
     def _marker(self, name: str, part: int) -> None:
+        if name.endswith(EACH_TIME):  # a pass that a loop repeats
+            self.visits[name] = self.visits.get(name, 0) + 1
+            name = f"{name.removesuffix(EACH_TIME)} {self.visits[name]}"
         if part == 1 or name != self.named:
             self._close()
             self.named = name
@@ -1021,7 +1065,9 @@ class _Reader:
 
     def _coordinates(self, codes: list[float], axes: dict[str, float], *, feed: bool) -> None:
         if shifts := SHIFT_G & set(codes):
-            if any(axes.values()) or (axes and 50 in shifts) or any(self._is_set(letter) for letter in axes):
+            if self.dialect.local_origin == "G52" and shifts == {52}:
+                self._move_origin(axes)
+            elif any(axes.values()) or (axes and 50 in shifts) or any(self._is_set(letter) for letter in axes):
                 raise self._error(
                     f"shifts the origin within the program (G{min(shifts)})",
                     "give a program without shifts",
@@ -1034,7 +1080,8 @@ class _Reader:
             self._set(axes)
 
     def _is_set(self, letter: str) -> bool:
-        return bool(self.shift[AXES.index(letter)]) or letter in self.begun
+        k = AXES.index(letter)
+        return bool(self.shift[k] - self.origin[k]) or letter in self.begun
 
     def _set(self, axes: dict[str, float]) -> None:
         """Assign new coordinates to the current position; the tool does not move relative to the part."""
@@ -1052,9 +1099,17 @@ class _Reader:
             self.real[k] = value
         self._note_shift()
 
+    def _move_origin(self, axes: dict[str, float]) -> None:
+        """Move the origin of the program to a place in the part's coordinates; the tool does not move."""
+        for letter, value in axes.items():
+            k = AXES.index(letter)
+            moved = value - self.origin[k]
+            self.origin[k], self.shift[k], self.real[k] = value, self.shift[k] + moved, self.real[k] - moved
+        self._note_shift()
+
     def _unset(self) -> None:
-        self.real[:4] += self.shift
-        self.shift[:] = 0
+        self.real[:4] += self.shift - self.origin
+        self.shift[:] = self.origin
         self._lose(sorted(self.begun))
         self.begun.clear()
         self._note_shift()

@@ -39,6 +39,7 @@ from turnwright.post.convention import axis_signs
 from turnwright.post.dialect import MIN_LINES, Dialect, dialect_of
 from turnwright.post.header import (
     BEGIN_BYTES,
+    EACH_TIME,
     ENTRY,
     NO_HASH,
     SUB_SIGNATURE,
@@ -52,7 +53,8 @@ from turnwright.post.header import (
     lines,
     program_hash,
 )
-from turnwright.post.spindle import position_word, require_spindle_modes, spindle_lines, start_spindle
+from turnwright.post.passes import Loop, WrittenPass, find_loops, loop_passes
+from turnwright.post.spindle import require_spindle_modes, spindle_lines, start_spindle
 from turnwright.progress import Progress, cores
 
 __all__ = ["ProgramFiles", "write_nc"]
@@ -97,46 +99,6 @@ class ProgramFiles:
     def hash(self) -> str:
         """SHA-256 of the program, over the hashes of its passes, one per line."""
         return program_hash(self.passes)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Pass:
-    name: str
-    motion: Motion
-    letters: tuple[str, ...]
-    factors: Mapping[str, float]  # Turnwright's unit to the controller's, without decimals
-    shifts: Mapping[str, float]
-    clocking: float  # of C, whose shift also has the full turns of the passes before [deg]
-    dialect: Dialect
-    velocity: Mapping[str, Floats] | None  # at the points, from rest to rest; only for dialects with velocities
-    approach: Approach
-
-    def units(self, letter: str, value: float) -> int:
-        """Return a position as written, without its decimal point and without wrapping."""
-        scale = 10.0 ** self.dialect.decimals[letter]
-        return int(np.rint(value * (self.factors[letter] * scale) + self.shifts[letter] * scale))
-
-    @property
-    def points(self) -> int:
-        """Number of points in the program."""
-        return self.motion.time.size if self.motion.spindle_mode is None else self.motion.blocks.size
-
-    @property
-    def first_c(self) -> float:
-        """The controller's C at the first point, without full turns of the passes before; 0 in spindle mode. [deg]."""
-        if self.motion.spindle_mode is not None:
-            return 0.0
-        places = self.dialect.decimals["C"]
-        turns = round((self.shifts["C"] - self.clocking) / 360)
-        units = self.units("C", float(self.motion.axes["C"][0])) - turns * 360 * 10**places
-        return float(units / 10.0**places)
-
-    def word(self, letter: str, value: float) -> str:
-        places = self.dialect.decimals[letter]
-        units = self.units(letter, value)
-        if letter == "C" and self.dialect.wrapped:
-            units %= 360 * 10**places
-        return position_word(letter, units, places)
 
 
 _Chunk: TypeAlias = tuple[int, int, Ints, Ints, Floats]
@@ -301,7 +263,7 @@ def _approaches(
 
 def _passes(
     motions: Mapping[str, Motion], machine: Machine, dialect: Dialect, approaches: Mapping[str, Approach]
-) -> list[_Pass]:
+) -> list[WrittenPass]:
     if not motions:
         raise ProgramError("a program has 0 passes, it needs at least 1: give a motion")
     convention = machine.convention
@@ -310,7 +272,7 @@ def _passes(
     }
     clocking = float(np.rad2deg(convention.clocking))
     shifts = {"C": clocking, "X": 0.0, "Y": 0.0, "Z": 0.0}
-    passes: list[_Pass] = []
+    passes: list[WrittenPass] = []
     for name, motion in motions.items():
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 _-]{0,39}", name):
             raise ProgramError(
@@ -338,7 +300,7 @@ def _passes(
         if velocity is not None:
             _require_sizes(name, velocity, factors, {}, "moves at", "mm/s or deg/s: check the time of its blocks")
         passes.append(
-            _Pass(
+            WrittenPass(
                 name=name, motion=motion, letters=dialect.letters(motion.axes), factors=factors, shifts=shifts,
                 clocking=clocking, dialect=dialect, velocity=velocity, approach=approaches[name],
             )
@@ -353,7 +315,7 @@ def _passes(
     return passes
 
 
-def _turns_on(before: _Pass | None, start: float, sense: int) -> int:
+def _turns_on(before: WrittenPass | None, start: float, sense: int) -> int:
     """Return the turns to add to C, so that it turns by less than one turn to the start of an approach [deg].
 
     C comes from the end of the pass before, or from 0 for the first pass.
@@ -420,8 +382,9 @@ class _Job:
     begins: list[str] = field(default_factory=list)
     spindle: list[str] = field(default_factory=list)
 
-    def write(self, passes: list[_Pass]) -> list[str]:
+    def write(self, passes: list[WrittenPass]) -> list[str]:
         """Write all files into the folder; return the names of the sub-programs in the order of their calls."""
+        passes = loop_passes(passes, self.dialect)
         self.total = sum(one.points for one in passes)
         self.entries = [self._entry(one, NO_HASH) for one in passes]
         self.approaches = {one.name: one.approach for one in passes}
@@ -441,6 +404,7 @@ class _Job:
             for one in passes
             if (plunge := one.approach.plunge) is not None and one.motion.spindle_mode is None
         )
+        loops = find_loops(passes, self.dialect)
         inline = not self.dialect.always_call and blocks + 100 * (len(passes) + 1) <= self.limit
         if not (inline or self.dialect.call):
             raise ProgramError(
@@ -453,6 +417,13 @@ class _Job:
                 # The hashes in the header are known at the end: it is written twice, with the same length.
                 self._text(file, self._head() + main)
                 for index, one in enumerate(passes):
+                    if (loop := loops.get(index)) is not None:
+                        digest = self._loop(file, one, loop)
+                        self.entries[index : index + loop.count] = [
+                            self._entry(each, digest) for each in passes[index : index + loop.count]
+                        ]
+                    if any(first <= index < first + each.count for first, each in loops.items()):
+                        continue
                     self._text(file, [*self._change(one), f"( PASS: {one.name} )", *self._approach(one)])
                     if one.motion.spindle_mode is not None:
                         rows, digest = self._spindle_cut(one, one.motion.spindle_mode)
@@ -503,7 +474,7 @@ class _Job:
             approaches=self.approaches,
         )
 
-    def _entry(self, one: _Pass, digest: str) -> ProgramPass:
+    def _entry(self, one: WrittenPass, digest: str) -> ProgramPass:
         time = one.motion.time
         return ProgramPass(
             name=one.name,
@@ -522,14 +493,32 @@ class _Job:
         self.lines += len(rows)
         self.bytes += len(data)
 
-    def _change(self, one: _Pass) -> list[str]:
+    def _loop(self, file: BinaryIO, one: WrittenPass, loop: Loop) -> str:
+        """Write the cuts of a repeated pass as one loop; return the hash of each of them, all in the loop's own Z."""
+        mode = one.motion.spindle_mode
+        assert mode is not None  # noqa: S101 - for the type checker
+        lowest = one.raised(-loop.first)
+        words = {name: f"{value:.{one.dialect.decimals['Z']}f}" for name, value in loop.words(one).items()}
+        rows, digest = self._spindle_cut(lowest, mode)
+        begin, end = (
+            [line.format(count=loop.count, **words) for line in lines]
+            for lines in (self.dialect.loop_begin, self.dialect.loop_end)
+        )
+        marker = f"( PASS: {loop.name}{EACH_TIME} )"
+        self._text(
+            file, [*self._change(one), *begin, marker, *self._approach(lowest), *rows, *self._retract(lowest), *end]
+        )
+        self._count((loop.count - 1) * one.motion.blocks.size)
+        return digest
+
+    def _change(self, one: WrittenPass) -> list[str]:
         """Return the lines of a change of tool before a pass: up first, as the next tool may be longer."""
         if (change := self.changes.get(one.name)) is None:
             return []
         up = one.word("Z", max(approach.clear for approach in self.approaches.values()) + change.height)
         return [*self.dialect.cut_end, *self.dialect.straight(up, TRAVERSE_FEED, "TOOL CHANGE"), change.call]
 
-    def _approach(self, one: _Pass) -> list[str]:
+    def _approach(self, one: WrittenPass) -> list[str]:
         start, dialect = one.approach.start, self.dialect
         others = " ".join(one.word(letter, start[letter]) for letter in ("X", "Y") if letter in one.letters)
         if (mode := one.motion.spindle_mode) is not None:
@@ -552,11 +541,11 @@ class _Job:
             *dialect.straight(one.word("Z", start["Z"]), DOWN_FEED, "ABOVE THE MATERIAL"),
         ]
 
-    def _plunge_begins(self, one: _Pass) -> list[str]:
+    def _plunge_begins(self, one: WrittenPass) -> list[str]:
         """Return the lines before a plunge, or a continued one; they separate its blocks from those of the cut."""
         return [f"( PASS: {one.name}{ENTRY} )", *self.dialect.cut_resume]
 
-    def _plunge(self, one: _Pass) -> list[str]:
+    def _plunge(self, one: WrittenPass) -> list[str]:
         motion = one.approach.plunge
         if motion is None:
             return []
@@ -568,12 +557,12 @@ class _Job:
         self.lines, self.bytes, self.done, self.progress = before  # counted when the text is written
         return text.getvalue().decode("ascii").splitlines()
 
-    def _retract(self, one: _Pass) -> list[str]:
+    def _retract(self, one: WrittenPass) -> list[str]:
         clear = one.word("Z", one.approach.clear)
         stop = () if one.motion.spindle_mode is None else self.dialect.spindle_end
         return [*self.dialect.cut_end, *self.dialect.straight(clear, DOWN_FEED, "CLEAR OF THE PART"), *stop]
 
-    def _spindle_cut(self, one: _Pass, mode: SpindleMode) -> tuple[list[str], str]:
+    def _spindle_cut(self, one: WrittenPass, mode: SpindleMode) -> tuple[list[str], str]:
         """Return the lines of a cut in spindle mode, and the hash of its points."""
         axes, points = one.motion.axes, one.motion.blocks
         units = {
@@ -585,7 +574,7 @@ class _Job:
         self._count(points.size)
         return rows, digest
 
-    def _spindle_programs(self, one: _Pass, mode: SpindleMode) -> tuple[list[str], str]:
+    def _spindle_programs(self, one: WrittenPass, mode: SpindleMode) -> tuple[list[str], str]:
         """Write a pass in spindle mode as sub-programs; return their names and the hash."""
         rows, digest = self._spindle_cut(one, mode)
         each = self.limit - 50
@@ -597,7 +586,7 @@ class _Job:
         return names, digest
 
     @contextmanager
-    def _sub_program(self, one: _Pass, name: str, k: int, count: int) -> Iterator[BinaryIO]:
+    def _sub_program(self, one: WrittenPass, name: str, k: int, count: int) -> Iterator[BinaryIO]:
         """Yield the file of the sub-program ``k`` of ``count`` of a pass, with its first lines; add its last."""
         with (self.folder / name).open("wb") as file:
             part = f", PART {k + 1} OF {count}" if count > 1 else ""
@@ -607,7 +596,7 @@ class _Job:
             self._text(file, [*(self._retract(one) if k == count - 1 else []), self.dialect.call_end])
             self._text(file, [*self.dialect.end])
 
-    def _sub_programs(self, one: _Pass) -> tuple[list[str], str]:
+    def _sub_programs(self, one: WrittenPass) -> tuple[list[str], str]:
         if one.motion.spindle_mode is not None:
             return self._spindle_programs(one, one.motion.spindle_mode)
         points, plunge = one.motion.time.size, self._plunge(one)
@@ -631,7 +620,9 @@ class _Job:
 
         return names, self._cut(one, files())
 
-    def _cut(self, one: _Pass, spans: Iterator[tuple[BinaryIO, int, int]] | list[tuple[BinaryIO, int, int]]) -> str:
+    def _cut(
+        self, one: WrittenPass, spans: Iterator[tuple[BinaryIO, int, int]] | list[tuple[BinaryIO, int, int]]
+    ) -> str:
         """Format the blocks of one pass on all cores and write them in order; return the hash."""
         scale = {letter: 10.0 ** self.dialect.decimals[letter] for letter in one.letters}
         turn = 360 * int(scale["C"])
@@ -691,7 +682,7 @@ class _Job:
         if self.progress is not None:
             self.progress(self.done, self.total)
 
-    def _chunks(self, one: _Pass, start: int, stop: int, state: Ints) -> Iterator[_Chunk]:
+    def _chunks(self, one: WrittenPass, start: int, stop: int, state: Ints) -> Iterator[_Chunk]:
         """Yield the chunks of a file with their feeds, which must be chosen in order in one thread."""
         unit, every, most = self.dialect.time_code, self.dialect.feed_every_block, self.dialect.feed_decimals
         state[0] = min(state[0], start)
@@ -714,7 +705,7 @@ class _Job:
             yield begin, end, mantissa, places, duration
 
 
-def _step_error(one: _Pass, index: int) -> ProgramError:
+def _step_error(one: WrittenPass, index: int) -> ProgramError:
     places = one.dialect.decimals["C"]
     angle = one.motion.axes["C"]
     step = abs(one.units("C", float(angle[index])) - one.units("C", float(angle[index - 1]))) / 10.0**places
