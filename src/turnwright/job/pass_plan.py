@@ -13,6 +13,7 @@ import numpy as np
 from turnwright._arrays import Floats
 from turnwright.errors import InputError
 from turnwright.generation import generate_points
+from turnwright.job.lead_out import add_lead_out
 from turnwright.job.schema import Job, PassTable
 from turnwright.motion import drive
 from turnwright.part import Part
@@ -102,9 +103,12 @@ class PassPlan:
     @cached_property
     def planned(self) -> Motion:
         """The motion that the axes are to follow."""
-        path = self.path
+        path, servo, height = self.path, self.servo, self.job.program.lead_out
         with self._watch.stage("drive"):
-            return drive(path, self.servo, self.job.machine)
+            motion = drive(path, servo, self.job.machine)
+            if height is None or servo.spindle_mode is not None or self.target.leaves_air:
+                return motion
+            return add_lead_out(motion, self.target.aimed, self.job.tool, self.job.machine, height)
 
     @cached_property
     def commanded(self) -> Motion:

@@ -493,6 +493,9 @@ class ProgramTable(Table):
         Functions that are on during the program, by their names in the dialect, such as "mist".
     dry_run
         Height by which a second program, NAME-dry, runs above the first, to try it in air. [mm]
+    lead_out
+        Height to which the tool leaves the part at the end of a pass while C goes on turning; without it the tool ends
+        on the part at rest. Not needed in spindle mode, or where a pass ends in air. [mm]
     change_height
         Height above the clear plane of the passes at which the tool is changed, where they use several tools. [mm]
     plunge_feed
@@ -508,6 +511,7 @@ class ProgramTable(Table):
     tool_call: Text = ""
     auxiliary: tuple[Text, ...] = ()
     dry_run: Size | None = None
+    lead_out: Size | None = None
     change_height: Size | None = None
     plunge_feed: Annotated[float, unit("mm/s", above=0.0)] = PLUNGE_FEED
 

@@ -86,6 +86,7 @@ def can_predict_window(job: Job) -> bool:
         and upright
         and not job.simulation.tracking
         and not job.program.precorrect
+        and job.program.lead_out is None
         and all(one.controller.interpolation == "linear" for one in machines)
     )
 

@@ -1,0 +1,107 @@
+"""The end of a pass: the tool leaves the part while C goes on turning."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import turnwright as tw
+from turnwright.errors import InputError
+from turnwright.generation import generate_polar
+from turnwright.job import Pipeline, run
+from turnwright.job.lead_out import add_lead_out
+
+SLOPE = (3e-3, -1e-3)
+TABLE = {
+    "part": {"surface": {"family": "plane", "slope": [*SLOPE]}, "radius": "2 mm"},
+    "tool": {"nose_radius": "0.5 mm", "included": "120 deg", "clearance": "12 deg"},
+    "machine": {"name": "nanoform"},
+    "strategy": {"kind": "slow tool servo", "feed": "20 um/rev", "spindle_speed": "60 rpm", "points_per_rev": 90},
+    "program": {"lead_out": "30 um"},
+}  # fmt: skip
+SADDLE = {"family": "biconic", "radius_x": "20 mm", "radius_y": "-30 mm", "conic_x": 0.0, "conic_y": 0.0}
+
+
+def job_of(**changes):
+    return tw.Job.read({**TABLE, **changes})
+
+
+def motions(job):
+    """Return the motion without a lead-out, and the points that the lead-out adds to it."""
+    plain = job.replace("program", {})
+    before, after = Pipeline(plain).motion, Pipeline(job).motion
+    count = before.time.size
+    for letter, values in before.axes.items():
+        assert (after.axes[letter][:count] == values).all()
+    return before, after.select(slice(count - 1, None)), after
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+def test_the_lead_out_of_a_tilted_plane_is_its_contact_plus_a_polynomial(sense):
+    """Oracle: on a plane of slope g along the radius, the tip of a round nose is R (sqrt(1 + g²) - 1) above it."""
+    before, added, _ = motions(job_of(strategy={**TABLE["strategy"], "sense": sense, "overrun": "5 um"}))
+    x, c = before.axes["X"][-1], added.axes["C"]
+    assert np.diff(c) * sense == pytest.approx(2 * np.pi / 90, abs=1e-9)
+    assert (added.axes["X"] == x).all()
+    slope = SLOPE[0] * np.cos(c) + SLOPE[1] * np.sin(c)
+    contact = x * slope + 0.5 * (np.sqrt(1 + slope**2) - 1)
+    share = np.linspace(0, 1, c.size)
+    lift = 0.03 * (10 * share**3 - 15 * share**4 + 6 * share**5)
+    assert np.abs(added.axes["Z"] - contact - lift).max() < 1e-12
+    assert np.diff(added.time) == pytest.approx(1 / 90, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"part": {"surface": SADDLE, "radius": "2 mm"}},
+        {"part": {"surface": SADDLE, "radius": "2 mm"}, "strategy": {**TABLE["strategy"], "inside_out": True}},
+        {"part": {"surface": SADDLE, "outline": {"annulus": ["2 mm", "1 mm"]}}},
+        {"tool": {**TABLE["tool"], "rake": "-10 deg", "offset": ["3 um", "-4 um", "0 um"]}},
+    ],
+    ids=["outside in", "inside out", "annulus", "raked"],
+)
+def test_a_lead_out_cuts_nothing_below_the_part(changes):
+    """Oracle: the surface that the motion leaves, against the design; and without the lead-out, away from its end."""
+    job = job_of(**changes)
+    before, added, after = motions(job)
+    assert added.axes["Z"][-1] - added.axes["Z"][0] == pytest.approx(0.03, abs=0.05)
+    radius = np.linspace(max(job.part.nearest, 0.0), 2.0, 400)
+    angle = np.linspace(0, 2 * np.pi, 90, endpoint=False) + 0.01
+    plain, made = (generate_polar(one, job.tool, radius=radius, angle=angle) for one in (before, after))
+    design = job.part.surface.sag(radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None])
+    # The chords between 90 points a turn cut below the design, with and without it.
+    assert np.nanmin(made.z - design) > 1.05 * np.nanmin(plain.z - design) - 1e-6
+    far = np.abs(radius - abs(before.axes["X"][-1])) > 0.2
+    assert np.nanmax(np.abs(made.z - plain.z)[:, far]) < 1e-12
+
+
+def test_a_lead_out_keeps_the_limits_and_is_read_back(tmp_path):
+    job = job_of(program={"lead_out": "0.4 mm"})
+    result = run(job, out=tmp_path)
+    assert result.ok
+    again = tw.read_nc(result.program.files[0], job.machine)
+    assert again.axes["Z"].max() == pytest.approx(0.4, abs=0.01)
+    after = Pipeline(job).motion
+    peak = result.passes[-1].limits.peak_acceleration["Z"]
+    assert peak <= 0.55 * job.machine.axes["Z"].acceleration
+    assert after.time.size == again.time.size
+
+
+def test_spindle_mode_and_passes_that_end_in_air_need_none():
+    turning = {"kind": "turning", "feed": "20 um/rev", "spindle_speed": "1000 rpm", "chord": "10 nm"}
+    flat = {"surface": {"family": "plane"}, "radius": "2 mm"}
+    for changes in (
+        {"strategy": turning, "part": flat},
+        {"part": {"surface": SADDLE, "outline": {"rectangle": ["2 mm", "1 mm"], "centre": ["3 mm", "0 mm"]}}},
+    ):
+        with_one, without = Pipeline(job_of(**changes)).motion, Pipeline(job_of(**changes, program={})).motion
+        assert with_one.time.size == without.time.size
+
+
+def test_programs_with_velocities_have_no_lead_out():
+    job = job_of()
+    before = Pipeline(job_of(program={})).motion
+    moving = replace(before, velocity={letter: np.zeros(before.time.size) for letter in before.axes})
+    with pytest.raises(InputError, match="lead_out is stated"):
+        add_lead_out(moving, job.part, job.tool, job.machine, 0.03)
