@@ -19,7 +19,7 @@ from turnwright.material import Material
 from turnwright.outline import Outline
 from turnwright.outlined import Bounded, Continued
 from turnwright.surface import Gridded, Surface
-from turnwright.units import Size, Text, Thickness
+from turnwright.units import Size, Text, Thickness, say_length
 
 __all__ = ["OVERLAP_FEEDS", "OVERLAP_MM", "Blank", "Part", "evenly"]
 
@@ -36,6 +36,9 @@ OUTLINE_SAMPLES, GRID_SAMPLES, POLE_COLUMNS = 2000, 201, 16
 """Samples along an outline, and along each side of its box, where the surface must be defined; and those of a row in
 which poles are searched."""
 
+TOP_SAMPLES, TOP_TOL_MM = 4000, 1e-6
+"""Points at which the top of a blank is compared with the finished surface, and what is rounding."""
+
 MAX_DENSITY = 1000
 """Largest number of points of the disc for each point of the part; an outline with less area gets fewer points."""
 
@@ -44,25 +47,33 @@ MAX_DENSITY = 1000
 class Blank(TableModel):
     """The blank of a part: a disc on the spindle axis.
 
-    Its top is the part's stock above the finished surface. Beyond the clear aperture it continues at
-    the slope of the rim where that rises outward, and level where it falls.
+    Unless its top is stated, that is the part's stock above the finished surface. Beyond the clear aperture it then
+    continues at the slope of the rim where that rises outward, and level where it falls.
 
     Parameters
     ----------
     radius
         Largest distance of material from the axis, runout included. [mm]
+    surface
+        Top of the blank in the frame of the part, such as a plane, a sphere or a measured map; roughing passes cut only
+        where it stands above them.
 
     Raises
     ------
     InputError
         If the radius is not positive.
+    DomainError
+        If the top is not defined out to the radius.
     """
 
     radius: Size
+    surface: Surface | None = None
 
     def __post_init__(self) -> None:
         check_numbers(self)
         positive(self.radius, "blank radius", "mm")
+        if self.surface is not None:
+            self.surface.require_disc(self.radius, "the radius of the blank")
 
     @property
     def reach(self) -> float:
@@ -104,7 +115,7 @@ class Part(TableModel):
     ------
     InputError
         If not exactly one of radius and outline is given, the radius is not positive, the stock is negative, or the
-        blank is smaller than the part.
+        blank is smaller than the part, below it, or higher than the stock.
     DomainError
         If the surface is not defined everywhere in the clear aperture.
     """
@@ -142,6 +153,26 @@ class Part(TableModel):
         if self.stock < 0:
             raise InputError(f"stock is {self.stock:g} mm, it cannot be below 0 mm: give the thickness to remove")
         self._require_defined()
+        if self.blank is not None and self.blank.surface is not None:
+            self._check_top(self.blank.surface)
+
+    def _check_top(self, top: Surface) -> None:
+        """Raise unless the top of the blank is between the finished surface and the stock above it."""
+        x, y = evenly(self, TOP_SAMPLES)
+        edge_x, edge_y = self.border.border(OUTLINE_SAMPLES)
+        x, y = np.append(x, edge_x * (1 - 1e-9)), np.append(y, edge_y * (1 - 1e-9))
+        above = top.sag(x, y) - self.surface.sag(x, y)
+        low, high = int(above.argmin()), int(above.argmax())
+        if above[low] < -TOP_TOL_MM:
+            raise InputError(
+                f"the blank is {say_length(-float(above[low]))} below the finished surface at x = {x[low]:.4g} mm, y = "
+                f"{y[low]:.4g} mm, it must be above it: raise its surface, or correct that of the part"
+            )
+        if above[high] > self.stock + TOP_TOL_MM:
+            raise InputError(
+                f"the blank is {say_length(float(above[high]))} above the finished surface at x = {x[high]:.4g} mm, "
+                f"y = {y[high]:.4g} mm, the stock is {say_length(self.stock)}: state the largest thickness as stock"
+            )
 
     def _require_defined(self) -> None:
         """Raise unless the surface is defined everywhere in the clear aperture."""
@@ -209,6 +240,15 @@ class Part(TableModel):
     def nearest(self) -> float:
         """Smallest distance of the clear aperture from the axis. [mm]."""
         return 0.0 if self.outline is None else self.outline.nearest
+
+    @property
+    def rim_stock(self) -> float:
+        """Thickness of material at the rim before the first pass. [mm]."""
+        if self.blank is None or self.blank.surface is None:
+            return self.stock
+        x, y = self.border.border(OUTLINE_SAMPLES)
+        x, y = x * (1 - 1e-9), y * (1 - 1e-9)
+        return float((self.blank.surface.sag(x, y) - self.surface.sag(x, y)).max())
 
     @property
     def turned_share(self) -> float:

@@ -1,4 +1,4 @@
-"""Let the tool leave the part smoothly at the end of a pass, while C goes on turning, so that it rests nowhere on it."""
+"""Let the tool leave the part smoothly at the end of a pass, while C goes on turning."""
 
 from __future__ import annotations
 

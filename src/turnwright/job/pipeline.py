@@ -11,11 +11,14 @@ from functools import cached_property, lru_cache
 from os import PathLike
 from pathlib import Path as File
 
+import numpy as np
+
 from turnwright.access import Access, AccessFinding, check_access, check_depths
 from turnwright.cutting import ChipMap
 from turnwright.errors import InputError
 from turnwright.job.approach import Entry, entries_of
 from turnwright.job.contributions import ErrorBreakdown, break_down_error
+from turnwright.job.cut_range import cut_range, trim
 from turnwright.job.cutting import PassChips, chips_of
 from turnwright.job.pass_plan import PassPlan, Watch
 from turnwright.job.predicting import predict
@@ -196,7 +199,13 @@ class Pipeline:
                 before, cusps = None, last.feed**2 / (8 * last.job.tool.actual_radius)
             last = plan
             plan.require_steps()
-            for name, depth, allowance, motion in _repeat(one, plan.commanded, stock):
+            for name, depth, allowance, whole in _repeat(one, plan.commanded, stock):
+                between = cut_range(self.job.part.aimed, plan.job.tool, allowance)
+                motion = whole if one is self.job.passes[-1] else trim(whole, between)
+                if motion is None:  # the blank is nowhere above this cut
+                    continue
+                if before is not None and np.ptp(before.axes["X"]) < np.ptp(motion.axes["X"]):
+                    before = None  # it reaches beyond the cut before, where the material is that of the blank
                 yield Cut(plan, name, depth, allowance, motion, before, cusps, self.watch)
                 before, cusps = motion, 0.0
             stock = one.allowance

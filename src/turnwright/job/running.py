@@ -18,6 +18,7 @@ from turnwright.cutting import ChipMap
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.job.approach import Entry
 from turnwright.job.contributions import has_servos
+from turnwright.job.cut_range import cut_range
 from turnwright.job.cutting import PassChips, predicted_chips
 from turnwright.job.gouge import find_gouge
 from turnwright.job.links import find_wrong_move
@@ -25,13 +26,14 @@ from turnwright.job.pass_plan import PassPlan
 from turnwright.job.pipeline import Cut, Pipeline, describe_gouge
 from turnwright.job.programs import predicted_motion, rounding_effect
 from turnwright.job.result import Pass, Preview, Result
-from turnwright.job.schema import Job
+from turnwright.job.schema import Job, PassTable
 from turnwright.job.shape import part_shape
 from turnwright.job.verdict import judge
 from turnwright.path import Motion, Path
 from turnwright.placing import place
 from turnwright.progress import StageProgress
 from turnwright.strategy import SlowToolServo, Strategy
+from turnwright.tool import Tool
 from turnwright.units import say_length
 
 __all__ = ["finishing_motion", "preview", "run"]
@@ -142,7 +144,7 @@ def _wall_warnings(job: Job, passes: list[Pass], entries: Mapping[str, Entry]) -
     warnings, part = [], job.part.aimed
     cuts = job.cuts
     for one in plunging:
-        tool, wall = job.for_pass(cuts[one.name]).tool, job.part.stock - one.allowance
+        tool, wall = job.for_pass(cuts[one.name]).tool, part.rim_stock - one.allowance
         limit, _ = _largest_depth(part, tool, side=1, sense=job.strategy.sense, nearest=part.reach)
         if wall > limit * (1 + 1e-9):
             warnings.append(
@@ -199,7 +201,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
             break
         speed = stated or most if profile is None else float(profile.spindle_rpm.max())
         # Air is crossed faster and with few points.
-        times = cut.repeats(stock) * (1.0 if servo.spindle_mode is not None else job.part.turned_share)
+        times = _times(job, cut, stock, tool) * (1.0 if servo.spindle_mode is not None else job.part.turned_share)
         points[cut.name] = round(times * size)
         # The points of a fast tool are in its own table.
         blocks = 0 if job.program.fast_tool else size - 1
@@ -214,6 +216,20 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
         access=access, findings=line.findings, points=points, shortest_s=shortest, refused=refused, chips=chips,
         remarks=job.part.surface.remarks, warnings=odd_sizes(part, tool), shape=part_shape(job.part),
     )  # fmt: skip
+
+
+def _times(job: Job, cut: PassTable, stock: float, tool: Tool) -> float:
+    """Return how often a pass is cut, a cut where the blank reaches up to some radii only as a share."""
+    repeats, part = cut.repeats(stock), job.part.aimed
+    if cut is job.passes[-1]:
+        return float(repeats)
+    depth, total = (stock - cut.allowance) / repeats, 0.0
+    for number in range(1, repeats + 1):
+        between = cut_range(part, tool, stock - number * depth)
+        if between is not None:
+            low, high = np.clip(between, part.nearest, part.reach)
+            total += float(high - low) / (part.reach - part.nearest)
+    return total
 
 
 def finishing_motion(job: Job, *, progress: StageProgress | None = None) -> tuple[Motion, Result]:

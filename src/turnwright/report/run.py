@@ -364,6 +364,13 @@ def _aperture(part: Part) -> dict[str, str]:
     return {"Clear aperture": f"{part.outline.words}; {reach}", **air}
 
 
+def _blank(part: Part) -> str:
+    if part.blank is None:
+        return "not stated"
+    top = "" if part.blank.surface is None else f", top: {type(part.blank.surface).__name__}"
+    return f"disc, radius {part.blank.radius:.6g} mm{top}"
+
+
 def _missed_sentences(verdicts: Sequence[Verdict]) -> list[str]:
     """Return one sentence per missed tolerance."""
     return [one.sentence for one in verdicts if one.is_kept is False]
@@ -381,7 +388,7 @@ def _things(job: Job) -> Section:
         "Surface": type(part.surface).__name__,
         **_aperture(part),
         "Stock": _length(part.stock),
-        "Blank": f"disc, radius {part.blank.radius:.6g} mm" if part.blank else "not stated",
+        "Blank": _blank(part),
         "Material": part.material_name or "not stated",
         **{name: _as_printed(value) for name, value in part_shape(part).facts.items()},
     }
