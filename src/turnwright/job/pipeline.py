@@ -199,9 +199,9 @@ class Pipeline:
                 before, cusps = None, last.feed**2 / (8 * last.job.tool.actual_radius)
             last = plan
             plan.require_steps()
-            for name, depth, allowance, whole in _repeat(one, plan.commanded, stock):
+            for name, depth, allowance, repeated in _repeat(one, plan.commanded, stock):
                 between = cut_range(self.job.part.aimed, plan.job.tool, allowance)
-                motion = whole if one is self.job.passes[-1] else trim(whole, between)
+                motion = repeated if one is self.job.passes[-1] else trim(repeated, between)
                 if motion is None:  # the blank is nowhere above this cut
                     continue
                 if before is not None and np.ptp(before.axes["X"]) < np.ptp(motion.axes["X"]):

@@ -83,7 +83,6 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
             met = "tool access and machine limits met"
         grade, word, why = "warn" if unevaluated else "good", "Ready to cut", "; ".join([met, *unevaluated])
     count = len(result.warnings)
-    has_c = not all(cut.limits.spindle_mode for cut in result.passes)
     page = Page(
         kind="Run",
         job=result.job,
@@ -140,7 +139,6 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
                 ["Size", f"{program.bytes / 1e6:.3g} MB"],
                 ["Cutting time", _duration(program.minutes * 60)],
                 ["Approaches, plunges and retracts", _duration(program.links_minutes * 60)],
-                ["After a stop", ". ".join(stop_instructions(dialect_of(result.machine), has_c=has_c)) + "."],
                 ["SHA-256", Cell(program.hash, "code")],
                 [
                     "Surface change by rounding in the program",
@@ -449,7 +447,7 @@ def _setup(result: Result) -> Section:
         ("X away from the axis", "grows" if convention.x_side > 0 else "falls"),
         ("Z away from the part", "grows" if convention.z_sign > 0 else "falls"),
     ]
-    items = [Table(title="Zeros and directions", rows=rows, span=2)]
+    items = [Table(title="Zeros and directions", rows=rows, span=2), _stops(result)]
     if any(cut.tool is not None for cut in job.passes):
         items.append(_tools(job))
     if isinstance(surface, Chuck):
@@ -472,6 +470,29 @@ def _setup(result: Result) -> Section:
             )
         )  # fmt: skip
     return Section(title="Set-up", items=items)
+
+
+def _stops(result: Result) -> Table:
+    """Return the table of the order of the axes, and of what to do when the program is stopped."""
+    spindle = [one.limits.spindle_mode for one in result.passes]
+    holds = {
+        False: "Feed hold stops C with the tool on the part. It leaves a mark: retract in Z before you go on",
+        True: "Feed hold stops X and Z while the part turns. The tool leaves a ring: retract in Z before you go on",
+    }
+    order = {
+        False: "Z up to the clear plane, X, C, then Z down",
+        True: "Z up to the clear plane, X, spindle, then Z down",
+    }
+    kinds = [kind for kind in (True, False) if kind in spindle]
+    names = {True: "in spindle mode", False: "with C as an axis"} if len(kinds) > 1 else dict.fromkeys(kinds, "")
+    instructions = stop_instructions(dialect_of(result.machine), has_c=not all(spindle))
+    rows = [
+        *((f"Approach {names[kind]}".strip(), order[kind]) for kind in kinds),
+        ("Retract", "Z alone, to the clear plane"),
+        *((f"Feed hold {names[kind]}".strip(), f"{holds[kind]}.") for kind in kinds),
+        ("Restart in the middle", ". ".join(instructions) + "."),
+    ]
+    return Table(title="Moves and stops", rows=rows, span=2)
 
 
 def _tools(job: Job) -> Table:
