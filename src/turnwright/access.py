@@ -11,13 +11,14 @@ import numpy as np
 
 from turnwright._arrays import Floats, Ints
 from turnwright.errors import DomainError, InputError
-from turnwright.part import Part
+from turnwright.part import Part, evenly
+from turnwright.path import Motion
 from turnwright.placing import touch
 from turnwright.progress import Progress
 from turnwright.tool import Shank, Tool
 from turnwright.units import say_length
 
-__all__ = ["Access", "AccessFinding", "check_access", "check_depths"]
+__all__ = ["Access", "AccessFinding", "check_access", "check_bodies", "check_depths"]
 
 TURN = 2 * math.pi
 MAX_GRID_POINTS = 400_000
@@ -54,8 +55,8 @@ FLANK_POINTS = 120
 
 BODY_GAP_MM = 0.1
 """Least distance along z between the part with its stock and the shank or holder of a tool."""
-BODY_RINGS, BODY_RAYS = 8, 24
-"""Rings and rays of the points of a cylinder that are compared with the part at each position of the tool."""
+BODY_TIPS, BODY_POINTS, BODY_CHUNKS = 1000, 3000, 8
+"""Positions of the tip and points of the part that are compared, and sections of a motion with as many positions."""
 BODY_STEPS, BODY_SHRINK = 40, 0.7
 """Refinements of the least gap, and what each leaves of the step."""
 MAX_NOSE_RADIUS_MM = 20.0
@@ -427,17 +428,7 @@ def _body_gap(
     part: Part, tool: Tool, body: Shank, sense: int, beyond: float
 ) -> tuple[float, tuple[float, float], tuple[float, float]]:
     """Return the least height of a cylinder above the part with its stock, and (x, y) of the tip and of that point."""
-    count = np.arange(DEPTH_POINTS)
     reach = part.reach + beyond
-    square = part.nearest**2 + (reach**2 - part.nearest**2) * (count + 0.5) / DEPTH_POINTS
-    ring = np.linspace(0, TURN, RING_POINTS, endpoint=False)
-    ends = [np.full(RING_POINTS, one) for one in (reach, part.reach, part.nearest)]
-    radius = np.concatenate([np.sqrt(square), *ends])
-    angle = np.concatenate([count * GOLDEN_ANGLE, ring, ring, ring])
-    out, turned = (one.ravel() for one in np.meshgrid(
-        np.linspace(0, body.radius, BODY_RINGS + 1), np.linspace(0, TURN, BODY_RAYS, endpoint=False)
-    ))  # fmt: skip
-    rows = np.repeat(np.arange(radius.size), out.size)
 
     def gaps(radius: Floats, angle: Floats, out: Floats, turned: Floats, at: Ints) -> Floats:
         """Return the height of points of the cylinder above the part; ``at`` numbers their positions of the tip."""
@@ -449,13 +440,10 @@ def _body_gap(
         c, s = np.cos(angle[at]), np.sin(angle[at])
         return np.asarray(tip[at] + body.height - _top_of_stock(part, along * c - across * s, along * s + across * c))
 
-    gap = gaps(radius, angle, np.tile(out, radius.size), np.tile(turned, radius.size), rows)
-    best = np.argsort(gap, kind="stable")[: 8 * MAX_STARTS : 8]
-    places = np.stack([radius[rows[best]], angle[rows[best]], out[best % out.size], turned[best % out.size]])
-    least, size = (
-        gap[best],
-        np.array([reach / math.sqrt(DEPTH_POINTS), 0.0, body.radius / BODY_RINGS, TURN / BODY_RAYS]),
-    )
+    places, least = _starts_of_body(part, tool, body, sense, reach)
+    if not least.size:
+        return math.inf, (math.nan, math.nan), (math.nan, math.nan)
+    size = np.array([reach / math.sqrt(DEPTH_POINTS), 0.0, body.radius / 8, TURN / 24])
     low, high = np.array([part.nearest, -np.inf, 0.0, -np.inf]), np.array([reach, np.inf, body.radius, np.inf])
     nine = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])).reshape(2, 1, 9)
     row, every = np.arange(least.size), np.repeat(np.arange(9 * least.size), 9)
@@ -477,6 +465,91 @@ def _body_gap(
     along, across = rho + body.offset[0] + far * math.cos(way), body.offset[1] + far * math.sin(way)
     c, s = math.cos(theta), math.sin(theta)
     return float(least[worst]), (rho * c, rho * s), (along * c - across * s, along * s + across * c)
+
+
+def _starts_of_body(part: Part, tool: Tool, body: Shank, sense: int, reach: float) -> tuple[Floats, Floats]:
+    """Return starts of the search: radius and azimuth of the tip, and a point of the cylinder, polar; and the gaps.
+
+    (4, n) and (n,). All parts of a chuck have their own positions of the tip, and their own points in the way.
+    """
+    x, y, top = _points_in_the_way(part)
+    parts = part.apart
+    places, least = [], []
+    for one in parts:
+        tip_x, tip_y = _spread_over(one, BODY_TIPS // len(parts), reach)
+        radius, angle = np.hypot(tip_x, tip_y), np.arctan2(tip_y, tip_x)
+        tip = touch(part.surface, tool, angle=angle, radius=radius, sense=sense, rim=part.reach).z
+        gap, out, turned = _gaps_of_pairs(body, radius, angle, tip, x, y, top)
+        count = min(8 * (MAX_STARTS // len(parts) + 1), gap.size)
+        best = np.argpartition(gap, count - 1, axis=None)[:count]
+        best = best[np.argsort(gap.ravel()[best], kind="stable")][::8]
+        best = best[np.isfinite(gap.ravel()[best])]
+        at = best // x.size
+        places.append(np.stack([radius[at], angle[at], out.ravel()[best], turned.ravel()[best]]))
+        least.append(gap.ravel()[best])
+    return np.concatenate(places, axis=1), np.concatenate(least)
+
+
+def _spread_over(part: Part, count: int, reach: float) -> tuple[Floats, Floats]:
+    """Return points spread over a part and along its border; a disc as far as ``reach``. Each (n,) [mm]."""
+    x, y = evenly(part, count)
+    if part.outline is None:
+        x, y = x * reach / part.reach, y * reach / part.reach
+        ring = np.linspace(0, TURN, RING_POINTS, endpoint=False)
+        for radius in (reach, part.reach):
+            x, y = np.append(x, radius * np.cos(ring)), np.append(y, radius * np.sin(ring))
+        return x, y
+    edge_x, edge_y = part.border.border(RING_POINTS)
+    return np.append(x, edge_x * (1 - 1e-9)), np.append(y, edge_y * (1 - 1e-9))
+
+
+def _points_in_the_way(part: Part) -> tuple[Floats, Floats, Floats]:
+    """Return points spread over the part or the blank, and their heights with the stock. Each (n,) [mm]."""
+    parts, reach = part.apart, part.reach if part.blank is None else part.blank.reach
+    points = [_spread_over(one, BODY_POINTS // len(parts), reach) for one in parts]
+    x, y = (np.concatenate(columns) for columns in zip(*points, strict=True))
+    return x, y, _top_of_stock(part, x, y)
+
+
+def _gaps_of_pairs(
+    body: Shank, radius: Floats, angle: Floats, tip: Floats, x: Floats, y: Floats, top: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return the height of the cylinder at each position of the tip above each point, inf where it is not above it.
+
+    And distance and direction of the point from its centre. Each (n, m)
+    """
+    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    along = x * c + y * s - radius[:, None] - body.offset[0]
+    across = y * c - x * s - body.offset[1]
+    out = np.hypot(along, across)
+    gap = np.where(out <= body.radius, tip[:, None] + body.height - top, np.inf)
+    return gap, out, np.arctan2(across, along)
+
+
+def check_bodies(part: Part, tool: Tool, motion: Motion) -> str:
+    """Return a sentence on shank or holder that comes too close to the part in a motion, empty if none does.
+
+    It compares positions spread over the motion, in the air between parts too, with points spread over the part.
+    """
+    part = part.continued
+    x, y, top = _points_in_the_way(part)
+    for name, body in tool.bodies.items():
+        worst = (math.inf, 0)
+        for start in range(0, motion.time.size, -(-motion.time.size // BODY_CHUNKS)):
+            at = np.arange(start, min(start + -(-motion.time.size // BODY_CHUNKS), motion.time.size))
+            at = at[:: -(-at.size // BODY_TIPS)]
+            tips = (motion.axes["X"][at], motion.axes["C"][at], motion.axes["Z"][at])
+            gap = _gaps_of_pairs(body, *tips, x, y, top)[0].min(axis=1)
+            worst = min(worst, (float(gap.min()), int(at[gap.argmin()])))
+        if worst[0] < BODY_GAP_MM:
+            near, at_x = worst[0], float(motion.axes["X"][worst[1]])
+            how = f"comes within {say_length(near)} of" if near > 0 else f"cuts {say_length(-near)} into"
+            return (
+                f"the {name} {how} the part where the tip is at X {at_x:.4g} mm, Z "
+                f"{motion.axes['Z'][worst[1]]:.4g} mm, the limit is {say_length(BODY_GAP_MM)}: use a slimmer {name}, "
+                "or one that begins higher, or place the parts farther apart"
+            )
+    return ""
 
 
 def _top_of_stock(part: Part, x: Floats, y: Floats) -> Floats:

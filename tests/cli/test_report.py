@@ -213,7 +213,9 @@ def test_what_the_job_accepts_is_neither_good_nor_bad(small, tmp_path):
     result, _ = small
     findings = (dataclasses.replace(result.access.findings[0], ok=False), *result.access.findings[1:])
     access = dataclasses.replace(result.access, ok=False, findings=findings)
-    text = read(write_report(dataclasses.replace(result, access=access), tmp_path / "page.html")).text
+    text = read(
+        write_report(dataclasses.replace(result, access=access, findings=findings), tmp_path / "page.html")
+    ).text
     assert "Ready with exceptions" in text
     assert "not ok" in text
 

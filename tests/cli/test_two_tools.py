@@ -7,7 +7,7 @@ import pytest
 
 import turnwright as tw
 from turnwright.cli import main
-from turnwright.errors import GougeError, JobError
+from turnwright.errors import GougeError, JobError, LimitError
 from turnwright.generation import generate_polar
 from turnwright.job import Pipeline, find_wrong_move, run
 
@@ -117,6 +117,16 @@ def test_a_rough_tool_that_does_not_reach_is_refused():
         ({"program": {"change_height": "60 mm"}}, "tool_call"),
         ({"program": {"tool_call": "T0101"}}, "program.change_height is missing"),
         (with_pass(tool_call="T0101"), "each tool needs its own offset"),
+        (
+            {
+                "passes": [
+                    ROUGH,
+                    {**ROUGH, "name": "semi", "allowance": "5 um", "tool": {**ROUGH_TOOL, "nose_radius": "1 mm"}},
+                    {"name": "finish"},
+                ],
+            },
+            "passes[2].tool_call is 'T0202', as that of another tool in passes[1]",
+        ),
         ({"passes": [{**ROUGH, "tool": None}, {"name": "finish"}]}, "states no tool and 'T0202' tool_call"),
         (
             {"passes": [{"name": "rough", "allowance": "10 um"}, {**ROUGH, "name": "finish", "allowance": "0 um"}]},
@@ -145,3 +155,30 @@ def test_a_wrong_move_is_judged_with_the_tool_that_is_in_place(tmp_path):
         )
         job = job_of(part=part, **with_pass(tool={**ROUGH_TOOL, "shank": shank}))
         assert ("shank" in find_wrong_move(job, file)) == wrong
+
+
+def test_a_program_that_calls_a_tool_by_its_number_is_judged_with_that_tool(tmp_path):
+    """Oracle: only the rough tool, T0202, has a shank, which meets the rim."""
+    shank = {"radius": "3 mm", "height": "2 mm"}
+    part = {"surface": {"family": "sphere", "radius": "-40 mm"}, "radius": "5 mm", "stock": "60 um"}
+    job = job_of(part=part, **with_pass(tool={**ROUGH_TOOL, "shank": shank}))
+    file = tmp_path / "hand.nc"
+    for call, wrong in (("T0101", False), ("T0202", True)):
+        file.write_text(
+            f"G21 G90\n{call}\nG0 Z5\nG0 X7.5\nG0 Z-3\nG0 Z5\nG0 X5 C0\nG93\nG1 C10 X4.9 Z0.5 F60\nC20 X4.8 F60\n"
+            "G94\nG0 Z50\nM30\n"
+        )
+        assert ("shank" in find_wrong_move(job, file)) == wrong
+
+
+def test_a_tool_change_stays_within_the_travel_of_z(tmp_path):
+    job = job_of(program={**PROGRAM, "change_height": "600 mm"})
+    with pytest.raises(LimitError, match=r"the tool is changed at Z 605\.\d* mm, the travel .* ends at 110 mm"):
+        _ = Pipeline(job, out=tmp_path).program
+
+
+def test_shank_and_holder_can_be_accepted_by_name():
+    tool = {**TABLE["tool"], "shank": {"radius": "3 mm", "height": "0.05 mm"}}
+    with pytest.raises(GougeError, match=r'accept = \["shank"\]'):
+        run(job_of(tool=tool))
+    assert "shank" in " ".join(run(job_of(tool=tool, accept=["shank", "gouge"])).warnings)

@@ -132,3 +132,20 @@ def test_the_shank_is_part_of_the_tool_in_every_move(tmp_path, surface, text, me
     wrong = find_wrong_move(job, tmp_path / "hand.nc")
     assert message in wrong
     assert ("brings its shank" in wrong) == bool(message)
+
+
+def test_there_is_nothing_between_the_parts_of_a_chuck(tmp_path):
+    """Oracle: by hand. Over the empty side of the chuck the shank is 7 mm from both parts."""
+    parts = [
+        {"name": name, "surface": {"family": "plane"}, "outline": {"disc": f"{radius} mm"},
+         "position": [f"{x} mm", "0 mm"], "height": f"{z} mm"}
+        for name, x, radius, z in (("low", 6, 2, 0), ("tall", -6, 0.4, 3))
+    ]  # fmt: skip
+    job = tw.Job.read({
+        "part": {"surface": {"family": "chuck", "parts": parts}},
+        "tool": {**TOOL, "shank": {"radius": "5 mm", "height": "2 mm"}},
+        "machine": {"name": "nanoform"}, "strategy": SLOW,
+    })  # fmt: skip
+    for c, wrong in ((90, False), (175, True)):
+        (tmp_path / "hand.nc").write_text(f"G21 G90\nG0 X5 C{c} Z10\nG0 Z0.5\nG0 Z10\nG0 X8 C0\nG0 Z0.1\n{TURN}")
+        assert ("brings its shank" in find_wrong_move(job, tmp_path / "hand.nc")) == wrong

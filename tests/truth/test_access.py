@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
-from turnwright.access import check_access
+from turnwright.access import check_access, check_bodies
 from turnwright.part import Part
 from turnwright.surface import Surface
 from turnwright.tool import Tool
@@ -262,3 +262,33 @@ def test_the_shank_meets_the_taller_part_of_a_chuck():
     low = shank_of(part, replace(tool, shank=tw.Shank(radius=4.2, height=1.05)))
     assert not low.ok
     assert "begins 1.1 mm above the tip" in low.sentence
+
+
+@pytest.mark.parametrize(("x", "y"), [(10.6, -1.57), (12.44, 6.44), (16.18, -5.86), (8.3, 0.0), (6.0, 0.0)])
+def test_the_holder_meets_a_small_post_far_from_the_tip(x, y):
+    """Oracle: circles. The holder of 12 mm stands over a post of 0.3 mm if the tip comes within 12.3 mm of it."""
+    lens = tw.Mounted(name="lens", surface=tw.Plane(), outline=tw.Outline(disc=1.0), position=(20.0, 0.0))
+    post = tw.Mounted(name="post", surface=tw.Plane(), outline=tw.Outline(disc=0.3), position=(x, y), height=5.0)
+    part = tw.Part(surface=tw.Chuck(parts=[lens, post]))
+    tool = tw.Tool(nose_radius=0.5, included=2.0, clearance=0.2, shank=tw.Shank(radius=12.0, height=4.0))
+    meets = np.hypot(x - 20, y) - 1 < 12.3
+    one = shank_of(part, tool)
+    assert one.value == pytest.approx(-1.0 if meets else 4.0, abs=1e-6)
+    assert one.ok != meets
+
+
+def test_the_holder_is_followed_through_the_air_between_parts():
+    """Oracle: by hand. The tip passes at 0.2 mm, 8 mm from a post of 5 mm that no tip on a part comes near."""
+    parts = [
+        tw.Mounted(name=name, surface=tw.Plane(), outline=tw.Outline(disc=0.5), position=at, height=z)
+        for name, at, z in (("low", (20.0, 0.0), 0.0), ("post", (-12.0, 0.0), 5.0))
+    ]
+    part = tw.Part(surface=tw.Chuck(parts=parts))
+    machine, turned = tw.Machine.load("generic"), np.linspace(0, 2 * np.pi, 400)
+    motion = tw.Motion(
+        time=turned, axes={"C": turned, "X": 20 - 0.01 * turned, "Z": np.full(400, 0.2)}, machine=machine
+    )
+    tool = tw.Tool(nose_radius=0.5, included=2.0, clearance=0.2, shank=tw.Shank(radius=9.0, height=4.0))
+    assert "the shank cuts 800 um into the part where the tip is at X 19.9" in check_bodies(part, tool, motion)
+    assert check_bodies(part, replace(tool, shank=tw.Shank(radius=7.0, height=4.0)), motion) == ""
+    assert check_bodies(part, replace(tool, shank=tw.Shank(radius=9.0, height=4.95)), motion) == ""

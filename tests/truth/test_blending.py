@@ -107,6 +107,31 @@ def test_drive_promises_the_time_that_the_issue_measured():
         assert tw.drive(path, servo, plain).time[-1] == pytest.approx(12.78, abs=0.01)
 
 
+def test_a_program_keeps_the_times_that_drive_states():
+    """Played again, 24 programs with random points, speeds and limits take what `drive` promised, within 1 %."""
+    random = np.random.default_rng(20)
+    part, tool = tw.Part(surface=tw.Plane(slope=(1e-3, 0.0)), radius=1.0), tw.Tool(nose_radius=0.5, included=1.0)
+    for _ in range(24):
+        machine = lathe(10 ** random.uniform(4.3, 7), 10 ** random.uniform(3, 4.5), block_rate_hz=1000)
+        servo = tw.SlowToolServo(
+            feed=float(random.uniform(0.05, 0.3)), points_per_rev=int(random.integers(24, 400)), lead_in=0.05,
+            spindle_rpm=float(random.uniform(20, 250)), inside_out=bool(random.random() < 0.3),
+        )  # fmt: skip
+        motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, machine)
+        limits = tw.check_limits(motion, machine)
+        assert motion.time[-1] == pytest.approx(limits.cycle_time_s, rel=0.01)
+        assert limits.block_rate_hz <= 1000 * (1 + 1e-6)
+
+
+def test_an_outline_off_the_axis_keeps_the_block_rate():
+    """The job of a lens 2 mm off the axis, at a stated speed: crossings of air fill the block rate."""
+    part = tw.Part(surface=tw.Sphere(radius=30.0), outline=tw.Outline(disc=0.8, centre=(2.0, 0.0)), air_clearance=0.03)
+    tool, machine = tw.Tool(nose_radius=0.5, included=2.0), lathe(1e6, 2000.0)
+    servo = tw.SlowToolServo(feed=0.05, points_per_rev=180, spindle_rpm=20)
+    motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, machine)
+    assert tw.check_limits(motion, machine).ok
+
+
 @pytest.mark.parametrize("noise", [1e-9, 1e-7])
 def test_rounding_does_not_decide_how_long_a_cut_takes(noise):
     """Blocks of exactly 5 ms: without `OFF_CYCLE` rounding adds a cycle to some of them."""

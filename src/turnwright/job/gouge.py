@@ -50,7 +50,8 @@ def find_gouge(job: Job, whole: Prediction, motion: Motion, rounding_limit_nm: f
     A job is checked only if tool and machine are as planned, the part has no correction, and the program has neither
     servo tracking nor heights by time: other deviations legitimately cut below the design.
 
-    The plan allows the decimals of the program and the stated chord. Without a chord it allows the chords between the
+    The plan allows the decimals of the program and the stated chord. Without a chord, or with a controller that cuts
+    corners, it allows the chords between the
     points of the motion read back: up to the second difference of the path where that jumps or has a slope
     discontinuity.
     """
@@ -60,6 +61,8 @@ def find_gouge(job: Job, whole: Prediction, motion: Motion, rounding_limit_nm: f
         return None
     flat = ALLOWED_DEPTH_MM + rounding_limit_nm * 1e-6
     chord: float | None = getattr(job.servo(job.passes[-1]).spiral_strategy, "chord", None)
+    if job.machine.controller.interpolation == "linuxcnc":
+        chord = None  # it cuts the corners between chords
     low = [one for one in _lowest(whole) if one[2] > flat]
     if not low:
         return None

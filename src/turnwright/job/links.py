@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from functools import lru_cache
 from itertools import groupby
@@ -25,6 +26,9 @@ TOLERANCE_MM = 1e-3
 AZIMUTHS, RADII, PLACES = 360, 2000, 400
 """Lines around the axis, steps along each, and most places along a move where the tool is compared with the part."""
 
+CHUCK_MARGIN_MM = 0.1
+"""Distance from the outline of a part of a chuck up to which its stock reaches."""
+
 FEW_RADII = 400
 """Steps along a line where the part at rest is compared with shank and holder."""
 
@@ -39,13 +43,14 @@ def find_wrong_move(job: Job, file: File, *, block_delete: bool | None = None) -
     one of each pass: its edge with the flanks, and its shank and holder if they are stated. The part ends at its clear
     aperture, stock at the blank if the job states one. Empty if there is none.
     """
-    tools = [next(group) for _, group in groupby(job.for_pass(cut).tool for cut in job.passes)]
-    sections = [_Section(job, tool) for tool in tools]
+    jobs = [next(group) for _, group in groupby(map(job.for_pass, job.passes), lambda one: one.tool)]
+    sections = [_Section(job, one.tool) for one in jobs]
+    called = _called_sections(job, sections)
     moves = read_moves(file, job.machine, block_delete=block_delete)
     last_cut = max((move.spindle_cut for move in moves), default=0)
     is_cut = False  # whether anything has touched the stock before
     for move in moves:
-        section = sections[min(move.changes, len(sections) - 1)]
+        section = called.get(move.tool, sections[min(move.changes, len(sections) - 1)])
         raised = not is_cut and not move.cuts and not move.spindle_cut and (move.is_rapid or not move.turns)
         if move.spindle_cut:
             is_cut = is_cut or section.depth(move, raised=True)[0] > TOLERANCE_MM
@@ -90,7 +95,11 @@ class _Section:
         part = self.part
         radius = np.linspace(0, part.blank.reach if raised and part.blank is not None else part.reach, steps + 1)
         if raised:
-            return radius, blank_heights(part, radius, angle, 0.0)
+            heights = blank_heights(part, radius, angle, 0.0)
+            if len(part.apart) > 1:  # there is nothing between the parts of a chuck
+                x, y = radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None]
+                heights = np.where(part.border.distance(x, y) <= CHUCK_MARGIN_MM, heights, -np.inf)
+            return radius, heights
         inside = radius * (1 - 1e-12)
         heights = part.heights(inside * np.cos(angle)[:, None], inside * np.sin(angle)[:, None])
         return radius, np.where(np.isnan(heights), -np.inf, heights)
@@ -129,6 +138,13 @@ class _Section:
             radius * np.cos(azimuth) - x - body.offset[0], radius * np.sin(azimuth) - body.offset[1]
         )  # fmt: skip
         return float(height.max(where=away <= body.radius + float(radius[1]), initial=-math.inf))
+
+
+def _called_sections(job: Job, sections: list[_Section]) -> dict[float, _Section]:
+    """Return the sections by the numbers of their tools, as far as tool calls state them."""
+    calls = {cut.tool or job.tool: cut.tool_call or job.program.tool_call for cut in job.passes}
+    numbers = {tool: re.search(r"T(\d+)", call) for tool, call in calls.items()}
+    return {float(number[1]): one for one in sections if (number := numbers.get(one.tool)) is not None}
 
 
 def _highest(at: Floats, height: Floats, low: float, high: float) -> float:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from turnwright._arrays import Floats
+from turnwright.errors import LimitError
 from turnwright.generation import generate_polar
 from turnwright.job.approach import Entry, entries_of
 from turnwright.job.contributions import ErrorBreakdown, break_down_error, clear_azimuths
@@ -52,7 +53,7 @@ def write_programs(
         "clearance": max(one.clearance for one in entries.values()),
         "depth": {name: one.depth for name, one in entries.items()}, "plunge_feed": job.program.plunge_feed,
         "entry_heights": {name: one.heights for name, one in entries.items()},
-        "changes": tool_changes(job, list(motions)),
+        "changes": tool_changes(job, list(motions), entries),
     }  # fmt: skip
     by = job.program.fast_tool
     if by is None:
@@ -67,14 +68,24 @@ def write_programs(
     return replace(both.program, files=(*both.program.files, both.table), bytes=size)
 
 
-def tool_changes(job: Job, names: Sequence[str]) -> dict[str, ToolChange]:
-    """Return the changes of tool of a program before its cuts, by their names."""
+def tool_changes(job: Job, names: Sequence[str], entries: Mapping[str, Entry]) -> dict[str, ToolChange]:
+    """Return the changes of tool of a program before its cuts, by their names.
+
+    Raises `LimitError` where the height of a change is beyond the travel of Z.
+    """
     changes: dict[str, ToolChange] = {}
     cuts, height, before = job.cuts, job.program.change_height, None
+    top = job.machine.axes["Z"].high
     for name in names:
         cut = cuts.get(name, job.passes[-1])
         tool, call = (cut.tool, cut.tool_call) if cut.tool is not None else (job.tool, job.program.tool_call)
         if height is not None and before not in (None, call):
+            up = max(one.approach.clear for one in entries.values()) + height
+            if top is not None and up > top:
+                raise LimitError(
+                    f"pass {name}: the tool is changed at Z {up:.4g} mm, the travel of {job.machine.name} ends at "
+                    f"{top:g} mm: reduce program.change_height"
+                )
             changes[name] = ToolChange(call=call, tool=tool.name, height=height)
         before = call
     return changes

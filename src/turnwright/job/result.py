@@ -106,6 +106,8 @@ class Result:
         Tool and machine of the simulation; the same objects where the job states no deviations.
     access
         Whether the tool reaches the part.
+    findings
+        Its findings, then those of the tools of roughing passes.
     passes
         In the order of cutting; the last one is the finishing pass.
     path, motion
@@ -141,6 +143,7 @@ class Result:
     actual_tool: Tool
     actual_machine: Machine
     access: Access
+    findings: tuple[AccessFinding, ...]
     passes: tuple[Pass, ...]
     path: Path
     motion: Motion

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from turnwright._arrays import Ints
-from turnwright.access import largest_depth, odd_sizes
+from turnwright.access import check_bodies, largest_depth, odd_sizes
 from turnwright.cutting import ChipMap
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.job.approach import Entry
@@ -80,6 +80,9 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     chips: dict[str, ChipMap] = {}
     for cut in line.cuts():
         warnings += _accept_findings(job, GougeError, [("gouge", describe_gouge(job, cut.plan.path))])
+        if job.part.leaves_air and cut.plan.job.tool.bodies:
+            near = check_bodies(job.part.aimed, cut.plan.job.tool, cut.motion)
+            warnings += _accept_findings(job, GougeError, [(next(iter(cut.plan.job.tool.bodies)), near)])
         exceeded = [("limits", f"pass {cut.name}: {one}") for one in cut.limits.findings[:1]]
         warnings += _accept_findings(job, LimitError, exceeded)
         motions[cut.name] = cut.motion
@@ -109,7 +112,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         )
     return Result(
         job=job, part=job.part, tool=job.tool, machine=job.machine,
-        actual_tool=job.actual_tool, actual_machine=job.actual_machine, access=line.access,
+        actual_tool=job.actual_tool, actual_machine=job.actual_machine, access=line.access, findings=line.findings,
         passes=tuple(passes), path=plotted_path, motion=plotted_motion, revolutions=turns, least_clearance=least,
         program=program, predictions=predictions, rounding_nm=difference, rounding_limit_nm=limit,
         chips=chips, entries=entries, warnings=tuple(dict.fromkeys(warnings)), timings=line.watch.timings,

@@ -49,7 +49,9 @@ __all__ = ["Job", "PassTable", "faults"]
 
 Name: TypeAlias = Annotated[str, Strict(), Field(pattern=NAME_PATTERN)]
 
-Accepted: TypeAlias = Literal["nose radius", "included angle", "clearance", "rake", "valley", "step", "limits", "gouge"]
+Accepted: TypeAlias = Literal[
+    "nose radius", "included angle", "clearance", "rake", "valley", "step", "shank", "holder", "limits", "gouge"
+]
 
 MAX_REPEATS = 100
 """Repetitions of one pass: a depth that needs more has a wrong unit."""
@@ -752,6 +754,7 @@ class Job(Table):
     def _check_tools(self, dialect: Dialect) -> None:
         """Raise unless the tool of each pass is called where the passes use several."""
         program, changing = self.program, any(cut.tool is not None for cut in self.passes)
+        called = {program.tool_call: (self.tool, "[program]")}
         if self.passes[-1].tool is not None:
             raise JobError("the last pass states a tool, it is cut with the tool of the job: state it as [tool]")
         if changing and program.change_height is None:
@@ -766,10 +769,11 @@ class Job(Table):
                     f"{repr(cut.tool_call) if cut.tool_call else 'no'} tool_call: a pass with a tool of its own needs "
                     "a tool_call, and so does [program] for the tool of the job"
                 )
-            if cut.tool_call == program.tool_call != "":
+            tool, place = called.setdefault(cut.tool_call, (cut.tool or self.tool, f"passes[{number}]"))
+            if cut.tool is not None and cut.tool != tool:
                 raise JobError(
-                    f"passes[{number}].tool_call is that of the program, {cut.tool_call!r}: each tool needs its "
-                    "own offset, correct one of them"
+                    f"passes[{number}].tool_call is {cut.tool_call!r}, as that of another tool in {place}: each tool "
+                    "needs its own offset, correct one of them"
                 )
             try:
                 ProgramStart(tool_call=cut.tool_call).lines(dialect)

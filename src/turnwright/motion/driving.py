@@ -42,6 +42,9 @@ OFF_CYCLE = 1e-4
 """Share by which the program states blocks slower than LinuxCNC plays them. Where a block takes a whole number of servo
 cycles, rounding would decide whether it takes one more."""
 
+BLENDING_ROUNDS, BLENDING_TOL = 5, 1e-3
+"""Times that a program is played to find times that it keeps, and the change of its time that is accepted."""
+
 MIN_SECTION = 5
 """Points of the shortest cut that counts for the highest speed."""
 
@@ -164,10 +167,27 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
 
 def _timed(course: Course, machine: Machine) -> Motion:
     """Return the motion of a course, at the times that the controller takes."""
-    time = course.time
-    if machine.controller.interpolation == "linuxcnc":
-        time = blend_blocks(time, course.axes, machine).ends * (1 + OFF_CYCLE)
+    time = _blended_times(course, machine) if machine.controller.interpolation == "linuxcnc" else course.time
     return Motion(time=time, axes=course.axes, machine=machine, velocity=course.velocity or None)
+
+
+def _blended_times(course: Course, machine: Machine) -> Floats:
+    """Return times of the blocks that LinuxCNC keeps when the program states them. (n,) [s].
+
+    A block is no shorter than a servo cycle, or than the block rate allows. Played again, the times that it takes
+    change a little; the round that changes them least is taken.
+    """
+    shortest = max(machine.controller.cycle, 1 / machine.block_rate_hz)
+    time, best, least = course.time * (1 + OFF_CYCLE), course.time, np.inf
+    for number in range(BLENDING_ROUNDS):
+        ends = blend_blocks(time, course.axes, machine).ends
+        off = abs(float(ends[-1] / time[-1]) - 1)
+        if number and off < least:
+            best, least = time, off
+        if number and off <= BLENDING_TOL:
+            break
+        time = np.append(0.0, np.cumsum(np.maximum(np.diff(ends) * (1 + OFF_CYCLE), shortest)))
+    return best
 
 
 def _cross_air(

@@ -223,6 +223,8 @@ class Move(NamedTuple):
         Number of the cut in spindle mode of which it is a block; 0 for other moves.
     changes
         Number of changes of tool after a cut before it.
+    tool
+        Number of the tool that is called, 0 if none is.
     """
 
     line: int
@@ -233,6 +235,7 @@ class Move(NamedTuple):
     cuts: int
     spindle_cut: int
     changes: int
+    tool: float
 
 
 def read_moves(path: str | PathLike[str], machine: Machine, *, block_delete: bool | None = None) -> tuple[Move, ...]:
@@ -259,8 +262,8 @@ def read_moves(path: str | PathLike[str], machine: Machine, *, block_delete: boo
         return float(turned), x * signs["X"], z * signs["Z"]
 
     return tuple(
-        Move(line, rapid, place(start), place(end), turns, cuts, spindle_cut, changes)
-        for line, rapid, start, end, turns, cuts, spindle_cut, changes in moves
+        Move(line, rapid, place(start), place(end), turns, cuts, spindle_cut, changes, tool)
+        for line, rapid, start, end, turns, cuts, spindle_cut, changes, tool in moves
     )
 
 
@@ -431,7 +434,7 @@ class _Reader:
         self.begun: set[str] = set()  # axes whose first coordinate was set by G92
         self.lost: set[str] = set()  # axes whose position in the part's coordinates is unknown
         self.spindle = Spindle()
-        self.moves: list[tuple[int, bool, Floats, Floats, bool, int, int, int]] | None = (
+        self.moves: list[tuple[int, bool, Floats, Floats, bool, int, int, int, float]] | None = (
             None  # recorded where requested
         )
         self.changes = 0  # of tool, after a cut
@@ -1147,7 +1150,8 @@ class _Reader:
         line, rapid = int(self.state[LINES]), not self.state[LINEAR]
         spindle_cut = self.cuts if self.cut is not None and self.cut.spindle is not None else 0
         place = self.real[:4] + self.shift
-        self.moves.append((line, rapid, before + self.shift, place, turns, self.c_cuts, spindle_cut, self.changes))
+        counts = (self.c_cuts, spindle_cut, self.changes, self.tool)
+        self.moves.append((line, rapid, before + self.shift, place, turns, *counts))
 
     def _move_c(self, before: Floats, step: Floats) -> None:
         """Follow a move with C as an axis: a feed move of C is a cut, all others position the tool."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from os import PathLike
 
-    from turnwright.access import Access
+    from turnwright.access import Access, AccessFinding
     from turnwright.job import Entry, Job, Pass, Prediction, Result, Verdict
     from turnwright.machine import Machine
     from turnwright.metrology import Roughness
@@ -96,7 +96,10 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
             _setup(result),
             Section(
                 title="Access",
-                items=[_access_table(result.access), draw.access_map(result.part, result.access.findings)],
+                items=[
+                    _access_table(result.access, result.findings),
+                    draw.access_map(result.part, result.access.findings),
+                ],
             ),
             Section(
                 title="Path",
@@ -440,7 +443,7 @@ def _setup(result: Result) -> Section:
     frame = "chuck" if isinstance(surface, Chuck) else "part"
     rows = [
         ("Work offset", start.work_offset or "the one that is active"),
-        ("Tool call", start.tool_call or "the tool that is active"),
+        ("Tool call", job.passes[0].tool_call or start.tool_call or "the tool that is active"),
         ("X0", "tool tip on the spindle axis"),
         ("Z0", "tool tip at the height of the origin of the " + frame),
         ("C under the tool at the +x direction of the " + frame, f"{math.degrees(convention.clocking):.4g}°"),
@@ -503,14 +506,25 @@ def _tools(job: Job) -> Table:
         rows.append(
             (
                 cut.name, tool.name or "–", cut.tool_call or job.program.tool_call, f"{tool.nose_radius:.4g}",
-                "–" if tool.included is None else f"{math.degrees(tool.included):.4g}°", _length(cut.allowance),
+                "–" if tool.included is None else f"{math.degrees(tool.included):.4g}°",
+                *("–" if one is None else f"{one.radius:.4g}, {one.height:.4g}" for one in (tool.shank, tool.holder)),
+                _length(cut.allowance),
             )
         )  # fmt: skip
     height = job.program.change_height or 0.0
     return Table(
         title="Tools",
-        columns=("Pass", "Tool", "Tool call", "Nose radius [mm]", "Included angle", "Leaves"),
-        numeric=range(3, 6),
+        columns=(
+            "Pass",
+            "Tool",
+            "Tool call",
+            "Nose radius [mm]",
+            "Included angle",
+            "Shank: radius, height [mm]",
+            "Holder: radius, height [mm]",
+            "Leaves",
+        ),
+        numeric=range(3, 8),
         rows=rows,
         notes=[f"A tool is changed {height:.4g} mm above the clear plane of the passes."],
         span=4,
@@ -527,9 +541,9 @@ def _deviations(tool: Tool) -> dict[str, str]:
     }
 
 
-def _access_table(access: Access) -> Table:
+def _access_table(access: Access, findings: Sequence[AccessFinding]) -> Table:
     rows = []
-    for finding in access.findings:
+    for number, finding in enumerate(findings):
         is_length = finding.name in ("nose radius", "step", "shank", "holder")
 
         def shown(value: float | None, *, is_length: bool = is_length) -> str:
@@ -542,9 +556,17 @@ def _access_table(access: Access) -> Table:
         where = "–" if finding.where is None else "{:.4g}, {:.4g}".format(*(round(at, 6) + 0.0 for at in finding.where))
         value = shown(finding.value)
         if finding.name == "rake":
-            value = " to ".join(f"{math.degrees(end):.4g}°" for end in access.rake_range)
+            is_own = number < len(access.findings)
+            value = (
+                " to ".join(f"{math.degrees(end):.4g}°" for end in access.rake_range)
+                if is_own
+                else shown(finding.value)
+            )
         verdict = Cell("ok", "yes") if finding.ok else Cell("not ok", "no")
-        rows.append((finding.name, value, shown(finding.limit), shown(finding.margin), where, verdict))
+        name = (
+            finding.name if number < len(access.findings) else f"{finding.name}, {finding.sentence.partition(':')[0]}"
+        )
+        rows.append((name, value, shown(finding.limit), shown(finding.margin), where, verdict))
     return Table(
         columns=("Quantity", "Value", "Limit", "Margin", "Where x, y [mm]", "Verdict"),
         numeric=range(1, 5),
