@@ -85,6 +85,14 @@ def test_cuts_with_uneven_steps_are_written_out(tmp_path):
     assert all(f"( PASS: rough {k} )" in text for k in (1, 2, 3))
 
 
+def test_cuts_that_do_not_count_from_one_are_written_out(tmp_path):
+    passes = [{**TABLE["passes"][0], "name": f"rough {k}", "allowance": f"{a} um", "depth": "60 um"}
+              for k, a in ((5, 40), (6, 20))]  # fmt: skip
+    line = Pipeline(job_of(tmp_path, "diffsys-2d", passes=[*passes, {"name": "finish"}]), out=tmp_path)
+    assert "WHILE [" not in line.program.files[0].read_text()
+    assert [tw.read_nc(line.program.files[0], line.job.machine, name=f"rough {k}").time.size > 1 for k in (5, 6)]
+
+
 def test_a_foreign_loop_gives_one_cut_each_time(tmp_path):
     """Oracle: arithmetic. The origin is 0.3, 0.2 and 0.1 mm high, and 0 after the loop."""
     (tmp_path / "foreign.nc").write_text(

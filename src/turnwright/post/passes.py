@@ -86,7 +86,8 @@ def find_loops(passes: Sequence[WrittenPass], dialect: Dialect) -> dict[int, Loo
     loops: dict[int, Loop] = {}
     for name, group in groupby(range(len(passes)), lambda k: _repeated_name(passes[k].name)):
         cuts = list(group)
-        if not dialect.loop_begin or not name or len(cuts) < 2:
+        named = [f"{name} {number}" for number in range(1, len(cuts) + 1)]
+        if not dialect.loop_begin or not name or len(cuts) < 2 or [passes[k].name for k in cuts] != named:
             continue
         last = passes[cuts[-1]]
         lifts = [_lift(passes[k], last) for k in cuts]
