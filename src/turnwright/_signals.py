@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 from types import TracebackType
 from typing import Self
 
@@ -19,15 +20,18 @@ class Stop:
         self.number: int = signal.SIGINT
         self.records_only = records_only
         self._before: dict[int, object] = {}
+        self._hook = sys.unraisablehook
 
     def __enter__(self) -> Self:
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
             number = getattr(signal, name, None)
             if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # nohup sets SIG_IGN
                 self._before[number] = signal.signal(number, self._receive)
+        self._hook, sys.unraisablehook = sys.unraisablehook, self._report
         return self
 
     def __exit__(self, _kind: type[BaseException] | None, _error: object, _trace: TracebackType | None) -> None:
+        sys.unraisablehook = self._hook
         for number, handler in self._before.items():
             signal.signal(number, handler)  # type: ignore[arg-type] # the handler before
 
@@ -42,6 +46,11 @@ class Stop:
         self.wanted = True
         if not self.records_only:
             raise KeyboardInterrupt
+
+    def _report(self, dropped: sys.UnraisableHookArgs) -> None:
+        """Report an exception that Python drops, but for a request, which `check` raises again."""
+        if not issubclass(dropped.exc_type, KeyboardInterrupt):
+            self._hook(dropped)
 
     def arm(self) -> None:
         """Raise at each request from now on, and at once if one is recorded."""

@@ -378,6 +378,24 @@ def test_an_interrupt_at_the_very_start_is_obeyed(kill, tmp_path):
     assert process.stderr.splitlines()[-1].startswith("turnwright: interrupted")
 
 
+def test_a_request_that_python_drops_is_not_reported_as_a_defect():
+    """Oracle: Python drops what a finaliser raises, and reports it on standard error."""
+    code = """if True:
+        from turnwright._signals import Stop
+        class Raises:
+            def __init__(self, error): self.error = error
+            def __del__(self): raise self.error
+        with Stop():
+            one = Raises(KeyboardInterrupt())
+            del one
+            other = Raises(ValueError("another"))
+            del other
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.count("Traceback") == 1
+    assert done.stderr.endswith("ValueError: another\n")
+
+
 @pytest.mark.usefixtures("signals_heard")
 @pytest.mark.parametrize(
     ("kill", "delay"), [(signal.SIGINT, 0.0), (signal.SIGHUP, 0.1), (signal.SIGINT, 0.3), (signal.SIGHUP, 0.6)]
