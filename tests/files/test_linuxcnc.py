@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 import linuxcnc
+import linuxcnc_planner
 import turnwright as tw
 from turnwright.job import Job, Pipeline
+from turnwright.machine import blend_blocks
 
 pytestmark = pytest.mark.skipif(
     linuxcnc.environment() is None, reason="LinuxCNC is not here: tools/unpack_linuxcnc and TURNWRIGHT_LINUXCNC"
@@ -95,3 +97,21 @@ def test_every_example_is_read_alike(tmp_path, example, dialect):
         planned = np.diff(again.time[at])
         floor = np.where((slowest > 0) & (again.spindle_mode is None), np.minimum(planned, slowest), planned)
         assert np.abs(np.diff(time) - floor).max() < 1e-9 * max(1.0, np.diff(time).max())
+
+
+@pytest.mark.skipif(linuxcnc_planner.player() is None, reason="LinuxCNC is not installed: its planner plays nothing")
+def test_the_planner_plays_what_is_promised(tmp_path):
+    """Oracle: every servo cycle of LinuxCNC itself."""
+    machine = linuxcnc_planner.lathe(2e5, 5000.0)
+    motion = motion_of(tw.SlowToolServo(feed=0.2, points_per_rev=83, spindle_rpm=91), PART, machine)
+    tw.write_nc(motion, machine, tmp_path / "part.nc", depth=None)
+    again = tw.read_nc(tmp_path / "part.nc", machine)
+    rows = linuxcnc_planner.play(tmp_path / "part.nc", machine, linuxcnc_planner.player())
+    played, _, more = linuxcnc_planner.cut_of(rows, again, blend_blocks(again.time, again.axes, machine))
+    assert abs(more) <= 2  # a block that takes a whole number of cycles is a matter of the last bit
+    took = (len(played) - 1) * linuxcnc_planner.PERIOD
+    assert tw.check_limits(again, machine).cycle_time_s == pytest.approx(took, rel=1e-3)
+    assert motion.time[-1] == pytest.approx(took, rel=0.01)
+    made, inner = tw.track(again), slice(20, -20)
+    over_c = np.interp(np.deg2rad(played[inner, 5]), made.axes["C"], made.axes["Z"])
+    assert np.std(played[inner, 4] - over_c) < 1e-6
