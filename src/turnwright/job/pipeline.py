@@ -201,7 +201,9 @@ class Pipeline:
             plan.require_steps()
             for name, depth, allowance, repeated in _repeat(one, plan.commanded, stock):
                 between = cut_range(self.job.part.aimed, plan.job.tool, allowance)
-                motion = repeated if one is self.job.passes[-1] else trim(repeated, between)
+                motion: Motion | None = repeated
+                if one is not self.job.passes[-1]:
+                    motion = None if between is None else trim(repeated, between)
                 if motion is None:  # the blank is nowhere above this cut
                     continue
                 if before is not None and np.ptp(before.axes["X"]) < np.ptp(motion.axes["X"]):

@@ -29,11 +29,10 @@ from turnwright.job.result import Pass, Preview, Result
 from turnwright.job.schema import Job, PassTable
 from turnwright.job.shape import part_shape
 from turnwright.job.verdict import judge
-from turnwright.path import Motion, Path
+from turnwright.path import Motion, Path, Spiral
 from turnwright.placing import place
 from turnwright.progress import StageProgress
 from turnwright.strategy import SlowToolServo, Strategy
-from turnwright.tool import Tool
 from turnwright.units import say_length
 
 __all__ = ["finishing_motion", "preview", "run"]
@@ -204,7 +203,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
             break
         speed = stated or most if profile is None else float(profile.spindle_rpm.max())
         # Air is crossed faster and with few points.
-        times = _times(job, cut, stock, tool) * (1.0 if servo.spindle_mode is not None else job.part.turned_share)
+        times = _times(job, cut, stock, spiral) * (1.0 if servo.spindle_mode is not None else job.part.turned_share)
         points[cut.name] = round(times * size)
         # The points of a fast tool are in its own table.
         blocks = 0 if job.program.fast_tool else size - 1
@@ -221,17 +220,18 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
     )  # fmt: skip
 
 
-def _times(job: Job, cut: PassTable, stock: float, tool: Tool) -> float:
+def _times(job: Job, cut: PassTable, stock: float, spiral: Spiral) -> float:
     """Return how often a pass is cut, a cut where the blank reaches up to some radii only as a share."""
-    repeats, part = cut.repeats(stock), job.part.aimed
-    if cut is job.passes[-1]:
+    repeats, part, tool = cut.repeats(stock), job.part.aimed, cut.tool or job.tool
+    if cut is job.passes[-1] or job.part.blank is None or job.part.blank.surface is None:
         return float(repeats)
     depth, total = (stock - cut.allowance) / repeats, 0.0
+    outermost = float(spiral.radius.max())
     for number in range(1, repeats + 1):
         between = cut_range(part, tool, stock - number * depth)
         if between is not None:
-            low, high = np.clip(between, part.nearest, part.reach)
-            total += float(high - low) / (part.reach - part.nearest)
+            low, high = np.clip(between, part.nearest, outermost)
+            total += float(high - low) / (outermost - part.nearest)
     return total
 
 
