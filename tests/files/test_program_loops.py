@@ -1,5 +1,6 @@
 """Loops in programs: written for the cuts of a repeated pass, and followed when read."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import turnwright as tw
 from turnwright.cli import main
 from turnwright.errors import InputError, ProgramError
 from turnwright.job import Pipeline, find_wrong_move
-from turnwright.post import Dialect, read_moves
+from turnwright.post import Dialect, ProgramWarning, read_moves
 
 TABLE = {
     "part": {"surface": {"family": "sphere", "radius": "50 mm"}, "radius": "5 mm", "stock": "60 um"},
@@ -130,3 +131,34 @@ def test_half_a_loop_is_no_dialect():
     for field in ("loop_begin", "loop_end", "local_origin"):
         with pytest.raises(InputError, match="a loop needs all of them"):
             replace(frame, **{field: "" if field == "local_origin" else ()})
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "name"),
+    [
+        (r"#2 = #2 - 0.\d+", "#2 = #2 - 0.018", "rough 2"), (r"#2 = 0.\d+", "#2 = 0.045", "rough 1"),
+        ("G52 Z0\n", "G52 Z-0.005\n", "finish"),
+    ],
+)  # fmt: skip
+def test_an_edited_height_of_a_loop_is_noticed(tmp_path, old, new, name):
+    line = Pipeline(job_of(tmp_path, "diffsys-2d"), out=tmp_path)
+    file = line.program.files[0]
+    text, count = re.subn(old, new, file.read_text(), count=1)
+    assert count == 1
+    file.write_text(text)
+    with pytest.warns(ProgramWarning, match="edited or damaged"):
+        tw.read_nc(file, line.job.machine, name=name)
+
+
+def test_an_end_closes_a_loop_of_its_own_file(tmp_path):
+    (tmp_path / "main.nc").write_text("G71 G90\n#1 = 0\nWHILE [#1 LT 2] DO1\n#1 = #1 + 1\nM98(sub.nc)\nEND1\nM30\n")
+    (tmp_path / "sub.nc").write_text("G94\nG1 Z1 F20\nEND1\nM99\n")
+    with pytest.raises(ProgramError, match="line 3 ends loop 1, no loop is open"):
+        tw.read_nc(tmp_path / "main.nc", lathe("diffsys-2d"))
+
+
+def test_deep_loops_are_refused(tmp_path):
+    begin = "".join(f"#{k} = 0\nWHILE [#{k} LT 1] DO{k}\n" for k in range(1, 400))
+    (tmp_path / "deep.nc").write_text(f"G71 G90\n{begin}M30\n")
+    with pytest.raises(ProgramError, match="begins more than 20 loops within one another"):
+        tw.read_nc(tmp_path / "deep.nc", lathe("diffsys-2d"))

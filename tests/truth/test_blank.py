@@ -75,6 +75,32 @@ def test_the_time_counts_only_what_is_cut():
     )
 
 
+@pytest.mark.parametrize(
+    ("surface", "top", "stock", "radius"),
+    [
+        ({"family": "plane"}, "0.08 + 0.015*x", "160 um", "5 mm"),
+        ({"family": "plane"}, "0.005 + 0.09*exp(-((x**2+y**2-9)/2)**2)", "100 um", "5 mm"),
+        ({"family": "sphere", "radius": "-300 mm"}, "0.002 + 0*x", "60 um", "5 mm"),
+        ({"family": "plane"}, "0.012 + 0.08*exp(-((x-21.5)**2+(y-0.1876)**2)/0.3**2)", "100 um", "25 mm"),
+    ],
+)
+def test_no_cut_goes_deeper_than_it_is_planned_where_few_points_are_needed(surface, top, stock, radius):
+    """Oracle: what each cut removes under the blank, simulated on a fine grid; a plane has two points a cut."""
+    job = job_of(
+        surface, {**FLAT, "formula": top}, stock=stock, radius=radius,
+        blank={"radius": f"{float(radius[:-3]) + 0.2} mm", "surface": {**FLAT, "formula": top}},
+    )  # fmt: skip
+    edge = job.part.radius
+    radii = np.linspace(0, edge * 0.9999, 700)
+    angle = np.unique(np.append(np.linspace(0, 2 * np.pi, 90, endpoint=False), np.linspace(0.004, 0.014, 21)))
+    x, y = radii * np.cos(angle)[:, None], radii * np.sin(angle)[:, None]
+    left = job.part.blank.surface.sag(x, y)
+    for cut in Pipeline(job).cuts():
+        made = np.fmin(left, generate_polar(cut.motion, job.tool, radius=radii, angle=angle).z)
+        assert (left - made).max() < cut.depth + 1e-3
+        left = made
+
+
 def test_cuts_above_the_blank_are_left_out(tmp_path):
     job = job_of(stock="400 um")
     result = run(job, out=tmp_path)

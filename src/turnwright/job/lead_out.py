@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from turnwright._arrays import Floats
 from turnwright.errors import InputError
-from turnwright.machine import FAST, Machine
+from turnwright.machine import FAST, Axis, Machine
 from turnwright.part import Part
 from turnwright.path import Motion
 from turnwright.placing import tip_height
@@ -20,51 +19,79 @@ __all__ = ["add_lead_out"]
 FEWEST_POINTS = 12
 """Blocks of a lead-out."""
 
-PEAK_ACCELERATION, PEAK_JERK = 10 / math.sqrt(3), 60.0
-"""Largest acceleration and jerk of 10 s³ - 15 s⁴ + 6 s⁵ over the share s of its time."""
+PEAK_SPEED, PEAK_ACCELERATION, PEAK_JERK = 15 / 8, 10 / math.sqrt(3), 60.0
+"""Largest derivatives of the rise 10 s³ - 15 s⁴ + 6 s⁵ over the share s of its time."""
 
 SHARE = 0.5
-"""Share of the acceleration and the jerk of Z that the lead-out may take; the path itself takes the rest."""
+"""Share of the limits of X and Z that the lead-out may take; the path itself takes the rest."""
 
-LAST_BLOCKS = 50
-"""Blocks at the end of a pass whose mean step and time are those of its lead-out."""
+SMALL_STEPS = 0.05
+"""Share of the steps of the last revolution that are smaller than those of its lead-out."""
+
+MOST_POINTS = 100_000
 
 
 def add_lead_out(motion: Motion, part: Part, tool: Tool, machine: Machine, height: float) -> Motion:
-    """Return a motion that goes on around the axis at the radius where it ends, and rises by a height. [mm].
+    """Return a motion that goes on around the axis, while X comes to rest, and rises by a height. [mm].
 
-    The tip follows its exact contact with the part, plus a polynomial of the fifth degree that begins and ends at rest.
-    Its time is the shortest with half of the acceleration and jerk of Z, but at least `FEWEST_POINTS` blocks.
+    C keeps its speed, and points as close as the closest of its last revolution. X slows down smoothly where the pass
+    ends. The tip follows its exact contact with the part, plus a polynomial of the fifth degree that begins and ends at
+    rest.
+    The time is the shortest with half of speed, acceleration and jerk of Z and X, but at least `FEWEST_POINTS` blocks.
 
     Raises
     ------
     InputError
-        If the motion has velocities (PVT), or moves a fast tool.
+        If the motion has velocities (PVT), moves a fast tool, or the rise takes too many blocks.
     """
     if motion.velocity is not None or FAST.keys() & motion.axes.keys():
         raise InputError(
             "lead_out is stated, a program with velocities or a fast tool ends at rest on the part: leave it out"
         )
-    last = slice(-min(LAST_BLOCKS, motion.time.size - 1) - 1, None)
-    step = float(np.diff(motion.axes["C"][last]).mean())
-    seconds = float(np.median(np.diff(motion.time[last])))
-    axis = machine.axes["Z"]
-    shortest = FEWEST_POINTS * seconds
-    if axis.acceleration is not None:
-        shortest = max(shortest, math.sqrt(PEAK_ACCELERATION * height / (SHARE * axis.acceleration)))
-    if axis.jerk is not None:
-        shortest = max(shortest, math.cbrt(PEAK_JERK * height / (SHARE * axis.jerk)))
+    step, seconds, advance = _last_turn(motion)
+    shortest = max(
+        FEWEST_POINTS * seconds,
+        _shortest(machine.axes["Z"], height),
+        _shortest_stop(machine.axes["X"], abs(advance)),
+    )
     count = math.ceil(shortest / seconds)
-    share = np.arange(1, count + 1) / count
+    if count > MOST_POINTS:
+        raise InputError(
+            f"lead_out is {height:g} mm, which takes {count:.3g} blocks at the end of a pass, the limit is "
+            f"{MOST_POINTS:,}: reduce it"
+        )
+    share = np.arange(count + 1) / count
     angle = motion.axes["C"][-1] + step * np.arange(count + 1)
-    added: dict[str, Floats] = {letter: np.full(count, values[-1]) for letter, values in motion.axes.items()}
+    stopping = share - share**4 * (2.5 - 3 * share + share**2)  # the integral of one minus the rise
+    radius = motion.axes["X"][-1] + advance * count * seconds * stopping
     y = np.full(count + 1, motion.axes["Y"][-1]) if "Y" in motion.axes else None
-    radius = np.full(count + 1, motion.axes["X"][-1])
     contact = tip_height(part.surface, tool, angle=angle, radius=radius, y=y, sense=motion.sense, rim=part.reach)
-    added["C"] = angle[1:]
-    # The machine's error in Z is that of the last point, as X stands still.
-    added["Z"] = motion.axes["Z"][-1] + contact[1:] - contact[0]
-    added["Z"] = added["Z"] + height * (10 * share**3 - 15 * share**4 + 6 * share**5)
+    contact = contact - machine.z_error(radius)
+    rise = height * share**3 * (10 - 15 * share + 6 * share**2)
+    added = {letter: np.full(count, values[-1]) for letter, values in motion.axes.items()}
+    added |= {"C": angle[1:], "X": radius[1:], "Z": (motion.axes["Z"][-1] + contact - contact[0] + rise)[1:]}
     time = np.concatenate((motion.time, motion.time[-1] + seconds * np.arange(1, count + 1)))
     axes = {letter: np.concatenate((values, added[letter])) for letter, values in motion.axes.items()}
     return replace(motion, time=time, axes=axes)
+
+
+def _last_turn(motion: Motion) -> tuple[float, float, float]:
+    """Return a small step of C in the last revolution [rad], its time [s], and the speed of X there [mm/s]."""
+    turned = np.abs(motion.axes["C"][-1] - motion.axes["C"])
+    turn, quarter = (min(int(np.searchsorted(-turned, -2 * np.pi / parts)), motion.time.size - 2) for parts in (1, 4))
+    taken = float(motion.time[-1] - motion.time[turn])
+    step = float(np.quantile(np.abs(np.diff(motion.axes["C"][turn:])), SMALL_STEPS))
+    seconds = step * float(motion.time[-1] - motion.time[quarter]) / float(turned[quarter])
+    return motion.sense * step, seconds, float(motion.axes["X"][-1] - motion.axes["X"][turn]) / taken
+
+
+def _shortest(axis: Axis, height: float) -> float:
+    """Return the shortest time of a rise. [s]."""
+    limits = ((axis.speed, PEAK_SPEED, 1), (axis.acceleration, PEAK_ACCELERATION, 2), (axis.jerk, PEAK_JERK, 3))
+    return max((peak * height / (SHARE * limit)) ** (1 / order) if limit else 0.0 for limit, peak, order in limits)
+
+
+def _shortest_stop(axis: Axis, speed: float) -> float:
+    """Return the shortest time in which an axis comes to rest; its speed falls as the rise grows. [s]."""
+    limits = ((axis.acceleration, PEAK_SPEED, 1), (axis.jerk, PEAK_ACCELERATION, 2))
+    return max((peak * speed / (SHARE * limit)) ** (1 / order) if limit else 0.0 for limit, peak, order in limits)

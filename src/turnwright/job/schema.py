@@ -621,6 +621,11 @@ class Job(Table):
         self._check_passes()
         self._check_servos()
         self._check_dry_run()
+        if self.program.precorrect and self.program.lead_out is not None:
+            raise JobError(
+                "program.lead_out and precorrect are stated, the servos cannot be corrected for a rise of few blocks: "
+                "leave one out"
+            )
         self._check_tools(dialect)
 
     def _check_passes(self) -> None:

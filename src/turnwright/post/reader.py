@@ -40,7 +40,7 @@ from turnwright.post.header import (
     read_info,
 )
 from turnwright.post.macro import Macros
-from turnwright.post.spindle import Spindle, turning_number
+from turnwright.post.spindle import Spindle, origin_bytes, turning_number
 from turnwright.progress import Progress
 
 __all__ = ["Move", "read_moves", "read_nc"]
@@ -57,6 +57,8 @@ MAX_CALLS = 1000
 """Calls of one file; nested calls would otherwise multiply without limit."""
 MAX_NUMBER = 1e9
 MAX_MOVES = 100_000
+MAX_LOOPS = 20
+"""Loops within one another."""
 MAX_REPEATS, MAX_REPEATED_BYTES = 10_000, 100_000_000
 """Repetitions of loops in a program, and the text that they repeat; more comes from a loop that does not end."""
 NO_NAME = "\x00"
@@ -312,8 +314,9 @@ def _require_language(path: Path, info: ProgramInfo, machine: Machine, dialect: 
 
 
 class _Loop(NamedTuple):
-    """A loop of a program: its condition, and where its first line is in the file, and the number of that before."""
+    """A loop of a program: its file and condition, where its first line is, and the number of the line before."""
 
+    path: Path
     condition: str
     start: int
     line: int
@@ -714,7 +717,7 @@ class _Reader:
         self.cut = cut
         self.state[OPEN] = 1
         self._drain()
-        self.digest = hashlib.sha256()
+        self.digest = hashlib.sha256(origin_bytes(float(self.origin[3]), self.dialect))
         self._submit(cut.rows, 0, 1)
         return cut
 
@@ -850,11 +853,13 @@ class _Reader:
         elif loop := WHILE.fullmatch(bare):
             if int(loop[2]) in self.loops:
                 raise self._error(f"begins loop {loop[2]} within itself", "give each loop its own number")
-            self.loops[int(loop[2])] = _Loop(loop[1], self.next, int(self.state[LINES]))
+            if len(self.loops) == MAX_LOOPS:
+                raise self._error(f"begins more than {MAX_LOOPS} loops within one another", "write them out")
+            self.loops[int(loop[2])] = _Loop(self.stack[-1], loop[1], self.next, int(self.state[LINES]))
             if not self.macros.holds(loop[1]):
                 raise self._error("begins a loop that runs 0 times", "give a program whose loop runs once")
         elif end := END.fullmatch(bare):
-            label = next(reversed(self.loops), None)
+            label = next((one for one in reversed(self.loops) if self.loops[one].path == self.stack[-1]), None)
             if label != int(end[1]):
                 expected = "no loop is open" if label is None else f"the innermost open loop is {label}"
                 raise self._error(f"ends loop {end[1]}, {expected}", "give each WHILE its END")

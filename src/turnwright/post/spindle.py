@@ -16,7 +16,8 @@ from turnwright.post.dialect import Dialect
 from turnwright.post.header import bytes_to_hash
 
 __all__ = [
-    "Spindle", "position_word", "require_spindle_modes", "spindle_lines", "start_spindle", "turning_number",
+    "Spindle", "origin_bytes", "position_word", "require_spindle_modes", "spindle_lines", "start_spindle",
+    "turning_number",
 ]  # fmt: skip
 
 DECIMALS = 6
@@ -95,11 +96,11 @@ def start_spindle(dialect: Dialect, mode: SpindleMode, sense: int) -> list[str]:
 
 
 def spindle_lines(
-    name: str, units: Mapping[str, Ints], mode: SpindleMode, sense: int, dialect: Dialect
+    name: str, units: Mapping[str, Ints], mode: SpindleMode, sense: int, dialect: Dialect, origin: float = 0.0
 ) -> tuple[list[str], str]:
     """Return the lines of a cut, and the hash of its points, see `ProgramPass`.
 
-    ``units`` are the positions by axis letter in units of the last decimal. Each (n,)
+    ``units`` are the positions by axis letter in units of the last decimal, above an origin in Z [mm]. Each (n,)
     """
     feed, written = _written_feed(mode)
     x, z = (units[letter] / 10.0 ** dialect.decimals[letter] for letter in "XZ")
@@ -111,7 +112,8 @@ def spindle_lines(
         )
     columns = [units.get(letter, np.zeros(x.size, dtype=np.int64)) for letter in dialect.letters({**units, "C": 0})]
     digest = hashlib.sha256(
-        bytes_to_hash(np.stack(columns, axis=1), np.concatenate(([turning_number(written, sense)], turns)))
+        origin_bytes(origin, dialect)
+        + bytes_to_hash(np.stack(columns, axis=1), np.concatenate(([turning_number(written, sense)], turns)))
     ).hexdigest()
     words = [
         [position_word(letter, one, dialect.decimals[letter]) for one in units[letter].tolist()] for letter in units
@@ -131,6 +133,12 @@ def _written_feed(mode: SpindleMode) -> tuple[str, SpindleMode]:
     surface = None if mode.surface_speed is None else float(_decimal(mode.surface_speed / MM_PER_S)) * MM_PER_S
     per_rev = float(feed) if mode.per_rev else float(feed) / float(speed)
     return feed, replace(mode, feed=per_rev, spindle_rpm=float(speed), surface_speed=surface)
+
+
+def origin_bytes(height: float, dialect: Dialect) -> bytes:
+    """Return what stands for the height of the local origin in the hash of a cut; nothing if it is not moved."""
+    units = np.int64(np.rint(height * 10.0 ** dialect.decimals["Z"]))
+    return units.tobytes() if units else b""
 
 
 def turning_number(mode: SpindleMode, sense: int) -> float:

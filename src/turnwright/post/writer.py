@@ -418,9 +418,10 @@ class _Job:
                 self._text(file, self._head() + main)
                 for index, one in enumerate(passes):
                     if (loop := loops.get(index)) is not None:
-                        digest = self._loop(file, one, loop)
+                        digests = self._loop(file, one, loop)
                         self.entries[index : index + loop.count] = [
-                            self._entry(each, digest) for each in passes[index : index + loop.count]
+                            self._entry(each, digest)
+                            for each, digest in zip(passes[index : index + loop.count], digests, strict=True)
                         ]
                     if any(first <= index < first + each.count for first, each in loops.items()):
                         continue
@@ -493,13 +494,19 @@ class _Job:
         self.lines += len(rows)
         self.bytes += len(data)
 
-    def _loop(self, file: BinaryIO, one: WrittenPass, loop: Loop) -> str:
-        """Write the cuts of a repeated pass as one loop; return the hash of each of them, all in the loop's own Z."""
+    def _loop(self, file: BinaryIO, one: WrittenPass, loop: Loop) -> list[str]:
+        """Write the cuts of a repeated pass as one loop; return the hash of each of them."""
         mode = one.motion.spindle_mode
         assert mode is not None  # noqa: S101 - for the type checker
         lowest = one.raised(-loop.first)
-        words = {name: f"{value:.{one.dialect.decimals['Z']}f}" for name, value in loop.words(one).items()}
-        rows, digest = self._spindle_cut(lowest, mode)
+        heights = loop.words(one)
+        words = {name: f"{value:.{one.dialect.decimals['Z']}f}" for name, value in heights.items()}
+        origins = [heights["first"] - k * heights["step"] for k in range(loop.count)]
+        rows: list[str] = []
+        digests = []
+        for origin in origins:
+            rows, digest = self._spindle_cut(lowest, mode, origin)
+            digests.append(digest)
         begin, end = (
             [line.format(count=loop.count, **words) for line in lines]
             for lines in (self.dialect.loop_begin, self.dialect.loop_end)
@@ -508,8 +515,7 @@ class _Job:
         self._text(
             file, [*self._change(one), *begin, marker, *self._approach(lowest), *rows, *self._retract(lowest), *end]
         )
-        self._count((loop.count - 1) * one.motion.blocks.size)
-        return digest
+        return digests
 
     def _change(self, one: WrittenPass) -> list[str]:
         """Return the lines of a change of tool before a pass: up first, as the next tool may be longer."""
@@ -562,7 +568,7 @@ class _Job:
         stop = () if one.motion.spindle_mode is None else self.dialect.spindle_end
         return [*self.dialect.cut_end, *self.dialect.straight(clear, DOWN_FEED, "CLEAR OF THE PART"), *stop]
 
-    def _spindle_cut(self, one: WrittenPass, mode: SpindleMode) -> tuple[list[str], str]:
+    def _spindle_cut(self, one: WrittenPass, mode: SpindleMode, origin: float = 0.0) -> tuple[list[str], str]:
         """Return the lines of a cut in spindle mode, and the hash of its points."""
         axes, points = one.motion.axes, one.motion.blocks
         units = {
@@ -570,7 +576,7 @@ class _Job:
             for letter in one.letters
             if letter != "C"
         }
-        rows, digest = spindle_lines(one.name, units, mode, one.motion.sense, self.dialect)
+        rows, digest = spindle_lines(one.name, units, mode, one.motion.sense, self.dialect, origin)
         self._count(points.size)
         return rows, digest
 
