@@ -14,6 +14,7 @@ import pytest
 
 import turnwright as tw
 from turnwright.errors import InputError
+from turnwright.job import run
 from turnwright.machine import blend_blocks
 
 RECORDED = sorted((Path(__file__).parents[1] / "data" / "linuxcnc").glob("*.npz"))
@@ -163,3 +164,21 @@ def test_a_cut_in_spindle_mode_is_played_as_it_is():
     made = tw.track(motion)
     assert made.time[-1] == pytest.approx(motion.time[-1], rel=1e-12)
     assert tw.check_limits(motion, machine).cycle_time_s == pytest.approx(motion.time[-1], rel=1e-12)
+
+
+def test_cut_corners_are_no_gouge(tmp_path):
+    """LinuxCNC cuts the corners between chords, which the plan allows: up to the second difference of the path."""
+    (tmp_path / "lathe.toml").write_text(
+        'base = "nanoform"\ndialect = "linuxcnc"\ncontroller = { interpolation = "linuxcnc", variable_speed = true }\n'
+        '[axes.C]\nacceleration = "200000 deg/s^2"\n'
+    )
+    surface = {"family": "biconic", "radius_x": "20 mm", "radius_y": "-30 mm", "conic_x": 0.0, "conic_y": 0.0}
+    job = tw.Job.read({
+        "part": {"surface": surface, "radius": "2 mm"},
+        "tool": {"nose_radius": "0.5 mm", "included": "120 deg", "clearance": "12 deg"},
+        "machine": {"file": "lathe.toml"},
+        "strategy": {"kind": "slow tool servo", "feed": "28.62 um/rev", "chord": "115.3 nm"},
+        "simulation": {"whole_part": {"radii": 101, "angles": 90}},
+    }, folder=tmp_path)  # fmt: skip
+    lowest = run(job).predictions[0].form.lowest.error
+    assert -0.4e-3 < lowest < -0.1153e-3  # deeper than the chord alone
