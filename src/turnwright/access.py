@@ -55,8 +55,8 @@ FLANK_POINTS = 120
 
 BODY_GAP_MM = 0.1
 """Least distance along z between the part with its stock and the shank or holder of a tool."""
-BODY_TIPS, BODY_POINTS, BODY_CHUNKS = 1000, 3000, 8
-"""Positions of the tip and points of the part that are compared, and sections of a motion with as many positions."""
+BODY_TIPS, BODY_POINTS, MOTION_TIPS = 1000, 3000, 8000
+"""Positions of the tip and points of the part that are compared, and positions of a motion."""
 BODY_STEPS, BODY_SHRINK = 40, 0.7
 """Refinements of the least gap, and what each leaves of the step."""
 MAX_NOSE_RADIUS_MM = 20.0
@@ -195,7 +195,7 @@ def check_access(
 
     >>> from turnwright.part import Part
     >>> from turnwright.surface import SineGrid
-    >>> from turnwright.tool import Shank, Tool
+    >>> from turnwright.tool import Tool
     >>> grid = Part(surface=SineGrid(amplitude=(0.002, 0.002), period=(2.5, 2.5)), radius=5.0)
     >>> tool = Tool(nose_radius=0.514, clearance=np.deg2rad(10), included=np.deg2rad(60))
     >>> access = check_access(grid, tool)
@@ -292,7 +292,7 @@ def check_depths(
 
     >>> from turnwright.part import Part
     >>> from turnwright.surface import Plane
-    >>> from turnwright.tool import Shank, Tool
+    >>> from turnwright.tool import Tool
     >>> tool = Tool(nose_radius=0.5, included=np.deg2rad(60), clearance=np.deg2rad(10))
     >>> flat = Part(surface=Plane(slope=(0.0, 0.0)), radius=5.0)
     >>> findings = check_depths(flat, tool, {"roughing": 0.05, "too deep": 0.5})
@@ -526,30 +526,31 @@ def _gaps_of_pairs(
     return gap, out, np.arctan2(across, along)
 
 
-def check_bodies(part: Part, tool: Tool, motion: Motion) -> str:
-    """Return a sentence on shank or holder that comes too close to the part in a motion, empty if none does.
+def check_bodies(part: Part, tool: Tool, motion: Motion) -> list[tuple[str, str]]:
+    """Return "shank" or "holder", and a sentence, for each that comes too close to the part in a motion.
 
     It compares positions spread over the motion, in the air between parts too, with points spread over the part.
     """
-    part = part.continued
-    x, y, top = _points_in_the_way(part)
+    part, close = part.continued, []
+    in_the_way = _points_in_the_way(part)
+    at = np.unique(np.linspace(0, motion.time.size - 1, MOTION_TIPS).astype(np.int64))
+    x, c, z = (motion.axes[letter][at] for letter in "XCZ")
     for name, body in tool.bodies.items():
-        worst = (math.inf, 0)
-        for start in range(0, motion.time.size, -(-motion.time.size // BODY_CHUNKS)):
-            at = np.arange(start, min(start + -(-motion.time.size // BODY_CHUNKS), motion.time.size))
-            at = at[:: -(-at.size // BODY_TIPS)]
-            tips = (motion.axes["X"][at], motion.axes["C"][at], motion.axes["Z"][at])
-            gap = _gaps_of_pairs(body, *tips, x, y, top)[0].min(axis=1)
-            worst = min(worst, (float(gap.min()), int(at[gap.argmin()])))
-        if worst[0] < BODY_GAP_MM:
-            near, at_x = worst[0], float(motion.axes["X"][worst[1]])
-            how = f"comes within {say_length(near)} of" if near > 0 else f"cuts {say_length(-near)} into"
-            return (
-                f"the {name} {how} the part where the tip is at X {at_x:.4g} mm, Z "
-                f"{motion.axes['Z'][worst[1]]:.4g} mm, the limit is {say_length(BODY_GAP_MM)}: use a slimmer {name}, "
-                "or one that begins higher, or place the parts farther apart"
-            )
-    return ""
+        gap = np.concatenate([
+            _gaps_of_pairs(body, x[some], c[some], z[some], *in_the_way)[0].min(axis=1)
+            for some in (slice(start, start + BODY_TIPS) for start in range(0, at.size, BODY_TIPS))
+        ])  # fmt: skip
+        worst = int(gap.argmin())
+        if gap[worst] >= BODY_GAP_MM:
+            continue
+        how = f"comes within {say_length(gap[worst])} of" if gap[worst] > 0 else f"cuts {say_length(-gap[worst])} into"
+        sentence = (
+            f"the {name} {how} the part where the tip is at X {x[worst]:.4g} mm, Z {z[worst]:.4g} mm, the limit is "
+            f"{say_length(BODY_GAP_MM)}: use a slimmer {name}, or one that begins higher, or place the parts farther "
+            "apart"
+        )
+        close.append((name, sentence))
+    return close
 
 
 def _top_of_stock(part: Part, x: Floats, y: Floats) -> Floats:

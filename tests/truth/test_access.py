@@ -289,6 +289,10 @@ def test_the_holder_is_followed_through_the_air_between_parts():
         time=turned, axes={"C": turned, "X": 20 - 0.01 * turned, "Z": np.full(400, 0.2)}, machine=machine
     )
     tool = tw.Tool(nose_radius=0.5, included=2.0, clearance=0.2, shank=tw.Shank(radius=9.0, height=4.0))
-    assert "the shank cuts 800 um into the part where the tip is at X 19.9" in check_bodies(part, tool, motion)
-    assert check_bodies(part, replace(tool, shank=tw.Shank(radius=7.0, height=4.0)), motion) == ""
-    assert check_bodies(part, replace(tool, shank=tw.Shank(radius=9.0, height=4.95)), motion) == ""
+    ((name, sentence),) = check_bodies(part, tool, motion)
+    assert name == "shank"
+    assert "the shank cuts 800 um into the part where the tip is at X 19.9" in sentence
+    assert check_bodies(part, replace(tool, shank=tw.Shank(radius=7.0, height=4.0)), motion) == []
+    assert check_bodies(part, replace(tool, shank=tw.Shank(radius=9.0, height=4.95)), motion) == []
+    both = check_bodies(part, replace(tool, shank=None, holder=tool.shank), motion)
+    assert [name for name, _ in both] == ["holder"]

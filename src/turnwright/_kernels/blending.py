@@ -59,10 +59,10 @@ def advance(done, speed, length, wanted, acceleration, cycle, period):
 
 @jit_exact
 def play(length, wanted, acceleration, period, block, share, next_share):
-    """Play all blocks; return the number of cycles, and -1 where there are more than the arrays can hold.
+    """Play all blocks; return the number of cycles.
 
     ``length``, ``wanted`` speed and ``acceleration`` are those of each block along itself. Filled in for each cycle are
-    the block, and which share of it and of the next one is done; arrays of size 0 are left alone.
+    the block, and which share of it and of the next one is done; arrays of size 0 only count.
     """
     count, last = 0, length.size - 1
     at, done, speed, ends, blends = 0, 0.0, 0.0, False, False
@@ -87,8 +87,6 @@ def play(length, wanted, acceleration, period, block, share, next_share):
                 next_cycle if next_ends else period, period,
             )  # fmt: skip
         if block.size:
-            if count == block.size:
-                return -1
             block[count] = at
             share[count] = done / length[at]
             next_share[count] = next_done / length[at + 1] if at < last else 0.0

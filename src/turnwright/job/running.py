@@ -81,7 +81,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         warnings += _accept_findings(job, GougeError, [("gouge", describe_gouge(job, cut.plan.path))])
         if job.part.leaves_air and cut.plan.job.tool.bodies:
             near = check_bodies(job.part.aimed, cut.plan.job.tool, cut.motion)
-            warnings += _accept_findings(job, GougeError, [(next(iter(cut.plan.job.tool.bodies)), near)])
+            warnings += _accept_findings(job, GougeError, near)
         exceeded = [("limits", f"pass {cut.name}: {one}") for one in cut.limits.findings[:1]]
         warnings += _accept_findings(job, LimitError, exceeded)
         motions[cut.name] = cut.motion
@@ -309,9 +309,9 @@ def _assumption_warnings(job: Job, passes: list[Pass]) -> list[str]:
             "true in [simulation]"
         )
     cuts = job.cuts
-    for cut in passes:
+    for cut in passes if blends else ():
         stated = job.servo(cuts[cut.name]).spindle_rpm
-        if blends and stated is not None and cut.limits.spindle_rpm < SLOWED * stated:
+        if stated is not None and cut.limits.spindle_rpm < SLOWED * stated:
             warnings.append(
                 f"pass {cut.name}: LinuxCNC blends its blocks and turns C at {cut.limits.spindle_rpm:.4g} rpm, the job "
                 f"states {stated:g} rpm: use fewer points per revolution, or accept the time"
