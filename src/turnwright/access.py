@@ -556,11 +556,8 @@ def check_bodies(part: Part, tool: Tool, motion: Motion) -> list[tuple[str, str]
 def _top_of_stock(part: Part, x: Floats, y: Floats) -> Floats:
     """Return the finished surface plus stock, out to the blank if it is stated; -inf where there is no part. [mm]."""
     reach = part.reach if part.blank is None else part.blank.reach
-    if part.blank is not None and part.blank.surface is not None:
-        shrink = np.minimum(1.0, reach * (1 - 1e-12) / np.maximum(np.hypot(x, y), 1e-300))
-        z = part.blank.surface.sag(x * shrink, y * shrink)
-    else:
-        z = _extended_surface(part, x, y) + part.stock
+    shaped = part.shaped_blank
+    z = _extended_surface(part, x, y) + part.stock if shaped is None else shaped.top(x, y)
     on = np.hypot(x, y) <= reach
     if part.outline is not None and part.blank is None:
         on &= part.covers(x, y)

@@ -80,6 +80,13 @@ class Blank(TableModel):
         """Largest distance of material from the axis. [mm]."""
         return self.radius
 
+    def top(self, x: Floats, y: Floats) -> Floats:
+        """Return the heights of its stated top, held beyond its radius. Shape of the points. [mm]."""
+        assert self.surface is not None  # noqa: S101 - for the type checker
+        reach = self.radius * (1 - 1e-12)
+        held = reach / np.maximum(np.hypot(x, y), reach)
+        return np.asarray(self.surface.sag(x * held, y * held))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part(TableModel):
@@ -153,15 +160,13 @@ class Part(TableModel):
         if self.stock < 0:
             raise InputError(f"stock is {self.stock:g} mm, it cannot be below 0 mm: give the thickness to remove")
         self._require_defined()
-        if self.blank is not None and self.blank.surface is not None:
-            self._check_top(self.blank.surface)
+        if self.shaped_blank is not None:
+            self._check_top()
 
-    def _check_top(self, top: Surface) -> None:
+    def _check_top(self) -> None:
         """Raise unless the top of the blank is between the finished surface and the stock above it."""
-        x, y = evenly(self, TOP_SAMPLES)
-        edge_x, edge_y = self.border.border(OUTLINE_SAMPLES)
-        x, y = np.append(x, edge_x * (1 - 1e-9)), np.append(y, edge_y * (1 - 1e-9))
-        above = top.sag(x, y) - self.surface.sag(x, y)
+        x, y = (np.append(*columns) for columns in zip(evenly(self, TOP_SAMPLES), self._rim_points, strict=True))
+        above = self.thickness(x, y)
         low, high = int(above.argmin()), int(above.argmax())
         if above[low] < -TOP_TOL_MM:
             raise InputError(
@@ -244,11 +249,23 @@ class Part(TableModel):
     @property
     def rim_stock(self) -> float:
         """Thickness of material at the rim before the first pass. [mm]."""
-        if self.blank is None or self.blank.surface is None:
-            return self.stock
+        return self.stock if self.shaped_blank is None else float(self.thickness(*self._rim_points).max())
+
+    @property
+    def _rim_points(self) -> tuple[Floats, Floats]:
+        """Points just within the border. Each (n,) [mm]."""
         x, y = self.border.border(OUTLINE_SAMPLES)
-        x, y = x * (1 - 1e-9), y * (1 - 1e-9)
-        return float((self.blank.surface.sag(x, y) - self.surface.sag(x, y)).max())
+        return x * (1 - 1e-9), y * (1 - 1e-9)
+
+    @property
+    def shaped_blank(self) -> Blank | None:
+        """The blank if its top is stated."""
+        return None if self.blank is None or self.blank.surface is None else self.blank
+
+    def thickness(self, x: Floats, y: Floats) -> Floats:
+        """Return the thickness of material under a stated top of the blank. Shape of the points. [mm]."""
+        assert self.shaped_blank is not None  # noqa: S101 - for the type checker
+        return np.asarray(self.shaped_blank.top(x, y) - self.surface.sag(x, y))
 
     @property
     def turned_share(self) -> float:

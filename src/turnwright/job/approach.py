@@ -292,10 +292,9 @@ def _sag(part: Part, radius: Floats, angle: float) -> Floats:
 def blank_heights(part: Part, radius: Floats, angle: Floats, wider: float) -> Floats:
     """Return the top of the blank on radial lines, with its radius enlarged by ``wider``. (n_angle, n_radius)."""
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    if part.blank is not None and part.blank.surface is not None:
-        inside = np.minimum(radius, part.blank.reach * (1 - 1e-12))
-        z = np.asarray(part.blank.surface.sag(inside * cosine, inside * sine))
-        z[:, radius > part.blank.reach + wider] = -np.inf
+    if (shaped := part.shaped_blank) is not None:
+        z = shaped.top(radius * cosine, radius * sine)
+        z[:, radius > shaped.reach + wider] = -np.inf
         return z
     rim = part.reach * (1 - 1e-12)
     inside = np.minimum(radius, rim)

@@ -28,7 +28,7 @@ def cut_range(part: Part, tool: Tool, allowance: float) -> tuple[float, float] |
 
     All positions without a stated top of the blank. [mm]
     """
-    if part.blank is None or part.blank.surface is None or part.leaves_air:
+    if part.shaped_blank is None or part.leaves_air:
         return -np.inf, np.inf
     radius, highest = _highest_stock(part)
     above = highest > allowance
@@ -47,7 +47,7 @@ def cut_range(part: Part, tool: Tool, allowance: float) -> tuple[float, float] |
 def _highest_stock(part: Part) -> tuple[Floats, Floats]:
     """Return radii, and the greatest thickness of material over the azimuth there. Each (n,) [mm]."""
     assert part.blank is not None and part.blank.surface is not None  # noqa: S101, PT018 - for the type checker
-    top, fine = part.blank.surface, min(part.blank.surface.feature_size, part.surface.feature_size)
+    fine = min(part.blank.surface.feature_size, part.surface.feature_size)
     radii, azimuths = FEWEST_RADII, FEWEST_AZIMUTHS
     if fine > 0:
         radii = max(radii, int(PER_FEATURE * part.reach / fine))
@@ -59,8 +59,7 @@ def _highest_stock(part: Part) -> tuple[Floats, Floats]:
     rows = max(1, CHUNK // radius.size)
     for start in range(0, angle.size, rows):
         some = angle[start : start + rows, None]
-        x, y = radius * np.cos(some), radius * np.sin(some)
-        highest = np.maximum(highest, (top.sag(x, y) - part.surface.sag(x, y)).max(axis=0))
+        highest = np.maximum(highest, part.thickness(radius * np.cos(some), radius * np.sin(some)).max(axis=0))
     return radius, highest
 
 

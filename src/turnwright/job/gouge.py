@@ -51,9 +51,8 @@ def find_gouge(job: Job, whole: Prediction, motion: Motion, rounding_limit_nm: f
     servo tracking nor heights by time: other deviations legitimately cut below the design.
 
     The plan allows the decimals of the program and the stated chord. Without a chord, or with a controller that cuts
-    corners, it allows the chords between the
-    points of the motion read back: up to the second difference of the path where that jumps or has a slope
-    discontinuity.
+    corners, it allows the chords between the points of the motion read back: up to the second difference of the path
+    where that jumps or has a slope discontinuity.
     """
     deviates = job.actual.tool.stated or job.actual.machine.stated or job.simulation.tracking
     by_time = job.program.fast_tool == "time"  # its heights between the points are not bounded by the chord

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from turnwright.errors import InputError
-from turnwright.machine import FAST, Axis, Machine
+from turnwright.machine import FAST, Machine
 from turnwright.part import Part
 from turnwright.path import Motion
 from turnwright.placing import tip_height
@@ -19,8 +19,8 @@ __all__ = ["add_lead_out"]
 FEWEST_POINTS = 12
 """Blocks of a lead-out."""
 
-PEAK_SPEED, PEAK_ACCELERATION, PEAK_JERK = 15 / 8, 10 / math.sqrt(3), 60.0
-"""Largest derivatives of the rise 10 s³ - 15 s⁴ + 6 s⁵ over the share s of its time."""
+PEAKS = (15 / 8, 10 / math.sqrt(3), 60.0)
+"""Largest speed, acceleration and jerk of the rise 10 s³ - 15 s⁴ + 6 s⁵ over the share s of its time."""
 
 SHARE = 0.5
 """Share of the limits of X and Z that the lead-out may take; the path itself takes the rest."""
@@ -36,8 +36,8 @@ def add_lead_out(motion: Motion, part: Part, tool: Tool, machine: Machine, heigh
 
     C keeps its speed, and points as close as the closest of its last revolution. X slows down smoothly where the pass
     ends. The tip follows its exact contact with the part, plus a polynomial of the fifth degree that begins and ends at
-    rest.
-    The time is the shortest with half of speed, acceleration and jerk of Z and X, but at least `FEWEST_POINTS` blocks.
+    rest. The time is the shortest with half of speed, acceleration and jerk of Z and X, but at least `FEWEST_POINTS`
+    blocks.
 
     Raises
     ------
@@ -49,10 +49,11 @@ def add_lead_out(motion: Motion, part: Part, tool: Tool, machine: Machine, heigh
             "lead_out is stated, a program with velocities or a fast tool ends at rest on the part: leave it out"
         )
     step, seconds, advance = _last_turn(motion)
+    x, z = machine.axes["X"], machine.axes["Z"]
     shortest = max(
         FEWEST_POINTS * seconds,
-        _shortest(machine.axes["Z"], height),
-        _shortest_stop(machine.axes["X"], abs(advance)),
+        _shortest(height, z.speed, z.acceleration, z.jerk),
+        _shortest(abs(advance), x.acceleration, x.jerk),  # the speed of X falls as the rise grows
     )
     count = math.ceil(shortest / seconds)
     if count > MOST_POINTS:
@@ -85,13 +86,7 @@ def _last_turn(motion: Motion) -> tuple[float, float, float]:
     return motion.sense * step, seconds, float(motion.axes["X"][-1] - motion.axes["X"][turn]) / taken
 
 
-def _shortest(axis: Axis, height: float) -> float:
-    """Return the shortest time of a rise. [s]."""
-    limits = ((axis.speed, PEAK_SPEED, 1), (axis.acceleration, PEAK_ACCELERATION, 2), (axis.jerk, PEAK_JERK, 3))
-    return max((peak * height / (SHARE * limit)) ** (1 / order) if limit else 0.0 for limit, peak, order in limits)
-
-
-def _shortest_stop(axis: Axis, speed: float) -> float:
-    """Return the shortest time in which an axis comes to rest; its speed falls as the rise grows. [s]."""
-    limits = ((axis.acceleration, PEAK_SPEED, 1), (axis.jerk, PEAK_ACCELERATION, 2))
-    return max((peak * speed / (SHARE * limit)) ** (1 / order) if limit else 0.0 for limit, peak, order in limits)
+def _shortest(size: float, *limits: float | None) -> float:
+    """Return the shortest time of a rise of that size, from the limits of its first derivatives. [s]."""
+    peaks = zip(limits, PEAKS, range(1, len(limits) + 1), strict=False)
+    return max((peak * size / (SHARE * limit)) ** (1 / order) if limit else 0.0 for limit, peak, order in peaks)

@@ -223,7 +223,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
 def _times(job: Job, cut: PassTable, stock: float, spiral: Spiral) -> float:
     """Return how often a pass is cut, a cut where the blank reaches up to some radii only as a share."""
     repeats, part, tool = cut.repeats(stock), job.part.aimed, cut.tool or job.tool
-    if cut is job.passes[-1] or job.part.blank is None or job.part.blank.surface is None:
+    if cut is job.passes[-1] or part.shaped_blank is None:
         return float(repeats)
     depth, total = (stock - cut.allowance) / repeats, 0.0
     outermost = float(spiral.radius.max())
