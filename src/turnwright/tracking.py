@@ -247,7 +247,8 @@ def _blend(motion: Motion, machine: Machine) -> Motion:
     """Return the commands of LinuxCNC to its servos, one for each of its cycles."""
     cycles = blend_blocks(motion.time, motion.axes, machine)
     axes = {}
-    for letter, planned in cycles.axes.items():
+    for letter in motion.axes:
+        planned = cycles.positions(letter)
         # Its interpolator between planner and servos is a uniform cubic B-spline, here without its delay.
         held = np.concatenate((planned[:1], planned, planned[-1:]))
         axes[letter] = (held[:-2] + 4 * held[1:-1] + held[2:]) / 6

@@ -198,7 +198,7 @@ def play(program, machine, user=None, limit=900):
 
 def cut_of(rows, motion, cycles):
     """Return the cycles of the cut among all samples, and how many more there are than predicted."""
-    planned = np.stack([cycles.axes["X"], cycles.axes["Z"], np.rad2deg(cycles.axes["C"])], axis=1)
+    planned = np.stack([cycles.positions("X"), cycles.positions("Z"), np.rad2deg(cycles.positions("C"))], axis=1)
     start = np.flatnonzero((np.abs(rows[:, :3] - planned[0]) < 1e-8).all(axis=1))[-1]
     end = np.flatnonzero(np.abs(rows[:, 2] - np.rad2deg(motion.axes["C"][-1])) < 1e-9)[0]
     return rows[start : end + 1], planned, int(end - start) - (cycles.time.size - 1)

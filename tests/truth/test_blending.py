@@ -49,8 +49,8 @@ def test_every_cycle_is_where_linuxcnc_plans_it(played):
     cycles = blend_blocks(motion.time, motion.axes, motion.machine)
     assert cycles.time.size == rows.shape[0]
     for column, letter in enumerate("XZ"):
-        assert np.abs(cycles.axes[letter] - rows[:, column]).max() < 1e-12
-    assert np.abs(np.rad2deg(cycles.axes["C"]) - rows[:, 2]).max() < 1e-9
+        assert np.abs(cycles.positions(letter) - rows[:, column]).max() < 1e-12
+    assert np.abs(np.rad2deg(cycles.positions("C")) - rows[:, 2]).max() < 1e-9
 
 
 def test_the_tracked_motion_is_what_the_servos_are_told(played):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,12 +29,37 @@ SLOWEST = 0.1 / 60
 """Least speed of a block in inverse time. [mm/s]"""
 
 
-class Blended(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Blended:
     """The cycles of a program on LinuxCNC."""
 
-    time: Floats  # of the cycles, the first at rest (n,) [s]
-    axes: Mapping[str, Floats]  # planned positions, by letter (n,) [mm or rad]
-    ends: Floats  # when C passes the end of each block, 0 for the first point (m,) [s]
+    points: Mapping[str, Floats]  # positions of the axes at the points of the program, by letter (m,) [mm or rad]
+    period: float  # of a cycle [s]
+    block: Ints  # in which block each cycle ends (n,)
+    share: Floats  # of it that is done (n,)
+    next_share: Floats  # and of the block after it (n,)
+
+    @property
+    def time(self) -> Floats:
+        """Times of the cycles, the first at rest. (n + 1,) [s]."""
+        return np.asarray(np.arange(self.block.size + 1) * self.period)
+
+    def positions(self, letter: str) -> Floats:
+        """Return the positions of an axis at rest and after each cycle. (n + 1,) [mm or rad]."""
+        points = self.points[letter]
+        move = np.append(np.diff(points), 0.0)
+        after = points[self.block] + self.share * move[self.block]
+        after += self.next_share * move[np.minimum(self.block + 1, move.size - 1)]
+        return np.concatenate((points[:1], after))
+
+    @property
+    def ends(self) -> Floats:
+        """Times at which C passes the end of each block, 0 for the first point. (m,) [s]."""
+        c = self.points["C"]
+        sense = np.sign(c[-1] - c[0])
+        turned = np.maximum.accumulate(sense * self.positions("C"))
+        ascending = np.append(True, np.diff(turned) > 0)
+        return np.asarray(np.interp(sense * c, turned[ascending], self.time[ascending]))
 
 
 def blend_blocks(time: Floats, axes: Mapping[str, Floats], machine: Machine) -> Blended:
@@ -91,13 +116,7 @@ def blend_blocks(time: Floats, axes: Mapping[str, Floats], machine: Machine) -> 
     count = kernel.play(length, wanted, acceleration, period, np.zeros(0, dtype=np.int64), none, none)
     block, share, next_share = np.empty(count, dtype=np.int64), np.empty(count), np.empty(count)
     kernel.play(length, wanted, acceleration, period, block, share, next_share)
-    positions = {letter: _positions(one, block, share, next_share) for letter, one in axes.items()}
-    cycles = np.arange(count + 1) * period
-    sense = np.sign(axes["C"][-1] - axes["C"][0])
-    turned = np.maximum.accumulate(sense * positions["C"])
-    ascending = np.append(True, np.diff(turned) > 0)
-    ends = np.interp(sense * axes["C"], turned[ascending], cycles[ascending])
-    return Blended(cycles, positions, ends)
+    return Blended(axes, period, block, share, next_share)
 
 
 def _limits(machine: Machine, letter: str) -> tuple[float, float]:
@@ -109,10 +128,3 @@ def _limits(machine: Machine, letter: str) -> tuple[float, float]:
         top = min(top, machine.spindle_rpm * 2 * np.pi / 60)
         return float(np.rad2deg(top)), float(np.rad2deg(most))
     return top, most
-
-
-def _positions(points: Floats, block: Ints, share: Floats, next_share: Floats) -> Floats:
-    """Return the positions of an axis at rest and after each cycle."""
-    move = np.append(np.diff(points), 0.0)
-    after = points[block] + share * move[block] + next_share * move[np.minimum(block + 1, move.size - 1)]
-    return np.concatenate((points[:1], after))

@@ -14,7 +14,7 @@ from turnwright.post.approach import Approach
 from turnwright.post.dialect import Dialect
 from turnwright.post.spindle import position_word
 
-__all__ = ["Loop", "WrittenPass", "find_loops", "loop_passes"]
+__all__ = ["Loop", "WrittenPass", "even_loops", "find_loops"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,12 +73,7 @@ class Loop:
 
     name: str
     count: int
-    first: float  # height of the first above the last [mm]
-
-    def words(self, one: WrittenPass) -> dict[str, float]:
-        """Return the height of the first cut, and by how much each is lower, in the controller's Z."""
-        first = self.first * one.factors["Z"]
-        return {"first": first, "step": first / (self.count - 1)}
+    step: float  # height of each cut above the next, whole decimals [mm]
 
 
 def find_loops(passes: Sequence[WrittenPass], dialect: Dialect) -> dict[int, Loop]:
@@ -93,20 +88,18 @@ def find_loops(passes: Sequence[WrittenPass], dialect: Dialect) -> dict[int, Loo
         lifts = [_lift(passes[k], last) for k in cuts]
         if any(one is None for one in lifts):
             continue
-        steps = np.diff(np.array(lifts, dtype=np.float64))
-        if np.ptp(steps) < 10.0 ** -dialect.decimals["Z"] and (steps < 0).all():
-            loops[cuts[0]] = Loop(name, len(cuts), float(lifts[0] or 0.0))
+        steps, unit = -np.diff(np.array(lifts, dtype=np.float64)), 10.0 ** -dialect.decimals["Z"]
+        if np.ptp(steps) < unit and (steps > 0).all():
+            loops[cuts[0]] = Loop(name, len(cuts), float(np.rint(steps.mean() / unit)) * unit)
     return loops
 
 
-def loop_passes(passes: list[WrittenPass], dialect: Dialect) -> list[WrittenPass]:
-    """Return the passes with the cuts of each loop at whole decimals of its step, and with the same approach."""
+def even_loops(passes: list[WrittenPass], loops: Mapping[int, Loop]) -> list[WrittenPass]:
+    """Return the passes with the cuts of each loop at its steps, and with the same approach."""
     result = list(passes)
-    for first, loop in find_loops(passes, dialect).items():
-        unit = 10.0 ** -dialect.decimals["Z"]
-        step = round(loop.first / (loop.count - 1) / unit) * unit
+    for first, loop in loops.items():
         cuts = passes[first : first + loop.count]
-        lifts = [(loop.count - 1 - k) * step for k in range(loop.count)]
+        lifts = [(loop.count - 1 - k) * loop.step for k in range(loop.count)]
         clear = max(one.approach.clear - lift for one, lift in zip(cuts, lifts, strict=True))
         start = max(one.approach.start["Z"] - lift for one, lift in zip(cuts, lifts, strict=True))
         deepest = max(cuts, key=lambda one: one.approach.height).approach

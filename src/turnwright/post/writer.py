@@ -53,7 +53,7 @@ from turnwright.post.header import (
     lines,
     program_hash,
 )
-from turnwright.post.passes import Loop, WrittenPass, find_loops, loop_passes
+from turnwright.post.passes import Loop, WrittenPass, even_loops, find_loops
 from turnwright.post.spindle import require_spindle_modes, spindle_lines, start_spindle
 from turnwright.progress import Progress, cores
 
@@ -384,7 +384,8 @@ class _Job:
 
     def write(self, passes: list[WrittenPass]) -> list[str]:
         """Write all files into the folder; return the names of the sub-programs in the order of their calls."""
-        passes = loop_passes(passes, self.dialect)
+        loops = find_loops(passes, self.dialect)
+        passes = even_loops(passes, loops)
         self.total = sum(one.points for one in passes)
         self.entries = [self._entry(one, NO_HASH) for one in passes]
         self.approaches = {one.name: one.approach for one in passes}
@@ -404,7 +405,6 @@ class _Job:
             for one in passes
             if (plunge := one.approach.plunge) is not None and one.motion.spindle_mode is None
         )
-        loops = find_loops(passes, self.dialect)
         inline = not self.dialect.always_call and blocks + 100 * (len(passes) + 1) <= self.limit
         if not (inline or self.dialect.call):
             raise ProgramError(
@@ -416,14 +416,13 @@ class _Job:
             if inline:
                 # The hashes in the header are known at the end: it is written twice, with the same length.
                 self._text(file, self._head() + main)
+                looped = 0  # passes that loops have written
                 for index, one in enumerate(passes):
                     if (loop := loops.get(index)) is not None:
+                        looped = index + loop.count
                         digests = self._loop(file, one, loop)
-                        self.entries[index : index + loop.count] = [
-                            self._entry(each, digest)
-                            for each, digest in zip(passes[index : index + loop.count], digests, strict=True)
-                        ]
-                    if any(first <= index < first + each.count for first, each in loops.items()):
+                        self.entries[index:looped] = map(self._entry, passes[index:looped], digests)
+                    if index < looped:
                         continue
                     self._text(file, [*self._change(one), f"( PASS: {one.name} )", *self._approach(one)])
                     if one.motion.spindle_mode is not None:
@@ -498,10 +497,12 @@ class _Job:
         """Write the cuts of a repeated pass as one loop; return the hash of each of them."""
         mode = one.motion.spindle_mode
         assert mode is not None  # noqa: S101 - for the type checker
-        lowest = one.raised(-loop.first)
-        heights = loop.words(one)
-        words = {name: f"{value:.{one.dialect.decimals['Z']}f}" for name, value in heights.items()}
-        origins = [heights["first"] - k * heights["step"] for k in range(loop.count)]
+        lowest = one.raised(-(loop.count - 1) * loop.step)
+        step = loop.step * one.factors["Z"]
+        origins = [(loop.count - 1 - k) * step for k in range(loop.count)]
+        words = {
+            name: f"{value:.{one.dialect.decimals['Z']}f}" for name, value in (("first", origins[0]), ("step", step))
+        }
         rows: list[str] = []
         digests = []
         for origin in origins:
