@@ -139,7 +139,7 @@ def predicted_chips(job: Job, access: Access, cut: PassTable, feed: float, stock
     depth = (stock - cut.allowance) / cut.repeats(stock)
     try:
         return predict_chips(
-            cut.tool or job.tool, material, feed=feed, depth=depth, bend=float(bend.min()), rakes=access.rake_range,
+            job.tool_of(cut), material, feed=feed, depth=depth, bend=float(bend.min()), rakes=access.rake_range,
             allowance=cut.allowance,
         )  # fmt: skip
     except InputError as error:

@@ -142,7 +142,7 @@ class _Section:
 
 def _called_sections(job: Job, sections: list[_Section]) -> dict[float, _Section]:
     """Return the sections by the numbers of their tools, as far as tool calls state them."""
-    calls = {cut.tool or job.tool: cut.tool_call or job.program.tool_call for cut in job.passes}
+    calls = {job.tool_of(cut): cut.tool_call or job.program.tool_call for cut in job.passes}
     numbers = {tool: re.search(r"T(\d+)", call) for tool, call in calls.items()}
     return {float(number[1]): one for one in sections if (number := numbers.get(one.tool)) is not None}
 

@@ -32,6 +32,7 @@ from turnwright.motion import Limits, check_limits
 from turnwright.path import Motion, Path, Spiral
 from turnwright.post import ProgramFiles
 from turnwright.progress import StageProgress
+from turnwright.strategy import Strategy
 from turnwright.tool import Tool
 
 __all__ = ["Cut", "Pipeline", "describe_gouge"]
@@ -126,12 +127,7 @@ class Pipeline:
     @cached_property
     def access(self) -> Access:
         """Whether the tool reaches the part."""
-        part, tool, strategy = self.job.part.aimed, self.job.tool, self.job.strategy
-        lead_in = getattr(strategy, "lead_in", None) or 0.0
-        with self.watch.stage("access") as update:
-            if self.watch.progress is None:
-                return _check_access(part, tool, sense=strategy.sense, lead_in=lead_in)
-            return check_access(part, tool, sense=strategy.sense, lead_in=lead_in, progress=update)
+        return self._access_of(self.job.tool, self.job.strategy)
 
     @cached_property
     def findings(self) -> tuple[AccessFinding, ...]:
@@ -139,12 +135,17 @@ class Pipeline:
         findings = list(self.access.findings)
         for cut in self.job.passes:
             if cut.tool is not None:
-                part, sense = self.job.part.aimed, self.job.strategy.sense
-                lead_in = getattr(self.job.servo(cut), "lead_in", None) or 0.0
-                with self.watch.stage("access"):
-                    access = _check_access(part, cut.tool, sense=sense, lead_in=lead_in)
+                access = self._access_of(cut.tool, self.job.servo(cut))
                 findings += [replace(one, sentence=f"pass {cut.name}: {one.sentence}") for one in access.findings]
         return tuple(findings)
+
+    def _access_of(self, tool: Tool, strategy: Strategy) -> Access:
+        """Return whether a tool reaches the part where a strategy moves it."""
+        part, sense, lead_in = self.job.part.aimed, strategy.sense, getattr(strategy, "lead_in", None) or 0.0
+        with self.watch.stage("access") as update:
+            if self.watch.progress is None:
+                return _check_access(part, tool, sense=sense, lead_in=lead_in)
+            return check_access(part, tool, sense=sense, lead_in=lead_in, progress=update)
 
     @cached_property
     def depths(self) -> tuple[AccessFinding, ...]:
@@ -152,7 +153,7 @@ class Pipeline:
         job, stock = self.job, self.job.part.stock
         by_tool: dict[Tool, dict[str, float]] = {}
         for cut in job.passes:
-            depths = by_tool.setdefault(cut.tool or job.tool, {})
+            depths = by_tool.setdefault(job.tool_of(cut), {})
             depths[cut.name] = (stock - cut.allowance) / cut.repeats(stock)
             stock = cut.allowance
         with self.watch.stage("depth of cut") as update:

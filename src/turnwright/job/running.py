@@ -187,7 +187,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
         with watch.stage("plan") as update:
             # A job is checked while it is typed, so points are counted without computing all of them.
             target = servo.target(job.part)
-            tool = cut.tool or job.tool
+            tool = job.tool_of(cut)
             size, spiral = servo.extent(target, tool, progress=update)
             if _widens(servo):
                 PassPlan(job, cut).require_steps()
@@ -222,7 +222,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
 
 def _times(job: Job, cut: PassTable, stock: float, spiral: Spiral) -> float:
     """Return how often a pass is cut, a cut where the blank reaches up to some radii only as a share."""
-    repeats, part, tool = cut.repeats(stock), job.part.aimed, cut.tool or job.tool
+    repeats, part, tool = cut.repeats(stock), job.part.aimed, job.tool_of(cut)
     if cut is job.passes[-1] or part.shaped_blank is None:
         return float(repeats)
     depth, total = (stock - cut.allowance) / repeats, 0.0

@@ -774,7 +774,7 @@ class Job(Table):
                     f"{repr(cut.tool_call) if cut.tool_call else 'no'} tool_call: a pass with a tool of its own needs "
                     "a tool_call, and so does [program] for the tool of the job"
                 )
-            tool, place = called.setdefault(cut.tool_call, (cut.tool or self.tool, f"passes[{number}]"))
+            tool, place = called.setdefault(cut.tool_call, (self.tool_of(cut), f"passes[{number}]"))
             if cut.tool is not None and cut.tool != tool:
                 raise JobError(
                     f"passes[{number}].tool_call is {cut.tool_call!r}, as that of another tool in {place}: each tool "
@@ -784,6 +784,10 @@ class Job(Table):
                 ProgramStart(tool_call=cut.tool_call).lines(dialect)
             except InputError as error:
                 raise JobError(f"passes[{number}]: {error}") from error
+
+    def tool_of(self, cut: PassTable) -> Tool:
+        """Return the tool of a pass."""
+        return cut.tool or self.tool
 
     def for_pass(self, cut: PassTable) -> Job:
         """Return the job with the tool of a pass; this job if the pass has none of its own."""
@@ -842,7 +846,7 @@ class Job(Table):
         """Return the strategy of one pass, with the values that the pass replaces."""
         if cut.kind is not None and self.strategy.kind != cut.kind:
             return self._rough_turning(cut)
-        servo = self.strategy.with_fields(**cut.choices).adapted_to(cut.tool or self.tool, self.machine)
+        servo = self.strategy.with_fields(**cut.choices).adapted_to(self.tool_of(cut), self.machine)
         if servo.spindle_speeds is not None:
             require_variable(self.machine)
         return servo

@@ -150,7 +150,7 @@ def _motion_steps(job: Job, points: float) -> Iterator[Step]:
 
 def _points(job: Job, cut: PassTable) -> float:
     """Return the approximate number of points of a pass, before placing. [million]."""
-    part, tool = job.part.aimed, cut.tool or job.tool
+    part, tool = job.part.aimed, job.tool_of(cut)
     try:
         servo = job.servo(cut)
     except TurnwrightError:  # the run reports it

@@ -502,7 +502,7 @@ def _tools(job: Job) -> Table:
     """Return the table of the tools in the order of the passes."""
     rows = []
     for cut in job.passes:
-        tool = cut.tool or job.tool
+        tool = job.tool_of(cut)
         rows.append(
             (
                 cut.name, tool.name or "–", cut.tool_call or job.program.tool_call, f"{tool.nose_radius:.4g}",
