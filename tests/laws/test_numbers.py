@@ -293,7 +293,7 @@ MAY = {
 ANSWERS = """
     Access AccessFinding Alignment Approach AreaSpectrum Bands Bearing BestFit Candidate CentreDefect ChipMap Column
     Comparison Contribution Correction Cusps CuttingForces Diagnosis DialectCheck DrawnCut Draws DuctileCheck EdgeFit
-    Entry ErrorBreakdown Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage HeightFile
+    Blended Entry ErrorBreakdown Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage HeightFile
     IntactShare Bounded Continued
     LearnedMaterial Lenslet Lenslets Limits Measured Move Outcome OutlierRemoval PartShape Pass Plan PoseCandidate
     Prediction Preview ProfileRoughness ProgramFiles ProgramInfo ProgramPass Proof Registration Result Roughness
