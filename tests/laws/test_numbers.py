@@ -293,8 +293,8 @@ MAY = {
 ANSWERS = """
     Access AccessFinding Alignment Approach AreaSpectrum Bands Bearing BestFit Candidate CentreDefect ChipMap Column
     Comparison Contribution Correction Cusps CuttingForces Diagnosis DialectCheck DrawnCut Draws DuctileCheck EdgeFit
-    Blended Entry ErrorBreakdown Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage HeightFile
-    IntactShare Bounded Continued
+    Blended Entry ErrorBreakdown Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage
+    HeightFile IntactShare Bounded Continued
     LearnedMaterial Lenslet Lenslets Limits Measured Move Outcome OutlierRemoval PartShape Pass Plan PoseCandidate
     Prediction Preview ProfileRoughness ProgramFiles ProgramInfo ProgramPass Proof Registration Result Roughness
     Sensitivity Series Slopes Spectrum Stretch Tightening TiledMap ToleranceStudy Trial TurnedEdge TurningCentre
