@@ -13,6 +13,7 @@ from . import (
     material as material,
     metrology as metrology,
     motion as motion,
+    optics as optics,
     outline as outline,
     part as part,
     path as path,

@@ -220,8 +220,9 @@ class Surface(Family, Value, ABC):
         return zxx, zxy, zyy
 
     def _checked(self, x: ArrayLike, y: ArrayLike, order: int) -> tuple[Floats, ...]:
-        x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
-        x, y = np.asarray(x, order="C"), np.asarray(y, order="C")  # a number stays a number
+        x, y = np.asarray(x, dtype=np.float64, order="C"), np.asarray(y, dtype=np.float64, order="C")
+        if x.shape != y.shape:
+            x, y = (np.array(one, order="C") for one in np.broadcast_arrays(x, y))
         inside = self.inside(x, y)
         if inside is not None and not inside.all():
             first = np.flatnonzero(~inside.ravel())[0]

@@ -1,0 +1,100 @@
+"""Focal length of a pair of freeform lenses against their shear."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from turnwright._arrays import Floats
+from turnwright._validate import finite, positive
+from turnwright.heightmap import HeightMap
+from turnwright.metrology import fit_zernike
+from turnwright.optics.orders import path_factor
+from turnwright.surface import Surface
+
+__all__ = ["alvarez_focal_length"]
+
+MAP_TERMS = 66
+"""Zernike terms up to degree 10 through which a map enters."""
+
+RINGS, AZIMUTHS = 48, 96
+"""Nodes of the quadrature over a disc, exact for polynomials up to degree 95."""
+
+
+def alvarez_focal_length(
+    first: Surface | HeightMap, second: Surface | HeightMap, *, shear: float, index: float, radius: float | None = None
+) -> float:
+    r"""Focal length along x of two thin lenses that face each other and are displaced in opposite senses.
+
+    The second lens is turned half a turn about y. With the heights :math:`z_1, z_2` of the two surfaces, each in its
+    own part frame, the pair has the thickness
+
+    .. math:: T(x, y) = z_1(x - d, y) + z_2(-x - d, y), \qquad 1/f = -(n - 1) T_{xx}(0, 0)
+
+    Parameters
+    ----------
+    first, second
+        The surfaces, or simulated or measured maps of them (heights, not errors).
+    shear
+        Displacement d of each lens; they are 2 d apart. [mm]
+    index
+        Refractive index of the lenses.
+    radius
+        Semi-diameter of a disc over which piston, tilts and a term in r² are fitted to T; paraxial if left out. [mm]
+
+    Returns
+    -------
+    float
+        Positive for a converging pair; infinite without power. [mm]
+
+    Raises
+    ------
+    InputError
+        If the index is not above 1, or the radius is not positive.
+    DomainError
+        If a surface is not defined where the pair needs it.
+
+    Notes
+    -----
+    A map enters by Zernike polynomials up to degree 10, fitted over its own aperture.
+
+    Sources
+    -------
+    [Alvarez1967]_ for the pair; [Troutman2016]_ ch. 7 for one in the infrared. Oracle: SymPy's second derivative.
+
+    >>> from turnwright.surface import XYPolynomial
+    >>> cubic = XYPolynomial(terms={(3, 0): 1e-3 / 3, (1, 2): 1e-3})
+    >>> round(alvarez_focal_length(cubic, cubic, shear=1.0, index=1.5), 6)   # T = -2 d a r², f = 1 / (4 a d (n - 1))
+    500.0
+    """
+    power_of_height = float(path_factor(index=index))
+    d = finite(shear, "shear")
+    one, other = (_surface(lens) for lens in (first, second))
+    if radius is None:
+        middle = np.array([-d])
+        bend = float((one.hessian(middle, 0.0)[0] + other.hessian(middle, 0.0)[0])[0])
+    else:
+        reach = positive(radius, "radius", "mm")
+        x, y, weight = _disc(reach)
+        thickness = one.sag(x - d, y) + other.sag(-x - d, y)
+        # The Zernike term 2 r² - 1 is orthogonal to piston and tilts.
+        focus = 2 * (x * x + y * y) / reach**2 - 1
+        bend = float(4 * (weight * focus * thickness).sum() / (weight * focus * focus).sum() / reach**2)
+    power = -power_of_height * bend
+    return 1 / power if power else math.inf
+
+
+def _surface(lens: Surface | HeightMap) -> Surface:
+    """Return a surface, or the one fitted to a map."""
+    return fit_zernike(lens, terms=MAP_TERMS, indexing="ansi").surface if isinstance(lens, HeightMap) else lens
+
+
+def _disc(radius: float) -> tuple[Floats, Floats, Floats]:
+    """Return nodes and weights of a quadrature over a disc. Each (n,) [mm, mm, 1]."""
+    node, weight = np.polynomial.legendre.leggauss(RINGS)
+    r, angle = radius * np.sqrt((node + 1) / 2), 2 * math.pi * np.arange(AZIMUTHS) / AZIMUTHS
+    return (
+        np.outer(r, np.cos(angle)).ravel(), np.outer(r, np.sin(angle)).ravel(),
+        np.repeat(weight, AZIMUTHS) / (2 * AZIMUTHS),
+    )  # fmt: skip

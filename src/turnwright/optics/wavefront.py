@@ -1,0 +1,362 @@
+"""The wavefront that a surface with an error leaves, and the images that it makes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from turnwright._arrays import Floats, frozen
+from turnwright._validate import between, check_numbers, finite_tuple, number, one_of, positive
+from turnwright.errors import InputError
+from turnwright.heightmap import HeightMap
+from turnwright.metrology import ZernikeFit, fit_zernike
+from turnwright.optics.orders import check_wavelength, path_factor
+from turnwright.optics.pupil import Modulation, Nodes, PathMap, disc_nodes, even_frequencies, overlap_nodes, phasors
+from turnwright.surface import Indexing, Surface
+
+__all__ = ["PointSpread", "Removed", "Wavefront", "wavefront"]
+
+Removed: TypeAlias = Literal["none", "piston", "tilt", "focus"]
+REMOVED = ("none", "piston", "tilt", "focus")
+
+NODES = (96, 320)
+"""Least and most nodes along a chord of the pupil; in between one for each step of the map."""
+
+MTF_NODES = (64, 192)
+"""The same for each frequency of an MTF."""
+
+LEAST_COVERED = 0.95
+"""Share of a stated pupil for which the map must have heights; holes in it are no part of the pupil."""
+
+FREQUENCIES, IMAGE_POINTS, IMAGE_WIDTH = 33, 129, 16.0
+"""Frequencies of an MTF, points along a point spread, and its width in wavelengths over the pupil's diameter."""
+
+MOST_IMAGE_POINTS = 4097
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PointSpread:
+    """Image of a point. See `Wavefront.psf`.
+
+    Parameters
+    ----------
+    x, y
+        Positions in the image. (n,) [rad] or, with a focal length, [mm]
+    intensity
+        Relative to the peak without errors. (n, n)
+    """
+
+    x: Floats
+    y: Floats
+    intensity: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Wavefront:
+    """Optical path differences over a circular pupil. See `wavefront`.
+
+    Parameters
+    ----------
+    opd
+        Optical path that the light gains by the error. [mm]
+    wavelength
+        Wavelength in air. [mm]
+    radius, centre
+        Semi-diameter and centre of the pupil on the map. [mm]
+    obscuration
+        Radius of the central obscuration over that of the pupil.
+    specular
+        Share of the light that the tool marks leave in the specular order, see `scatter`; it lowers the Strehl ratio,
+        the point spread and, beyond the lowest frequencies, the MTF.
+    """
+
+    opd: HeightMap
+    wavelength: float
+    radius: float
+    centre: tuple[float, float] = (0.0, 0.0)
+    obscuration: float = 0.0
+    specular: float = 1.0
+    _path: PathMap = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        check_wavelength(self.wavelength)
+        positive(self.radius, "the radius of the pupil", "mm")
+        object.__setattr__(self, "centre", finite_tuple(self.centre, "the centre of the pupil", 2))
+        if not 0 <= self.obscuration < 1:
+            raise InputError(
+                f"obscuration is {self.obscuration:g}, it must be 0 or more and below 1: give the ratio of the radii"
+            )
+        between(self.specular, "specular", 0.0, 1.0, "of the light")
+        self.opd.require_calibrated()
+        object.__setattr__(self, "_path", PathMap(self.opd))
+
+    @property
+    def strehl(self) -> float:
+        """Intensity at the image point relative to that without errors, by the integral over the pupil."""
+        area = total = 0j
+        for sign, nodes in self._discs(NODES):
+            path, measured = self._at(nodes)
+            weight = sign * nodes.weight * measured
+            area += weight.sum()
+            total += (weight * phasors(path, self.wavelength)).sum()
+        return float(abs(total / area) ** 2) * self.specular
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the path differences over the pupil, about their mean. [mm]."""
+        path, weight = self._samples()
+        mean = np.average(path, weights=weight)
+        return float(np.sqrt(np.average((path - mean) ** 2, weights=weight)))
+
+    @property
+    def rms_waves(self) -> float:
+        """The same in wavelengths."""
+        return self.rms / self.wavelength
+
+    @property
+    def covered(self) -> float:
+        """Share of the area of the pupil for which the map has heights."""
+        measured = total = 0.0
+        for sign, nodes in self._discs(NODES):
+            total += sign * float(nodes.weight.sum())
+            measured += sign * float((nodes.weight * self._at(nodes)[1]).sum())
+        return measured / total
+
+    def zernike(self, terms: int | tuple[int, ...] = 37, indexing: Indexing = "fringe") -> ZernikeFit:
+        """Return the Zernike decomposition over the pupil. See `turnwright.metrology.fit_zernike`."""
+        return fit_zernike(self.opd, terms=terms, indexing=indexing, radius=self.radius, centre=self.centre)
+
+    def psf(
+        self, *, width: float | None = None, points: int = IMAGE_POINTS, focal_length: float | None = None
+    ) -> PointSpread:
+        """Return the image of a point, by the matrix Fourier transform of the pupil.
+
+        Parameters
+        ----------
+        width
+            Width of the square; 16 wavelengths over the diameter of the pupil if left out. [rad], or [mm]
+        points
+            Points along each side.
+        focal_length
+            Focal length, for positions in the image plane. [mm]
+        """
+        if not 2 <= points <= MOST_IMAGE_POINTS:
+            raise InputError(f"points is {points}, the limits are 2 and {MOST_IMAGE_POINTS}: change it")
+        scale = 1.0 if focal_length is None else positive(focal_length, "focal_length", "mm")
+        extent = IMAGE_WIDTH * self.wavelength / (2 * self.radius) * scale if width is None else width
+        image = positive(extent, "width", "rad" if focal_length is None else "mm") * np.linspace(-0.5, 0.5, points)
+        wave_number = 2 * math.pi / (self.wavelength * scale) * image
+        amplitude, area = np.zeros((points, points), dtype=np.complex128), 0.0
+        for sign, nodes in self._discs(NODES):
+            path, measured = self._at(nodes)
+            weight = sign * nodes.weight * measured
+            area += weight.sum()
+            field_at = weight * phasors(path, self.wavelength)
+            rows = np.array(
+                [values @ np.exp(-1j * np.outer(x, wave_number)) for x, values in zip(nodes.x, field_at, strict=True)]
+            )
+            amplitude += np.exp(-1j * np.outer(wave_number, nodes.y[:, 0])) @ rows
+        intensity = np.abs(amplitude / area) ** 2 * self.specular
+        return PointSpread(
+            x=frozen(image, "x"), y=frozen(image, "y"), intensity=frozen(intensity, "intensity", ndim=2)
+        )  # fmt: skip
+
+    def mtf(self, frequency: ArrayLike | None = None, *, focal_length: float | None = None) -> Modulation:
+        """Return the modulation transfer along x and y, by the autocorrelation of the pupil.
+
+        Parameters
+        ----------
+        frequency
+            Spatial frequencies, 0 or more; 33 up to the cutoff if left out. (n,) [1/rad] or, with a focal length,
+            [1/mm]
+        focal_length
+            Focal length, for frequencies in the image plane. [mm]
+
+        Notes
+        -----
+        Each frequency is integrated over the exact overlap of the two displaced pupils. Tool marks scatter out of the
+        image: they lower every frequency above about feed / (wavelength · focal length) by the specular share.
+        """
+        scale = 1.0 if focal_length is None else positive(focal_length, "focal_length", "mm")
+        cutoff = 2 * self.radius / (self.wavelength * scale)
+        at = even_frequencies(cutoff, FREQUENCIES) if frequency is None else frozen(frequency, "frequency")
+        if (at < 0).any():
+            raise InputError(f"frequency is {at.min():g}, it cannot be below 0: give its size")
+        area = self._transfer(0.0, (1.0, 0.0)).real
+        x, y = (
+            frozen([abs(self._transfer(nu * self.wavelength * scale, way)) / area for nu in at], "modulation")
+            for way in ((1.0, 0.0), (0.0, 1.0))
+        )
+        lowered = np.where(at > 0, self.specular, 1.0)
+        return Modulation(
+            frequency=at, x=frozen(x * lowered, "x"), y=frozen(y * lowered, "y"), cutoff=cutoff
+        )  # fmt: skip
+
+    def _transfer(self, shift: float, way: tuple[float, float]) -> complex:
+        """Return the autocorrelation of the pupil at a shift along a direction. [mm²]."""
+        total = 0j
+        for (sign, first), (other, second) in product(self._sizes, self._sizes):
+            nodes = overlap_nodes((first, second), shift, self._count(MTF_NODES, min(first, second)))
+            phases, weight = np.ones(nodes.x.shape, dtype=np.complex128), sign * other * nodes.weight
+            for side in (1, -1):
+                along = nodes.x + side * shift / 2
+                path, measured = self._at(
+                    Nodes(along * way[0] - nodes.y * way[1], along * way[1] + nodes.y * way[0], nodes.weight)
+                )
+                weight = weight * measured
+                phases *= phasors(side * path, self.wavelength)
+            total += complex((weight * phases).sum())
+        return total
+
+    def _discs(self, limits: tuple[int, int]) -> list[tuple[float, Nodes]]:
+        """Return the nodes of the pupil, and of its obscuration with a negative sign."""
+        return [(sign, disc_nodes(radius, self._count(limits, radius))) for sign, radius in self._sizes]
+
+    @property
+    def _sizes(self) -> list[tuple[float, float]]:
+        """Sign and radius of the pupil, and of its obscuration."""
+        sizes = [(1.0, self.radius), (-1.0, self.radius * self.obscuration)]
+        return sizes if self.obscuration else sizes[:1]
+
+    def _count(self, limits: tuple[int, int], radius: float) -> int:
+        """Return the nodes along a chord of a disc."""
+        return int(np.clip(max(self.opd.z.shape) * radius / self.radius, *limits))
+
+    def _at(self, nodes: Nodes) -> tuple[Floats, np.ndarray[tuple[int, ...], np.dtype[np.bool_]]]:
+        return self._path(nodes.x + self.centre[0], nodes.y + self.centre[1])
+
+    def _samples(self) -> tuple[Floats, Floats]:
+        """Return path differences and weights over the pupil. Each (n,) [mm, mm²]."""
+        paths, weights = [], []
+        for sign, nodes in self._discs(NODES):
+            path, measured = self._at(nodes)
+            paths.append(np.where(measured, path, 0.0).ravel())
+            weights.append((sign * nodes.weight * measured).ravel())
+        return np.concatenate(paths), np.concatenate(weights)
+
+
+def wavefront(
+    error: HeightMap,
+    *,
+    wavelength: float,
+    index: float | None = None,
+    design: Surface | None = None,
+    source: float = math.inf,
+    radius: float | None = None,
+    centre: tuple[float, float] | None = None,
+    obscuration: float = 0.0,
+    remove: Removed = "tilt",
+    specular: float = 1.0,
+) -> Wavefront:
+    r"""Return the wavefront error that a form error causes along the rays of the design.
+
+    .. math:: \text{path} = \frac{n' \cos t' - n \cos t}{\sqrt{1 + |\nabla f|^2}} \, (z - f)
+
+    Parameters
+    ----------
+    error
+        Surface minus design along z, on an even grid. [mm]
+    wavelength
+        Wavelength in air. [mm]
+    index
+        Refractive index of the material; ``None`` for a mirror.
+    design
+        The surface, for the angles of the rays; without it light arrives along the normal of a plane.
+    source
+        Height of the point on the axis from which the light comes, or to which it converges if this is below a mirror;
+        infinite for collimated light. Below a lens, or minus infinity, the light arrives through the material. [mm]
+    radius, centre
+        Semi-diameter and centre of the pupil. By default the smallest circle around all heights; on a polar map it is
+        centred on the axis. [mm]
+    obscuration
+        Radius of the central obscuration over that of the pupil.
+    remove
+        What alignment removes: "none", "piston", "tilt" (and piston), or "focus" (and tilts and piston).
+    specular
+        See `Wavefront`.
+
+    Raises
+    ------
+    InputError
+        If the wavelength, the index or the pupil cannot be, or the map covers less than 95 % of a stated pupil.
+    DomainError
+        If the design is not defined at a height of the map.
+
+    Sources
+    -------
+    [BornWolf]_ ch. 9; prysm and closed forms are oracles.
+
+    >>> x = np.linspace(-5, 5, 101)
+    >>> r2 = (x**2 + x[:, None] ** 2) / 25
+    >>> bowl = HeightMap(x=x, y=x, z=np.where(r2 <= 1, 20e-6 * (2 * r2 - 1), np.nan))
+    >>> made = wavefront(bowl, wavelength=633e-6, radius=5.0)
+    >>> round(made.rms_waves, 4), round(made.strehl, 4)   # 40 nm / sqrt(3), and sinc² of 40 nm
+    (0.0365, 0.9485)
+    """
+    one_of(remove, "remove", REMOVED)
+    number(source, "source")
+    if source == 0 or math.isnan(source):
+        raise InputError("source is 0 mm, on the surface: give its height, or leave it out for collimated light")
+    error.require_calibrated()
+    around = fit_zernike(error, terms=1, indexing="fringe", radius=radius, centre=centre)
+    made = Wavefront(
+        opd=replace(error, z=error.z * _gain(error, index, design, source), name=f"{error.name} wavefront".strip()),
+        wavelength=wavelength, radius=around.radius, centre=around.centre, obscuration=obscuration, specular=specular,
+    )  # fmt: skip
+    if radius is not None and made.covered < LEAST_COVERED:
+        raise InputError(
+            f"the map covers {made.covered:.1%} of the pupil of radius {radius:g} mm, at least {LEAST_COVERED:.0%} are "
+            "needed: reduce the radius, state the obscuration, or complete the map"
+        )
+    return made if remove == "none" else _without(made, REMOVED.index(remove))
+
+
+def _gain(error: HeightMap, index: float | None, design: Surface | None, source: float) -> Floats:
+    """Return the path gained for each height of a map. Shape of the map, or a number."""
+    inside = index is not None and source < 0
+    if design is None:
+        return path_factor(index=index, inside=inside)
+    x, y = (one[measured] for one in error.points()) if (measured := np.isfinite(error.z)).any() else error.points()
+    zx, zy = design.gradient(x, y)
+    steep = np.sqrt(1 + zx * zx + zy * zy)
+    if math.isinf(source):
+        cosine = 1 / steep
+    else:
+        dx, dy, dz = -x, -y, source - design.sag(x, y)
+        cosine = np.abs(dz - zx * dx - zy * dy) / (steep * np.sqrt(dx * dx + dy * dy + dz * dz))
+    gain = np.full(error.z.shape, np.nan)
+    gain[measured] = path_factor(index=index, incidence=np.arccos(np.clip(cosine, -1, 1)), inside=inside) / steep
+    if np.isnan(gain[measured]).any():
+        raise InputError(
+            f"light is totally reflected at {np.count_nonzero(np.isnan(gain[measured]))} points of the map: correct the "
+            "index or the source"
+        )
+    return gain
+
+
+def _without(made: Wavefront, degree: int) -> Wavefront:
+    """Return a wavefront without piston (1), and tilts (2), and focus (3)."""
+    columns = (1, 3, 4)[degree - 1]
+    paths, weights, terms = [], [], []
+    for sign, nodes in made._discs(NODES):  # noqa: SLF001 - of this module
+        path, measured = made._at(nodes)  # noqa: SLF001
+        paths.append(path[measured])
+        weights.append(sign * nodes.weight[measured])
+        terms.append(_low_terms(nodes.x[measured], nodes.y[measured], made.radius)[:, :columns])
+    term, weight = np.concatenate(terms), np.concatenate(weights)
+    normal = term.T @ (weight[:, None] * term)
+    low = np.linalg.solve(normal, term.T @ (weight * np.concatenate(paths)))
+    x, y = (one - middle for one, middle in zip(made.opd.points(), made.centre, strict=True))
+    return replace(made, opd=replace(made.opd, z=made.opd.z - _low_terms(x, y, made.radius)[..., :columns] @ low))
+
+
+def _low_terms(x: Floats, y: Floats, radius: float) -> Floats:
+    """Return piston, tilts and focus at points. Shape of the points and 4."""
+    u, v = x / radius, y / radius
+    return np.stack([np.ones_like(u), u, v, 2 * (u * u + v * v) - 1], axis=-1)
