@@ -146,7 +146,7 @@ def test_rays_of_a_paraboloid_and_a_lens():
     focus = wavefront(bump, wavelength=RED, design=paraboloid, source=5.0, remove="none")
     assert focus.opd.z == pytest.approx(-2 * bump.z / (1 + slope**2), rel=1e-12)  # from its focus: the same angles
     # A plano-convex lens with the light inside it along the axis: n cos t - cos t', t' by Snell.
-    lens = wavefront(bump, wavelength=RED, index=1.5, design=tw.Sphere(radius=-30.0), source=-math.inf, remove="none")
+    lens = wavefront(bump, wavelength=RED, index=1.5, design=tw.Sphere(radius=-30.0), inside=True, remove="none")
     t = np.arcsin(bump.radius / 30.0)
     gain = 1.5 * np.cos(t) - np.cos(np.arcsin(1.5 * np.sin(t)))
     assert lens.opd.z == pytest.approx(bump.z * gain * np.cos(t), rel=1e-10)
@@ -165,7 +165,7 @@ def test_bad_pupils_are_refused():
         ({"wavelength": 0.0}, "wavelength"),
         ({"obscuration": 1.0}, "obscuration"),
         ({"index": 1.0}, "index"),
-        ({"source": 0.0}, "source"),
+        ({"source": math.nan, "design": tw.Plane()}, "source"),
         ({"remove": "power"}, "remove"),
     ):
         with pytest.raises(InputError, match=named) as refused:
@@ -176,5 +176,5 @@ def test_bad_pupils_are_refused():
         wavefront(points, wavelength=RED)
     with pytest.raises(InputError, match="totally reflected"):
         wavefront(
-            polar_map(flat), wavelength=RED, index=1.5, design=tw.Sphere(radius=-6.0), source=-math.inf
+            polar_map(flat), wavelength=RED, index=1.5, design=tw.Sphere(radius=-6.0), inside=True
         )  # fmt: skip

@@ -20,6 +20,7 @@ from turnwright.job.approach import Entry, entries_of
 from turnwright.job.contributions import ErrorBreakdown, break_down_error
 from turnwright.job.cut_range import cut_range, trim
 from turnwright.job.cutting import PassChips, chips_of
+from turnwright.job.optics import OpticalPerformance, predict_optics
 from turnwright.job.pass_plan import PassPlan, Watch
 from turnwright.job.predicting import predict
 from turnwright.job.prediction import Prediction
@@ -287,6 +288,26 @@ class Pipeline:
     def predictions(self) -> tuple[Prediction, ...]:
         """Predicted surface of the program read back, for the whole part and every patch."""
         return predict(self.job, self.program_motion, nominal=self.finishing.nominal, watch=self.watch)
+
+    @cached_property
+    def optics(self) -> OpticalPerformance:
+        """Optical performance of the surface: of the program read back where it is written, else of the motion.
+
+        Raises
+        ------
+        InputError
+            If the job does not state ``optics``.
+        """
+        if self.job.optics is None:
+            raise InputError("the job states no [optics], its optical performance needs a wavelength: add the table")
+        written = "program" in vars(self)
+        patches = (
+            self.predictions if written else tuple(self.prediction(one.name) for one in self.job.simulation.patches)
+        )
+        return predict_optics(
+            self.job, self.program_motion if written else self.motion, nominal=self.finishing.nominal,
+            predictions=patches, watch=self.watch,
+        )  # fmt: skip
 
     @cached_property
     def breakdown(self) -> ErrorBreakdown:

@@ -9,6 +9,7 @@ from turnwright.access import Access, AccessFinding
 from turnwright.cutting import ChipMap
 from turnwright.job.approach import Entry
 from turnwright.job.cutting import PassChips
+from turnwright.job.optics import OpticalPerformance
 from turnwright.job.prediction import Prediction
 from turnwright.job.schema import Job
 from turnwright.job.shape import PartShape
@@ -120,6 +121,8 @@ class Result:
         The files written, with their sizes and hashes.
     predictions
         Maps of the predicted surface minus the design, from the program read back from disk.
+    optics
+        Optical performance; ``None`` unless the job states ``optics``.
     rounding_nm
         Largest difference between the surfaces of the program on disk and of the motion in memory.
     rounding_limit_nm
@@ -151,6 +154,7 @@ class Result:
     least_clearance: float
     program: ProgramFiles
     predictions: tuple[Prediction, ...]
+    optics: OpticalPerformance | None
     rounding_nm: float
     rounding_limit_nm: float
     chips: Mapping[str, ChipMap]

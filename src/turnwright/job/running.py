@@ -113,7 +113,8 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         job=job, part=job.part, tool=job.tool, machine=job.machine,
         actual_tool=job.actual_tool, actual_machine=job.actual_machine, access=line.access, findings=line.findings,
         passes=tuple(passes), path=plotted_path, motion=plotted_motion, revolutions=turns, least_clearance=least,
-        program=program, predictions=predictions, rounding_nm=difference, rounding_limit_nm=limit,
+        program=program, predictions=predictions,
+        optics=None if job.optics is None else line.optics, rounding_nm=difference, rounding_limit_nm=limit,
         chips=chips, entries=entries, warnings=tuple(dict.fromkeys(warnings)), timings=line.watch.timings,
         peak_memory_gb=_peak_memory(),
     )  # fmt: skip

@@ -27,6 +27,7 @@ from turnwright.job.replacing import replace_field
 from turnwright.job.tables import AnyInstrument, AnyMachine, ExistingFile, MachineDeviations, Table, context_of
 from turnwright.machine import Machine
 from turnwright.motion import require_variable
+from turnwright.optics import Removed, check_wavelength, path_factor
 from turnwright.outline import BORDER_TOL
 from turnwright.part import Part
 from turnwright.pose import Pose
@@ -43,7 +44,21 @@ from turnwright.speed_profile import Speeds, check_one_speed
 from turnwright.strategy import STRATEGIES, Strategy, Turning
 from turnwright.surface import FAMILIES, Surface
 from turnwright.tool import Tool, Waviness, WavinessTable
-from turnwright.units import NAME_PATTERN, Angle, Count, Feed, Flag, Length, Size, Speed, Step, Text, Thickness, unit
+from turnwright.units import (
+    NAME_PATTERN,
+    Angle,
+    Count,
+    Feed,
+    Flag,
+    Length,
+    Number,
+    Size,
+    Speed,
+    Step,
+    Text,
+    Thickness,
+    unit,
+)
 
 __all__ = ["Job", "PassTable", "faults"]
 
@@ -456,6 +471,52 @@ class Tolerances(Table):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OpticsTable(Table):
+    """How light meets the surface, to predict its optical performance: see `turnwright.optics.wavefront`.
+
+    Parameters
+    ----------
+    wavelength
+        Wavelength of the light in air. [mm]
+    index
+        Refractive index of the material at this wavelength; left out for a mirror.
+    source
+        Height above the vertex of the point on the axis from which the light comes, or to which it converges;
+        collimated along the axis if left out. [mm]
+    inside
+        Whether the light arrives through the material.
+    obscuration
+        Radius of the central obscuration over that of the clear aperture.
+    focal_length
+        Focal length for positions and frequencies in the image; angles if left out. [mm]
+    remove
+        What alignment removes from the wavefront: "none", "piston", "tilt" or "focus".
+    """
+
+    wavelength: Size
+    index: Number | None = None
+    source: Length | None = None
+    inside: Flag = False
+    obscuration: Number = 0.0
+    focal_length: Size | None = None
+    remove: Removed = "tilt"
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        try:
+            check_wavelength(self.wavelength)
+            path_factor(index=self.index)
+        except InputError as error:
+            raise JobError(str(error)) from error
+        if not 0 <= self.obscuration < 1:
+            raise JobError(
+                f"obscuration must be 0 or more and below 1, got {self.obscuration:g}: give a ratio of radii"
+            )
+        if self.inside and self.index is None:
+            raise JobError("inside is true and there is no index, a mirror has no light inside: state the index")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Actual(Table):
     """Deviations of the actual tool and machine, for the simulation.
 
@@ -558,6 +619,8 @@ class Job(Table):
         Form removal before roughness is computed, and tolerances of the part.
     measurement
         How the part is measured.
+    optics
+        How light meets the surface; its optical performance is predicted if stated.
     program
         How the program is written.
     accept
@@ -589,6 +652,7 @@ class Job(Table):
     roughness: RoughnessTable = RoughnessTable()
     tolerances: Tolerances = Tolerances()
     measurement: MeasurementTable = MeasurementTable()
+    optics: OpticsTable | None = None
     program: ProgramTable = ProgramTable()
     accept: tuple[Accepted, ...] = ()
 
@@ -627,6 +691,11 @@ class Job(Table):
                 "leave one out"
             )
         self._check_tools(dialect)
+        if self.optics is not None and isinstance(self.part.surface, Chuck):
+            raise JobError(
+                f"optics is stated, the part is a chuck of {len(self.part.surface.parts)}: state it in the job of one "
+                "part alone"
+            )
 
     def _check_passes(self) -> None:
         """Raise unless each pass cuts deeper than the one before, and all patches are on the part."""

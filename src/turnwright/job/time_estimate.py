@@ -22,7 +22,7 @@ __all__ = [
 ]  # fmt: skip
 
 MILLION = 1e6
-ACCESS_S, DEPTH_S, APPROACH_S, REPORT_S = 0.6, 0.2, 0.3, 2.0
+ACCESS_S, DEPTH_S, APPROACH_S, OPTICS_S, REPORT_S = 0.6, 0.2, 0.3, 0.5, 2.0
 PLAN_S, DRIVE_S, LIMITS_S, CHIPS_S, WRITE_S, READ_S = 0.12, 0.3, 0.06, 0.15, 0.18, 0.18
 """First row: per step. Second row: per million points of a pass. [s]"""
 
@@ -65,8 +65,11 @@ def steps_of_run(job: Job) -> tuple[Step, ...]:
         Step(stage="read program", work=READ_S * points),
         Step(stage="compare", work=0.2),
     ]
-    moves = Step(stage="check moves", work=0.2 + READ_S * program_points)
-    return (*steps, *steps_of_prediction(job), moves, Step(stage="report", work=REPORT_S))
+    steps += steps_of_prediction(job)
+    steps.append(Step(stage="check moves", work=0.2 + READ_S * program_points))
+    if job.optics is not None:
+        steps.append(Step(stage="optics", work=OPTICS_S))
+    return (*steps, Step(stage="report", work=REPORT_S))
 
 
 def steps_of_prediction(job: Job, *, tracking: bool | None = None) -> tuple[Step, ...]:

@@ -1,19 +1,29 @@
 """What a surface does to light: wavefront, point spread, MTF, diffraction and scatter, by scalar theory."""
 
 from turnwright.optics.alvarez import alvarez_focal_length
-from turnwright.optics.orders import cusp_orders, order_angles, path_factor, profile_orders, tis
+from turnwright.optics.orders import (
+    check_wavelength,
+    cusp_orders,
+    order_angles,
+    path_factor,
+    profile_orders,
+    tis,
+)
 from turnwright.optics.pupil import Modulation
 from turnwright.optics.scatter import Order, Scatter, scatter
-from turnwright.optics.wavefront import PointSpread, Wavefront, wavefront
+from turnwright.optics.wavefront import PointSpread, Removed, Wavefront, incidence_angles, wavefront
 
 __all__ = [
     "Modulation",
     "Order",
     "PointSpread",
+    "Removed",
     "Scatter",
     "Wavefront",
     "alvarez_focal_length",
+    "check_wavelength",
     "cusp_orders",
+    "incidence_angles",
     "order_angles",
     "path_factor",
     "profile_orders",

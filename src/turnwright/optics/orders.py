@@ -11,7 +11,16 @@ from turnwright._arrays import Floats, Ints, frozen
 from turnwright._validate import between, finite, number, positive
 from turnwright.errors import InputError
 
-__all__ = ["check_wavelength", "cusp_orders", "order_angles", "path_factor", "profile_orders", "tis"]
+__all__ = [
+    "LONGEST_MM",
+    "SHORTEST_MM",
+    "check_wavelength",
+    "cusp_orders",
+    "order_angles",
+    "path_factor",
+    "profile_orders",
+    "tis",
+]
 
 SHORTEST_MM, LONGEST_MM = 1e-6, 1.0
 """Wavelengths from soft X-rays to submillimetre waves; one beyond has a wrong unit."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Floats, frozen
-from turnwright._validate import between, check_numbers, finite_tuple, number, one_of, positive
+from turnwright._validate import between, check_numbers, finite, finite_tuple, one_of, positive
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import ZernikeFit, fit_zernike
@@ -19,7 +19,7 @@ from turnwright.optics.orders import check_wavelength, path_factor
 from turnwright.optics.pupil import Modulation, Nodes, PathMap, disc_nodes, even_frequencies, overlap_nodes, phasors
 from turnwright.surface import Indexing, Surface
 
-__all__ = ["PointSpread", "Removed", "Wavefront", "wavefront"]
+__all__ = ["REMOVED", "PointSpread", "Removed", "Wavefront", "incidence_angles", "wavefront"]
 
 Removed: TypeAlias = Literal["none", "piston", "tilt", "focus"]
 REMOVED = ("none", "piston", "tilt", "focus")
@@ -247,7 +247,8 @@ def wavefront(
     wavelength: float,
     index: float | None = None,
     design: Surface | None = None,
-    source: float = math.inf,
+    source: float | None = None,
+    inside: bool = False,
     radius: float | None = None,
     centre: tuple[float, float] | None = None,
     obscuration: float = 0.0,
@@ -269,8 +270,10 @@ def wavefront(
     design
         The surface, for the angles of the rays; without it light arrives along the normal of a plane.
     source
-        Height of the point on the axis from which the light comes, or to which it converges if this is below a mirror;
-        infinite for collimated light. Below a lens, or minus infinity, the light arrives through the material. [mm]
+        Height of the point on the axis from which the light comes, or to which it converges; collimated along the axis
+        if left out. [mm]
+    inside
+        Whether the light arrives through the material.
     radius, centre
         Semi-diameter and centre of the pupil. By default the smallest circle around all heights; on a polar map it is
         centred on the axis. [mm]
@@ -300,13 +303,11 @@ def wavefront(
     (0.0365, 0.9485)
     """
     one_of(remove, "remove", REMOVED)
-    number(source, "source")
-    if source == 0 or math.isnan(source):
-        raise InputError("source is 0 mm, on the surface: give its height, or leave it out for collimated light")
     error.require_calibrated()
     around = fit_zernike(error, terms=1, indexing="fringe", radius=radius, centre=centre)
+    gain = _gain(error, index, design, source, inside=inside)
     made = Wavefront(
-        opd=replace(error, z=error.z * _gain(error, index, design, source), name=f"{error.name} wavefront".strip()),
+        opd=replace(error, z=error.z * gain, name=f"{error.name} wavefront".strip()),
         wavelength=wavelength, radius=around.radius, centre=around.centre, obscuration=obscuration, specular=specular,
     )  # fmt: skip
     if radius is not None and made.covered < LEAST_COVERED:
@@ -317,27 +318,54 @@ def wavefront(
     return made if remove == "none" else _without(made, REMOVED.index(remove))
 
 
-def _gain(error: HeightMap, index: float | None, design: Surface | None, source: float) -> Floats:
+def incidence_angles(design: Surface, x: Floats, y: Floats, *, source: float | None = None) -> Floats:
+    """Return the angles between rays and normals of a surface.
+
+    Parameters
+    ----------
+    design
+        The surface.
+    x, y
+        Points, of one shape. [mm]
+    source
+        See `wavefront`. [mm]
+
+    Returns
+    -------
+    ndarray
+        Shape of the points. [rad]
+
+    >>> from turnwright.surface import Conic
+    >>> paraboloid = Conic(radius=10.0, conic=-1.0)   # light from its focus leaves along the axis
+    >>> np.rad2deg(incidence_angles(paraboloid, np.array([10.0]), np.zeros(1), source=5.0)).round(9).tolist()
+    [45.0]
+    """
+    zx, zy = design.gradient(x, y)
+    cosine = 1 / np.sqrt(1 + zx * zx + zy * zy)
+    if source is not None:
+        dz = finite(source, "source") - design.sag(x, y)
+        cosine = np.abs(dz + zx * x + zy * y) * cosine / np.sqrt(x * x + y * y + dz * dz)
+    return np.asarray(np.arccos(np.minimum(cosine, 1.0)))
+
+
+def _gain(
+    error: HeightMap, index: float | None, design: Surface | None, source: float | None, *, inside: bool
+) -> Floats:
     """Return the path gained for each height of a map. Shape of the map, or a number."""
-    inside = index is not None and source < 0
     if design is None:
         return path_factor(index=index, inside=inside)
-    x, y = (one[measured] for one in error.points()) if (measured := np.isfinite(error.z)).any() else error.points()
+    measured = np.isfinite(error.z)
+    x, y = (one[measured] for one in error.points())
     zx, zy = design.gradient(x, y)
-    steep = np.sqrt(1 + zx * zx + zy * zy)
-    if math.isinf(source):
-        cosine = 1 / steep
-    else:
-        dx, dy, dz = -x, -y, source - design.sag(x, y)
-        cosine = np.abs(dz - zx * dx - zy * dy) / (steep * np.sqrt(dx * dx + dy * dy + dz * dz))
-    gain = np.full(error.z.shape, np.nan)
-    gain[measured] = path_factor(index=index, incidence=np.arccos(np.clip(cosine, -1, 1)), inside=inside) / steep
-    if np.isnan(gain[measured]).any():
+    gain = path_factor(index=index, incidence=incidence_angles(design, x, y, source=source), inside=inside)
+    if (lost := np.isnan(gain)).any():
         raise InputError(
-            f"light is totally reflected at {np.count_nonzero(np.isnan(gain[measured]))} points of the map: correct the "
+            f"light is totally reflected at {np.count_nonzero(lost)} of {lost.size} points of the map: correct the "
             "index or the source"
         )
-    return gain
+    over_map = np.full(error.z.shape, np.nan)
+    over_map[measured] = gain / np.sqrt(1 + zx * zx + zy * zy)
+    return over_map
 
 
 def _without(made: Wavefront, degree: int) -> Wavefront:

@@ -1,0 +1,238 @@
+"""What the surface that a job leaves does to light: form and tool marks, each at its own scale, and both together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright._arrays import Floats, Ints
+from turnwright.errors import InputError
+from turnwright.generation import generate_polar
+from turnwright.heightmap import HeightMap
+from turnwright.job.predicting import follow_motion
+from turnwright.metrology import Form
+from turnwright.optics import (
+    Scatter,
+    Wavefront,
+    cusp_orders,
+    incidence_angles,
+    order_angles,
+    path_factor,
+    scatter,
+    wavefront,
+)
+from turnwright.part import Part, evenly
+from turnwright.tool import Tool
+
+if TYPE_CHECKING:
+    from turnwright.job.pass_plan import Watch
+    from turnwright.job.prediction import Prediction
+    from turnwright.job.schema import Job, OpticsTable
+    from turnwright.path import Motion
+    from turnwright.progress import Progress
+
+__all__ = ["CuspLight", "OpticalPerformance", "cusp_light", "light_of_map", "predict_optics"]
+
+RINGS, AZIMUTHS = 128, 128
+"""Grid of the form in the pupil: errors with up to 64 lobes."""
+
+SAMPLES_PER_FEED = 8
+"""Samples across a feed whose mean is the form without its cusps."""
+
+CUSP_POINTS = 200
+"""Points of the part at which the height of the cusps is evaluated."""
+
+CUSP_HEIGHTS = 65
+"""Heights of cusps for which orders are computed; in between they are interpolated."""
+
+LISTED_ORDERS = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CuspLight:
+    """Diffraction by the cusps that feed and nose radius leave over the part. See `turnwright.optics.cusp_orders`.
+
+    Parameters
+    ----------
+    feed
+        Their period. [mm/rev]
+    orders, angles
+        Numbers from 1 on, and their angles from the specular direction at normal incidence, nan where an order does
+        not propagate. (n,) [rad]
+    efficiency
+        Largest share of the light in each order, on either side, anywhere on the part. (n,)
+    specular
+        Share of the light in the specular order over the part: the square of its mean amplitude.
+    """
+
+    feed: float
+    orders: tuple[int, ...]
+    angles: tuple[float, ...]
+    efficiency: tuple[float, ...]
+    specular: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OpticalPerformance:
+    """Optical performance of a predicted or measured surface.
+
+    Parameters
+    ----------
+    wavefront
+        Wavefront of the form over the pupil, lowered by what the marks scatter.
+    cusps
+        Diffraction by the cusps; ``None`` where the feed is not known.
+    marks
+        Diffraction and scatter of each patch, by name.
+    focal_length
+        Focal length for positions and frequencies in the image. [mm]
+    """
+
+    wavefront: Wavefront
+    cusps: CuspLight | None = None
+    marks: Mapping[str, Scatter] = field(default_factory=dict)
+    focal_length: float | None = None
+
+    @property
+    def form_strehl(self) -> float:
+        """Strehl ratio of the form alone."""
+        return self.wavefront.strehl / self.wavefront.specular if self.wavefront.specular else math.nan
+
+    @property
+    def strehl(self) -> float:
+        """Strehl ratio of form and marks together."""
+        return self.wavefront.strehl
+
+    @property
+    def tis(self) -> float:
+        """Share of the light that the marks take from the image."""
+        return 1.0 - self.wavefront.specular
+
+
+def predict_optics(
+    job: Job,
+    motion: Motion,
+    *,
+    nominal: Motion | None = None,
+    predictions: Iterable[Prediction] = (),
+    watch: Watch,
+) -> OpticalPerformance:
+    """Predict the optical performance of the surface that a motion leaves.
+
+    The form is the mean of the surface across each feed, so that cusps do not count twice; they lower the image by the
+    share of the light that they diffract.
+
+    Parameters
+    ----------
+    job
+        A job that states ``optics``.
+    motion, nominal
+        See `predict`.
+    predictions
+        Predicted patches; those that show the marks enter with their own scatter.
+    watch
+        Records the wall time.
+    """
+    assert job.optics is not None  # noqa: S101 - of the callers
+    followed, real = follow_motion(job, motion, job.simulation.tracking, nominal, watch)
+    with watch.stage("optics") as update:
+        form = _mean_form(job, real or followed, update)
+        patches = {
+            one.name: light_of_patch(one.error, job.optics, job.roughness.form)
+            for one in predictions
+            if one.name in {patch.name for patch in job.simulation.patches}
+        }
+        cusps = cusp_light(job.part, job.actual_tool, motion.feed, job.optics)
+        return OpticalPerformance(
+            wavefront=replace(_wavefront(job.part, form, job.optics), specular=cusps.specular),
+            cusps=cusps, marks=patches, focal_length=job.optics.focal_length,
+        )  # fmt: skip
+
+
+def light_of_map(part: Part, error: HeightMap, stated: OpticsTable) -> OpticalPerformance:
+    """Return the optical performance of a measured form error; marks are in it as far as the map resolves them."""
+    return OpticalPerformance(wavefront=_wavefront(part, error, stated), focal_length=stated.focal_length)
+
+
+def light_of_patch(error: HeightMap, stated: OpticsTable, form: Form) -> Scatter:
+    """Return the diffraction and the scatter of a patch, at normal incidence."""
+    return scatter(error, wavelength=stated.wavelength, index=stated.index, form=form)
+
+
+def _wavefront(part: Part, error: HeightMap, stated: OpticsTable) -> Wavefront:
+    x_low, x_high, low, high = part.border.box
+    centre = ((x_low + x_high) / 2, (low + high) / 2)
+    x, y = (one - middle for one, middle in zip(part.border.border(720), centre, strict=True))
+    return wavefront(
+        error, wavelength=stated.wavelength, index=stated.index, design=part.design.surface, source=stated.source,
+        inside=stated.inside, radius=float(np.hypot(x, y).max()) if part.radius is None else part.radius, centre=centre,
+        obscuration=stated.obscuration, remove=stated.remove,
+    )  # fmt: skip
+
+
+def _mean_form(job: Job, motion: Motion, update: Progress) -> HeightMap:
+    """Return the form error: the mean of the error across a feed, on a polar grid."""
+    part, feed = job.part, motion.feed
+    low, high = part.nearest, part.reach
+    width = min(feed, (high - low) / RINGS)
+    rings = np.linspace(low, high, RINGS)
+    middles = np.clip(rings, low + width / 2, high - width / 2)
+    share = (np.arange(SAMPLES_PER_FEED) + 0.5) / SAMPLES_PER_FEED - 0.5
+    radius = np.unique(middles[:, None] + width * share)
+    angle = np.linspace(0, 2 * np.pi, AZIMUTHS, endpoint=False)
+    made = generate_polar(
+        motion, job.actual_tool, radius=radius, angle=angle, machine=job.actual_machine, progress=update
+    )  # fmt: skip
+    error = part.form_error(made)
+    z = error.z.reshape(AZIMUTHS, RINGS, SAMPLES_PER_FEED).mean(axis=2)
+    return HeightMap(radius=rings, angle=angle, z=z, name="form")
+
+
+def cusp_light(part: Part, tool: Tool, feed: float, stated: OpticsTable) -> CuspLight:
+    """Return the diffraction by the cusps of a feed, with the curvature and slope of the part along the feed.
+
+    Raises
+    ------
+    InputError
+        If the feed is not below the width of the tool, or the part is curved more than its nose.
+    """
+    surface = part.design.surface
+    x, y = evenly(part, CUSP_POINTS)
+    radius = np.hypot(x, y)
+    cosine, sine = x / radius, y / radius
+    zx, zy = surface.gradient(x, y)
+    zxx, zxy, zyy = surface.hessian(x, y)
+    slope = zx * cosine + zy * sine
+    secant = np.sqrt(1 + slope * slope)
+    curvature = (zxx * cosine**2 + 2 * zxy * cosine * sine + zyy * sine**2) / secant**3
+    orders = np.arange(1, LISTED_ORDERS + 1)
+    heights = (feed * secant) ** 2 * (1 / tool.actual_radius - curvature) / 8
+    if (bad := heights <= 0).any():
+        raise InputError(
+            f"the part is curved by {curvature[bad].max():.4g} 1/mm along the feed, the nose by "
+            f"{1 / tool.actual_radius:.4g} 1/mm, so that it leaves no cusps: use a smaller nose radius"
+        )
+    incidence = incidence_angles(surface, x, y, source=stated.source)
+    gain, straight = (path_factor(index=stated.index, incidence=one, inside=stated.inside) for one in (incidence, 0.0))
+    shares = _shares(heights * gain / straight, stated, np.append(0, orders))
+    angles = order_angles(feed, wavelength=stated.wavelength, orders=orders)
+    return CuspLight(
+        feed=feed, orders=tuple(orders.tolist()), angles=tuple(angles.tolist()),
+        efficiency=tuple(shares[:, 1:].max(axis=0).tolist()), specular=float(np.sqrt(shares[:, 0]).mean() ** 2),
+    )  # fmt: skip
+
+
+def _shares(heights: Floats, stated: OpticsTable, orders: Ints) -> Floats:
+    """Return the shares of orders of cusps at normal incidence, by a table over their height. (n, orders)."""
+    nodes = np.linspace(heights.min(), heights.max(), CUSP_HEIGHTS)
+    table = np.array([
+        cusp_orders(
+            nose_radius=1.0, feed=math.sqrt(8 * height), wavelength=stated.wavelength, orders=orders, index=stated.index
+        )
+        for height in nodes
+    ])  # fmt: skip
+    return np.stack([np.interp(heights, nodes, column) for column in table.T], axis=1)
