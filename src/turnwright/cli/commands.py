@@ -4,6 +4,7 @@ from turnwright.cli import (  # noqa: F401 - importing them registers the comman
     cutting,
     materials,
     measuring,
+    optics,
     posts,
     serving,
     showing,

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from turnwright.job import Job, Measured
     from turnwright.progress import StageProgress
 
-__all__: list[str] = []
+__all__ = ["Keys", "load_job", "register_maps"]
 
 MIN_LISTED_FRACTION = 0.1
 """Smallest contribution to the measured rms at which an error source that is not corrected is listed."""
@@ -121,7 +121,7 @@ def measure(
         new_folder(out, session, force=force) as folder,
         show_progress(session.stop, steps_of_measurement(_heights([file]))) as progress,
     ):
-        measured = _register_maps([file], [job], progress, unit, keys)[0]
+        measured = register_maps([file], [job], progress, unit, keys)[0]
         progress("report", 0, 1)
         from turnwright.report import archive_measured, write_measured  # noqa: PLC0415 - costly to import
 
@@ -149,7 +149,7 @@ def diagnose(
     ):
         from turnwright.job import diagnose  # noqa: PLC0415
 
-        measured = _register_maps(files, job, progress, unit, keys)
+        measured = register_maps(files, job, progress, unit, keys)
         diagnosis = diagnose(measured, progress=progress)
         progress("report", 0, 1)
         from turnwright.report import archive_diagnosis, write_diagnosis  # noqa: PLC0415 - costly to import
@@ -186,9 +186,9 @@ def correct(
     ):
         from turnwright.job import correct, diagnose  # noqa: PLC0415
 
-        measured = _register_maps(files, job, progress, unit, keys)
+        measured = register_maps(files, job, progress, unit, keys)
         diagnosis = diagnose(measured, progress=progress)
-        base = _load_job(of or job[0], keys)
+        base = load_job(of or job[0], keys)
         correction = correct(base, diagnosis, measured, out=folder, source=of or job[0], progress=progress)
         progress("report", 0, 1)
         from turnwright.report import archive_correction, write_correction  # noqa: PLC0415 - costly to import
@@ -214,7 +214,7 @@ def _heights(files: Sequence[Path]) -> list[float]:
     return [file.stat().st_size / TYPICAL_HEIGHT_BYTES if file.is_file() else 0.0 for file in files]
 
 
-def _load_job(file: Path, keys: Sequence[str]) -> Job:
+def load_job(file: Path, keys: Sequence[str]) -> Job:
     """Load a job and apply the ``--set`` options to its measurement table."""
     from turnwright.job import Job  # noqa: PLC0415
 
@@ -231,7 +231,7 @@ def _load_job(file: Path, keys: Sequence[str]) -> Job:
     return Job.read(table)
 
 
-def _register_maps(
+def register_maps(
     files: Sequence[Path], jobs: Sequence[Path], progress: StageProgress, unit: str | None, keys: Sequence[str]
 ) -> list[Measured]:
     """Read each map and register it to its part."""
@@ -241,7 +241,7 @@ def _register_maps(
         raise InputError(
             f"--job must be given once, or once for each map in their order, got {len(jobs)} jobs for {len(files)} maps"
         )
-    recipes = [_load_job(job, keys) for job in jobs]
+    recipes = [load_job(job, keys) for job in jobs]
     return [
         measure(recipe, read_measurement(recipe, file, unit=unit), progress=progress)
         for file, recipe in zip(files, recipes * (len(files) // len(recipes)), strict=True)

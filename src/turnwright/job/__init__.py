@@ -7,6 +7,7 @@ from turnwright.job.correction import Correction, correct
 from turnwright.job.finish_terms import Finish, finish
 from turnwright.job.links import find_wrong_move
 from turnwright.job.measurement import Measured, diagnose, measure, read_measurement
+from turnwright.job.optics import CuspLight, OpticalPerformance, measured_optics
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.pipeline import Pipeline
 from turnwright.job.planning import Plan, Trial, plan
@@ -38,6 +39,7 @@ __all__ = [
     "Candidate",
     "Comparison",
     "Correction",
+    "CuspLight",
     "Entry",
     "ErrorBreakdown",
     "Finish",
@@ -45,6 +47,7 @@ __all__ = [
     "Job",
     "MachineDeviations",
     "Measured",
+    "OpticalPerformance",
     "PartShape",
     "Pass",
     "PassPlan",
@@ -76,6 +79,7 @@ __all__ = [
     "judge_form",
     "make_test_part",
     "measure",
+    "measured_optics",
     "name_keys",
     "not_evaluated",
     "part_shape",

@@ -26,16 +26,19 @@ from turnwright.optics import (
     wavefront,
 )
 from turnwright.part import Part, evenly
+from turnwright.pose import Pose
+from turnwright.surface import Placed, Surface
 from turnwright.tool import Tool
 
 if TYPE_CHECKING:
+    from turnwright.job.measurement import Measured
     from turnwright.job.pass_plan import Watch
     from turnwright.job.prediction import Prediction
     from turnwright.job.schema import Job, OpticsTable
     from turnwright.path import Motion
     from turnwright.progress import Progress
 
-__all__ = ["CuspLight", "OpticalPerformance", "cusp_light", "light_of_map", "predict_optics"]
+__all__ = ["NO_OPTICS", "CuspLight", "OpticalPerformance", "cusp_light", "measured_optics", "predict_optics"]
 
 RINGS, AZIMUTHS = 128, 128
 """Grid of the form in the pupil: errors with up to 64 lobes."""
@@ -50,6 +53,10 @@ CUSP_HEIGHTS = 65
 """Heights of cusps for which orders are computed; in between they are interpolated."""
 
 LISTED_ORDERS = 3
+
+BORDER_POINTS = 720
+
+NO_OPTICS = "the job states no [optics], its optical performance needs a wavelength: add the table"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -136,8 +143,14 @@ def predict_optics(
         Predicted patches; those that show the marks enter with their own scatter.
     watch
         Records the wall time.
+
+    Raises
+    ------
+    InputError
+        If the job does not state ``optics``, or the part is curved more than the nose.
     """
-    assert job.optics is not None  # noqa: S101 - of the callers
+    if job.optics is None:
+        raise InputError(NO_OPTICS)
     followed, real = follow_motion(job, motion, job.simulation.tracking, nominal, watch)
     with watch.stage("optics") as update:
         form = _mean_form(job, real or followed, update)
@@ -146,16 +159,31 @@ def predict_optics(
             for one in predictions
             if one.name in {patch.name for patch in job.simulation.patches}
         }
+        light = _wavefront(job.part, job.part.design.surface, form, job.optics, Pose())
         cusps = cusp_light(job.part, job.actual_tool, motion.feed, job.optics)
         return OpticalPerformance(
-            wavefront=replace(_wavefront(job.part, form, job.optics), specular=cusps.specular),
+            wavefront=replace(light, specular=cusps.specular),
             cusps=cusps, marks=patches, focal_length=job.optics.focal_length,
         )  # fmt: skip
 
 
-def light_of_map(part: Part, error: HeightMap, stated: OpticsTable) -> OpticalPerformance:
-    """Return the optical performance of a measured form error; marks are in it as far as the map resolves them."""
-    return OpticalPerformance(wavefront=_wavefront(part, error, stated), focal_length=stated.focal_length)
+def measured_optics(measured: Measured) -> OpticalPerformance:
+    """Return the optical performance of a measured part; marks are in its form as far as the map resolves them.
+
+    Raises
+    ------
+    InputError
+        If the job does not state ``optics``, the map has scattered points, or it covers less than 95 % of the aperture.
+    """
+    job = measured.job
+    if job.optics is None:
+        raise InputError(NO_OPTICS)
+    to_map = measured.registration.pose.inverse
+    surface = Placed(surface=job.part.design.surface, shift=to_map.shift, rotation=to_map.rotation, tilt=to_map.tilt)
+    return OpticalPerformance(
+        wavefront=_wavefront(job.part, surface, measured.registration.error, job.optics, to_map),
+        focal_length=job.optics.focal_length,
+    )
 
 
 def light_of_patch(error: HeightMap, stated: OpticsTable, form: Form) -> Scatter:
@@ -163,13 +191,15 @@ def light_of_patch(error: HeightMap, stated: OpticsTable, form: Form) -> Scatter
     return scatter(error, wavelength=stated.wavelength, index=stated.index, form=form)
 
 
-def _wavefront(part: Part, error: HeightMap, stated: OpticsTable) -> Wavefront:
+def _wavefront(part: Part, surface: Surface, error: HeightMap, stated: OpticsTable, frame: Pose) -> Wavefront:
+    """Return the wavefront over the clear aperture, of an error and a design in another frame than that of the part."""
     x_low, x_high, low, high = part.border.box
-    centre = ((x_low + x_high) / 2, (low + high) / 2)
-    x, y = (one - middle for one, middle in zip(part.border.border(720), centre, strict=True))
+    middle = ((x_low + x_high) / 2, (low + high) / 2)
+    x, y = part.border.border(BORDER_POINTS)
+    centre = [float(one[0]) for one in frame.apply(*np.array([[middle[0]], [middle[1]], [0.0]]))]
     return wavefront(
-        error, wavelength=stated.wavelength, index=stated.index, design=part.design.surface, source=stated.source,
-        inside=stated.inside, radius=float(np.hypot(x, y).max()) if part.radius is None else part.radius, centre=centre,
+        error, wavelength=stated.wavelength, index=stated.index, design=surface, source=stated.source,
+        inside=stated.inside, radius=float(np.hypot(x - middle[0], y - middle[1]).max()), centre=(centre[0], centre[1]),
         obscuration=stated.obscuration, remove=stated.remove,
     )  # fmt: skip
 

@@ -298,8 +298,6 @@ class Pipeline:
         InputError
             If the job does not state ``optics``.
         """
-        if self.job.optics is None:
-            raise InputError("the job states no [optics], its optical performance needs a wavelength: add the table")
         written = "program" in vars(self)
         patches = (
             self.predictions if written else tuple(self.prediction(one.name) for one in self.job.simulation.patches)

@@ -5,6 +5,7 @@ from turnwright.report.archive import (
     archive_correction,
     archive_diagnosis,
     archive_measured,
+    archive_optics,
     archive_run,
     archive_tiled,
     read_maps,
@@ -13,6 +14,7 @@ from turnwright.report.archive import (
 from turnwright.report.comparison import write_comparison
 from turnwright.report.figures import write_fit_picture, write_picture
 from turnwright.report.measurement import write_correction, write_diagnosis, write_measured
+from turnwright.report.optics import optics_facts, write_optics
 from turnwright.report.run import write_backplot, write_report
 from turnwright.report.study import write_study
 from turnwright.report.tiled import write_tiled
@@ -23,8 +25,10 @@ __all__ = [
     "archive_correction",
     "archive_diagnosis",
     "archive_measured",
+    "archive_optics",
     "archive_run",
     "archive_tiled",
+    "optics_facts",
     "read_maps",
     "write_backplot",
     "write_comparison",
@@ -33,6 +37,7 @@ __all__ = [
     "write_fit_picture",
     "write_maps",
     "write_measured",
+    "write_optics",
     "write_picture",
     "write_report",
     "write_study",

@@ -25,6 +25,8 @@ has the keys
     whole part, from its highest to its lowest point, given in ``form`` with ``x``, ``y`` and ``error`` in mm (``null``
     for a patch, whose ``pv_nm`` is that of ``roughness``). ``tracking`` is ``null`` unless the servos were simulated;
     then it has the ``file`` of their contribution to the heights (mm), and its ``pv_nm`` and ``rms_nm``.
+``optics``
+    ``null`` unless the job states its light; then the numbers of `turnwright.job.OpticalPerformance`.
 ``rounding_nm``, ``rounding_limit_nm``
     Largest difference between the surfaces of the program on disk and of the planned motion, and its limit.
 ``warnings``, ``timings``, ``peak_memory_gb``
@@ -47,6 +49,7 @@ from turnwright.errors import InputError
 from turnwright.files import write_map
 from turnwright.heightmap import HeightMap
 from turnwright.post import entry_words
+from turnwright.report.optics import optics_numbers
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -54,7 +57,7 @@ if TYPE_CHECKING:
 
     from turnwright._arrays import Floats
     from turnwright.diagnosis import Diagnosis
-    from turnwright.job import Comparison, Correction, Measured, Prediction, Result
+    from turnwright.job import Comparison, Correction, Measured, OpticalPerformance, Prediction, Result
     from turnwright.metrology import Roughness, Spectrum
     from turnwright.studies import TiledMap
 
@@ -63,6 +66,7 @@ __all__ = [
     "archive_correction",
     "archive_diagnosis",
     "archive_measured",
+    "archive_optics",
     "archive_run",
     "archive_tiled",
     "read_maps",
@@ -102,6 +106,7 @@ def archive_run(result: Result, folder: str | PathLike[str]) -> None:
             **_fields(result.program, "lines", "bytes", "minutes", "links_minutes", "hash"),
         },
         "predictions": write_maps(result.predictions, folder),
+        "optics": None if result.optics is None else optics_numbers(result.optics),
         **_fields(result, "rounding_nm", "rounding_limit_nm", "warnings", "timings", "peak_memory_gb"),
     }
     _write_json(folder / "result.json", numbers)
@@ -141,6 +146,13 @@ def archive_tiled(tiled: TiledMap, rough: Roughness, spectrum: Spectrum, folder:
     lines = (f"{f:.17g},{density:.17g}" for f, density in zip(spectrum.frequency, spectrum.density, strict=True))
     table = [f"frequency_per_mm,density_{unit}", *lines]
     write_atomic(folder / "spectrum.csv", "\n".join(table) + "\n")
+
+
+def archive_optics(performance: OpticalPerformance, folder: str | PathLike[str]) -> None:
+    """Write ``result.json`` with the optical performance, and the wavefront as a map in mm."""
+    folder = Path(folder)
+    write_map(performance.wavefront.opd, folder / "wavefront.npz")
+    _write_json(folder / "result.json", {"optics": optics_numbers(performance), "wavefront": "wavefront.npz"})
 
 
 def archive_measured(measured: Measured, folder: str | PathLike[str]) -> None:

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from turnwright.job import Candidate, Entry
     from turnwright.material import Material
     from turnwright.metrology import Lenslets, Spectrum
+    from turnwright.optics import Modulation, PointSpread, Wavefront
     from turnwright.part import Part
     from turnwright.path import Motion, Path
     from turnwright.tool import Tool
@@ -56,14 +57,17 @@ __all__ = [
     "dislocation_map",
     "error_map",
     "minutes_and_errors",
+    "modulation",
     "over_radius",
     "places_map",
+    "point_spread",
     "profile",
     "rings",
     "sag_map",
     "spiral",
     "tool_moves",
     "view",
+    "wavefront_map",
     "write_fit_picture",
     "write_picture",
     "z_over_turns",
@@ -85,6 +89,8 @@ MIN_BOUNDED_FRACTION = 1e-3
 """Smallest fraction of the area that is outlined where a limit is exceeded."""
 
 COLOUR_TEXT = "red is above the nominal surface, blue below, white is on it."
+
+PATH_TEXT = "red where light is delayed, blue where it is early."
 
 COLOUR_PERCENTILE = 99.9
 """Percentile of the absolute heights at which the colours of an error map saturate. [%]"""
@@ -809,6 +815,44 @@ def density(spectrum: Spectrum) -> Picture:
         f"Power spectral density of the error up to {spectrum.frequency[-1]:.3g} per mm: peaks are periodic errors, "
         "such as cusps.",
     )
+
+
+def wavefront_map(light: Wavefront) -> Picture:
+    """Draw a wavefront over the pupil, colours centred at zero."""
+    with _canvas() as canvas:
+        border = None if light.opd.polar is False else Outline(disc=light.radius, centre=light.centre)
+        _draw_map(canvas, light.opd, "optical path [nm]", border)
+    return Picture(canvas.svg, f"Wavefront over the pupil, {light.rms * NM:.4g} nm rms: {PATH_TEXT}")
+
+
+def point_spread(image: PointSpread, strehl: float, unit: str) -> Picture:
+    """Draw the image of a point, logarithmic."""
+    factor, name = _length(float(np.ptp(image.x))) if unit == "mm" else (1e6, "µrad")
+    with _canvas() as canvas:
+        axes = canvas.figure.add_subplot()
+        x, y = image.x * factor, image.y * factor
+        extent = (float(x[0]), float(x[-1]), float(y[0]), float(y[-1]))
+        drawn = axes.imshow(
+            np.log10(np.maximum(image.intensity, 1e-8)), origin="lower", extent=extent, cmap=HEIGHTS, vmin=-6, vmax=0
+        )
+        axes.set(xlabel=f"x [{name}]", ylabel=f"y [{name}]")
+        _bar(canvas, axes, drawn, "log10 of the intensity", "min")
+    return Picture(
+        canvas.svg, f"Image of a point: its peak is {strehl:.4g} of that without errors (Strehl ratio), marks included."
+    )
+
+
+def modulation(transfer: Modulation, ideal: Modulation, unit: str) -> Picture:
+    """Draw the modulation transfer along x and y, and that without errors."""
+    scale = 1.0 if unit == "1/mm" else 1e-3
+    with _canvas() as canvas:
+        axes = canvas.chart(f"spatial frequency [{'1/mm' if unit == '1/mm' else '1/mrad'}]", "modulation")
+        axes.plot(ideal.frequency * scale, ideal.x, color=LINE, label="without errors")
+        axes.plot(transfer.frequency * scale, transfer.x, color=SERIES[0], label="along x")
+        axes.plot(transfer.frequency * scale, transfer.y, "--", color=SERIES[1], label="along y")
+        axes.set_ylim(0, 1.02)
+        _legend_above(axes, 3)
+    return Picture(canvas.svg, "Modulation transfer of form and marks together, and of a perfect surface.")
 
 
 def minutes_and_errors(tried: Sequence[Candidate]) -> Picture:

@@ -13,6 +13,7 @@ from turnwright.job import judge, part_shape
 from turnwright.path import Motion
 from turnwright.post import dialect_of, stop_instructions
 from turnwright.report import figures as draw
+from turnwright.report.optics import optics_section
 from turnwright.report.page import Cell, Code, Number, Page, Section, Table, page_file, write_page
 from turnwright.units import say_length
 
@@ -134,6 +135,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
             ),
             *_chips(result),
             *_surfaces(result.predictions, feed, result.job.part.border),
+            *([] if result.optics is None else [optics_section(result.optics)]),
             _program(
                 program.files,
                 path,
