@@ -115,6 +115,11 @@ class OpticalPerformance:
         return self.wavefront.strehl
 
     @property
+    def cusp_order(self) -> float | None:
+        """Largest share of the light in one order of the cusps; ``None`` where the feed is not known."""
+        return None if self.cusps is None else max(self.cusps.efficiency)
+
+    @property
     def tis(self) -> float:
         """Share of the light that the marks take from the image."""
         return 1.0 - self.wavefront.specular

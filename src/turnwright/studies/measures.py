@@ -94,6 +94,11 @@ JOB_MEASURES: dict[str, tuple[str, str, _Evaluator]] = {
     "cutting_force_mN": ("", "chips", lambda pipeline, _: _milli(pipeline.chips[-1].cutting)),
     "form_pv_nm": ("", "place", lambda pipeline, _: pipeline.form_pv_nm),
     "form_rms_nm": ("", "place", lambda pipeline, _: pipeline.prediction(WHOLE_PART).roughness.sq_nm),
+    "strehl": ("", "place", lambda pipeline, _: pipeline.optics.strehl),
+    "form_strehl": ("", "place", lambda pipeline, _: pipeline.optics.form_strehl),
+    "wavefront_rms_nm": ("", "place", lambda pipeline, _: pipeline.optics.wavefront.rms * NM),
+    "tis": ("", "place", lambda pipeline, _: pipeline.optics.tis),
+    "cusp_order": ("", "place", lambda pipeline, _: pipeline.optics.cusp_order),
 }  # fmt: skip
 """Measures of a whole job: unit, stage and function. Chips and forces are those of the finishing pass."""
 

@@ -1,0 +1,128 @@
+"""The command optics, and the section of a run: the light of a job and of a measured map."""
+
+import json
+import math
+import tomllib
+
+import numpy as np
+import pytest
+import tomli_w
+
+import turnwright as tw
+from turnwright.cli import main
+from turnwright.errors import JobError
+from turnwright.job import Pipeline
+
+MIRROR = {
+    "part": {"surface": {"family": "conic", "radius": "80 mm", "conic": -1.0}, "radius": "4 mm"},
+    "tool": {"nose_radius": "0.5 mm", "included": "60 deg", "clearance": "10 deg"},
+    "machine": {"name": "generic"},
+    "strategy": {"kind": "slow tool servo", "feed": "20 um/rev", "points_per_rev": 180, "spindle_speed": "60 rpm"},
+    "simulation": {
+        "whole_part": {"radii": 60, "angles": 60},
+        "patches": [{"name": "zone", "centre": ["2 mm", "0 mm"], "size": ["0.2 mm", "0.05 mm"], "pixel": "0.5 um"}],
+    },
+    "optics": {"wavelength": "633 nm", "focal_length": "40 mm"},
+}
+
+
+@pytest.fixture(scope="module")
+def performance():
+    return Pipeline(tw.Job.read(MIRROR)).optics
+
+
+def test_optics_of_a_nominal_mirror(performance):
+    """Only cusps and chords remain: cusps of 20 um in closed form, chords of half a degree below 1 nm."""
+    height = 0.02**2 / 8 * (1 / 0.5 - 1 / 80)
+    assert performance.form_strehl > 0.9999
+    share = tw.optics.cusp_orders(nose_radius=1.0, feed=math.sqrt(8 * height), wavelength=633e-6, orders=[0, 1])
+    assert performance.cusps.specular == pytest.approx(share[0], rel=1e-3)  # slope and curvature vary over the part
+    assert performance.cusp_order == pytest.approx(share[1], rel=5e-3)
+    assert performance.strehl == pytest.approx(performance.form_strehl * performance.cusps.specular)
+    marks = performance.marks["zone"]
+    assert marks.tis == pytest.approx(1 - share[0], rel=0.02)
+    assert marks.orders(1)[0].angle == pytest.approx(math.asin(633e-6 / 0.02), rel=0.01)
+
+
+def test_optics_sees_a_tool_centring_error():
+    """A known form error: an error of the tool along X raises the surface by offset times slope, r/80."""
+    offset = 2e-3
+    data = MIRROR | {"actual": {"tool": {"offset": [f"{offset} mm", "0 mm", "0 mm"]}}}
+    light = Pipeline(tw.Job.read(data)).optics.wavefront
+    radius = light.opd.radius
+    expected = -2 * (-offset * radius / 80) / (1 + (radius / 80) ** 2)
+    profile = light.opd.z.mean(axis=0)
+    inner = slice(5, -5)
+    assert profile[inner] - profile[64] == pytest.approx(expected[inner] - expected[64], abs=3e-6)
+
+
+def test_optics_command_writes_a_page(tmp_path, capsys):
+    job = tmp_path / "job.toml"
+    job.write_text(tomli_w.dumps(MIRROR))
+    assert main(["optics", str(job), "--out", str(tmp_path / "light")]) == 0
+    printed = capsys.readouterr().out
+    assert "Strehl ratio of form and cusps" in printed
+    numbers = json.loads((tmp_path / "light" / "result.json").read_text())["optics"]
+    assert 0.6 < numbers["strehl"] < numbers["form_strehl"] <= 1
+    assert numbers["orders"][0]["order"] == 1
+    page = (tmp_path / "light" / "report.html").read_text()
+    assert "Diffraction orders" in page
+    assert page.count("<svg") == 3
+
+
+def test_optics_of_a_measured_map(tmp_path):
+    """Astigmatism of 60 nm on a mirror measured off its place: a rotation of the map only rotates the image."""
+    x = np.linspace(-4.3, 4.3, 121)
+    u, v = np.meshgrid(x, x)
+    astigmatism = 60e-6 * (u * u - v * v) / 16
+    z = np.where(np.hypot(u, v) <= 4.3, tw.Conic(radius=80.0, conic=-1.0).sag(u, v) + astigmatism, np.nan)
+    shifted = tw.HeightMap(x=x + 0.3, y=x - 0.2, z=z + 0.01)
+    tw.write_map(shifted, tmp_path / "map.npz")
+    job = tmp_path / "job.toml"
+    job.write_text(tomli_w.dumps(MIRROR))
+    out = tmp_path / "light"
+    assert main(["optics", str(tmp_path / "map.npz"), "--job", str(job), "--out", str(out)]) == 0
+    numbers = json.loads((out / "result.json").read_text())["optics"]
+    assert abs(numbers["zernike_fringe"]["5"]) == pytest.approx(120e-6, rel=0.01)
+    small = tmp_path / "small.npz"
+    tw.write_map(tw.HeightMap(x=x / 2, y=x / 2, z=tw.Conic(radius=80.0, conic=-1.0).sag(u / 2, v / 2)), small)
+    assert main(["optics", str(small), "--job", str(job), "--out", str(tmp_path / "none")]) == 2
+    assert not (tmp_path / "none").exists()
+
+
+def test_optics_in_a_run_and_a_study(tmp_path):
+    job = tmp_path / "job.toml"
+    job.write_text(tomli_w.dumps(MIRROR))
+    assert main(["run", str(job), "--out", str(tmp_path / "run")]) == 0
+    numbers = json.loads((tmp_path / "run" / "result.json").read_text())
+    assert numbers["optics"]["scatter"]["zone"] == pytest.approx(numbers["optics"]["tis"], rel=0.03)
+    assert "Optical performance" in (tmp_path / "run" / "report.html").read_text()
+    study = tw.studies.study(
+        tw.Job.read(MIRROR), vary={"strategy.feed": [0.005, 0.01]}, measure=["cusp_order", "strehl"], workers=1
+    )
+    orders = study["cusp_order"]
+    assert orders[1] / orders[0] == pytest.approx(16, rel=0.06)  # a shallow cusp: its height squared
+
+
+@pytest.mark.parametrize(
+    ("optics", "named"),
+    [
+        ({"wavelength": 633}, "wavelength"),
+        ({"wavelength": "633 mm"}, "wavelength"),
+        ({"wavelength": "633 nm", "index": 0.5}, "index"),
+        ({"wavelength": "633 nm", "inside": True}, "index"),
+        ({"wavelength": "633 nm", "obscuration": 1.0}, "obscuration"),
+        ({}, "wavelength"),
+    ],
+)
+def test_light_that_cannot_be_is_refused(optics, named):
+    with pytest.raises(JobError, match=named) as refused:
+        tw.Job.read(MIRROR | {"optics": optics})
+    assert len(str(refused.value)) <= 400
+
+
+def test_optics_needs_its_table():
+    plain = {key: value for key, value in MIRROR.items() if key != "optics"}
+    with pytest.raises(tw.InputError, match=r"\[optics\]"):
+        _ = Pipeline(tw.Job.read(plain)).optics
+    assert "optics" not in tomllib.loads(tw.Job.read(plain).to_toml())
