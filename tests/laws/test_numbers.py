@@ -291,6 +291,7 @@ MAY = {
 """Numbers that may be infinite or missing, and what that means."""
 
 ANSWERS = """
+    CuspLight Modulation OpticalPerformance Order PointSpread Scatter Wavefront
     Access AccessFinding Alignment Approach AreaSpectrum Bands Bearing BestFit Candidate CentreDefect ChipMap Column
     Comparison Contribution Correction Cusps CuttingForces Diagnosis DialectCheck DrawnCut Draws DuctileCheck EdgeFit
     Blended Entry ErrorBreakdown Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage
