@@ -28,7 +28,6 @@ from turnwright.optics import (
 from turnwright.part import Part, evenly
 from turnwright.pose import Pose
 from turnwright.surface import Placed, Surface
-from turnwright.tool import Tool
 
 if TYPE_CHECKING:
     from turnwright.job.measurement import Measured
@@ -165,7 +164,7 @@ def predict_optics(
             if one.name in {patch.name for patch in job.simulation.patches}
         }
         light = _wavefront(job.part, job.part.design.surface, form, job.optics, Pose())
-        cusps = cusp_light(job.part, job.actual_tool, motion.feed, job.optics)
+        cusps = cusp_light(job, motion.feed)
         return OpticalPerformance(
             wavefront=replace(light, specular=cusps.specular),
             cusps=cusps, marks=patches, focal_length=job.optics.focal_length,
@@ -227,34 +226,41 @@ def _mean_form(job: Job, motion: Motion, update: Progress) -> HeightMap:
     return HeightMap(radius=rings, angle=angle, z=z, name="form")
 
 
-def cusp_light(part: Part, tool: Tool, feed: float, stated: OpticsTable) -> CuspLight:
-    """Return the diffraction by the cusps of a feed, with the curvature and slope of the part along the feed.
+def cusp_light(job: Job, feed: float) -> CuspLight:
+    r"""Return the diffraction by the cusps of a feed over the part.
+
+    With slope angle :math:`\alpha` and curvature :math:`\kappa` along the feed, neighbouring cusps are
+    :math:`p = f / \cos \alpha` apart along the surface and :math:`p^2 (1/R - \kappa) / 8` high; a path placed along z
+    has its feed at the tip, and cusps farther apart by :math:`1 / (1 - R \kappa)`.
 
     Raises
     ------
     InputError
-        If the feed is not below the width of the tool, or the part is curved more than its nose.
+        If the job does not state ``optics``, or the part is curved more than the nose.
     """
-    surface = part.design.surface
-    x, y = evenly(part, CUSP_POINTS)
+    stated, nose_radius = job.optics, job.actual_tool.actual_radius
+    if stated is None:
+        raise InputError(NO_OPTICS)
+    surface = job.part.design.surface
+    x, y = evenly(job.part, CUSP_POINTS)
     radius = np.hypot(x, y)
     cosine, sine = x / radius, y / radius
     zx, zy = surface.gradient(x, y)
     zxx, zxy, zyy = surface.hessian(x, y)
-    slope = zx * cosine + zy * sine
-    secant = np.sqrt(1 + slope * slope)
+    secant = np.sqrt(1 + (zx * cosine + zy * sine) ** 2)
     curvature = (zxx * cosine**2 + 2 * zxy * cosine * sine + zyy * sine**2) / secant**3
-    orders = np.arange(1, LISTED_ORDERS + 1)
-    heights = (feed * secant) ** 2 * (1 / tool.actual_radius - curvature) / 8
-    if (bad := heights <= 0).any():
+    if (bad := curvature * nose_radius >= 1).any():
         raise InputError(
-            f"the part is curved by {curvature[bad].max():.4g} 1/mm along the feed, the nose by "
-            f"{1 / tool.actual_radius:.4g} 1/mm, so that it leaves no cusps: use a smaller nose radius"
+            f"the part is curved by {curvature[bad].max():.4g} 1/mm along the feed, the nose by {1 / nose_radius:.4g} "
+            "1/mm, so that it leaves no cusps: use a smaller nose radius"
         )
+    period = feed * secant / (1 - nose_radius * curvature if job.strategy.along == "z" else 1.0)
+    heights = period**2 * (1 / nose_radius - curvature) / 8
     incidence = incidence_angles(surface, x, y, source=stated.source)
     gain, straight = (path_factor(index=stated.index, incidence=one, inside=stated.inside) for one in (incidence, 0.0))
+    orders = np.arange(1, LISTED_ORDERS + 1)
     shares = _shares(heights * gain / straight, stated, np.append(0, orders))
-    angles = order_angles(feed, wavelength=stated.wavelength, orders=orders)
+    angles = order_angles(float(period.mean()), wavelength=stated.wavelength, orders=orders)
     return CuspLight(
         feed=feed, orders=tuple(orders.tolist()), angles=tuple(angles.tolist()),
         efficiency=tuple(shares[:, 1:].max(axis=0).tolist()), specular=float(np.sqrt(shares[:, 0]).mean() ** 2),

@@ -115,7 +115,7 @@ def cusp_orders(
     nose_radius
         Nose radius R of the tool. [mm]
     feed
-        Feed f per revolution, the period of the cusps. [mm/rev]
+        Feed f per revolution, the distance of neighbouring cusps along the part. [mm/rev]
     wavelength
         Wavelength in air. [mm]
     orders
