@@ -41,7 +41,7 @@ def test_optics_of_a_nominal_mirror(performance):
     assert performance.strehl == pytest.approx(performance.form_strehl * performance.cusps.specular)
     marks = performance.marks["zone"]
     assert marks.tis == pytest.approx(1 - share[0], rel=5e-3)
-    assert marks.orders(1)[0].angle == pytest.approx(math.asin(633e-6 / 0.02 * (1 - 0.5 / 80)), rel=1e-3)
+    assert marks.orders(1)[0].angle == pytest.approx(math.asin(633e-6 / 0.02 * (1 - 0.5 / 80)), rel=3e-3)
 
 
 def test_optics_sees_a_tool_centring_error():
