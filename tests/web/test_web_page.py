@@ -68,7 +68,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def by_hand(folder):
     """The job of these tests, carried out by the command line."""
-    file = written(folder, *DISH)
+    file = written(folder, *DISH, ("optics", {"wavelength": "633 nm"}))
     assert main(["run", str(file), "--out", str(folder / "by-hand")]) == 0
     return folder / "by-hand"
 
@@ -680,6 +680,15 @@ def test_downloads_are_the_files_of_the_command_line(bench, done, by_hand, folde
     report = one.download(links.get_by_role("link", name="Report", exact=True))
     assert report == (folder / "served" / "runs" / done / "out" / "report.html").read_bytes()
     assert b"<html" in report
+
+
+@pytest.mark.usefixtures("done")
+def test_the_light_of_a_run_has_its_card(bench, by_hand):
+    """The dish is turned at 20 um/rev with a nose of 0.5 mm: its figures are those of the command line."""
+    light = json.loads((by_hand / "result.json").read_text())["optics"]
+    card = bench().look_at("run").page.locator("#optics")
+    expect(card).to_contain_text(f"{light['strehl']:.3f}"[:4])
+    expect(card).to_contain_text(f"{100 * light['orders'][0]['efficiency']:.3g} %")
 
 
 @pytest.mark.usefixtures("done")

@@ -110,6 +110,7 @@ function Outcome() {
       <${Limits} limits=${last.limits} name=${last.name} />
     </${Card}>
     <${Chips} passes=${result.passes} />
+    ${result.optics && html`<${Optics} light=${result.optics} />`}
     <${Card} title="Program"><p class="quiet">${count(result.program.lines)} lines in ${result.program.files.length === 1 ? "one file" : `${result.program.files.length} files`}, ${bytes(result.program.bytes)}; rounding changes the surface by ${height(result.rounding_nm)}, limit ${height(result.rounding_limit_nm)}.</p>
       <${Downloads} path=${`/runs/${run}`} files=${files} />
       <p><button type="button" class="add" onClick=${() => editAgain(run)}><${Icon} name="left" />Edit this job</button></p></${Card}>
@@ -176,6 +177,24 @@ function Chips({ passes }) {
     <table class="small"><thead><tr><th></th><th>pass</th><th class="number">maximum</th><th class="number">critical</th></tr></thead>
     <tbody>${known.map(({ name, chips }) => html`<tr title=${chips.sentence}><td><${Mark} ok=${chips.ok} warn=${chips.ok !== true} /></td><th scope="row">${name}<small class="block">${chips.verdict}${Number.isFinite(chips.margin) ? `, margin ${percent(chips.margin)}` : ""}</small></th>
       <td class="number">${length(chips.thickest)}</td><td class="number">${chips.critical ? length(chips.critical) : "–"}</td></tr>`)}</tbody></table></${Card}>`;
+}
+
+/** Optical performance, with the modulation along x and y over the spatial frequency. */
+function Optics({ light }) {
+  const [{ frequency, x, y }, perMm] = [light.mtf, light.frequency_unit === "1/mm"];
+  const line = (values) => values.map((value, index) => `${(200 * frequency[index] / frequency.at(-1)).toFixed(1)},${(80 - 78 * value).toFixed(1)}`).join(" ");
+  const first = light.orders.find(({ order }) => order === 1);
+  return html`<${Card} title="Optical performance" side=${html`<span class="quiet">${quantity(light.wavelength, "mm")}</span>`}>
+    <dl class="figures" id="optics">
+      <${Figure} label="Strehl ratio" note="form and cusps">${number(light.strehl)}</${Figure}>
+      <${Figure} label="of the form">${number(light.form_strehl)}</${Figure}>
+      <${Figure} label="wavefront, rms">${number(light.rms_waves)} waves</${Figure}>
+      ${first && html`<${Figure} label="first order of the cusps" note=${Number.isFinite(first.angle) ? `at ${(first.angle * 180 / Math.PI).toFixed(2)}°` : "does not propagate"}>${(100 * first.efficiency).toPrecision(3)} %</${Figure}>`}
+      ${Object.entries(light.scatter).map(([name, tis]) => html`<${Figure} label=${`scatter, ${name}`}>${(100 * tis).toPrecision(3)} %</${Figure}>`)}
+    </dl>
+    <svg viewBox="0 0 200 82" role="img" aria-label=${`Modulation from 0 to ${number(frequency.at(-1))} ${light.frequency_unit}, along x and along y`} style="width:100%;height:auto">
+      <polyline points="0,80 200,80" fill="none" stroke="var(--edge)" /><polyline points=${line(x)} fill="none" stroke="var(--accent)" /><polyline points=${line(y)} fill="none" stroke="var(--bad)" stroke-dasharray="3 2" /></svg>
+    <p class="quiet">Modulation along x and y (dashed), up to ${number(frequency.at(-1))} ${perMm ? "per mm" : "per rad"}.</p></${Card}>`;
 }
 
 // ---------------------------------------------------------------------------------------------------------- the pane
