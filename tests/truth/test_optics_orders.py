@@ -56,6 +56,24 @@ def test_cusps_on_a_curved_part():
     assert cusp_orders(nose_radius=0.5, feed=0.01, wavelength=RED, orders=[0, 1], curvature=1.0) == pytest.approx(flat)
 
 
+@pytest.mark.parametrize(
+    ("index", "wavelengths", "transmitted", "reflected"),
+    [
+        (1.5, 2.5, 2.49736e-4, 3.96762e-3), (1.5, 4, 1.631830e-3, 2.533235e-2), (1.5, 6, 8.203461e-3, 0.1122783),
+        (1.5, 10, 5.933579e-2, 0.2529066), (2.4, 2.5, 1.936670e-3, 3.93588e-3), (2.4, 6, 5.946423e-2, 0.1116239),
+        (4.0, 2.5, 8.742676e-3, 3.90931e-3), (4.0, 4, 5.393683e-2, 2.497616e-2),
+    ],
+)  # fmt: skip
+def test_orders_of_rigorous_theory(index, wavelengths, transmitted, reflected):
+    """RCWA by meent 0.13.2, R + T = 1 to 1e-6, unpolarised; ``tests/proof/proof_rcwa.py`` computes the table."""
+    radius, feed = 0.02, wavelengths * RED
+    x = (np.arange(4000) + 0.5) / 4000 * feed - feed / 2
+    cusps = radius - np.sqrt(radius**2 - x * x)
+    for n, rigorous in ((index, transmitted), (None, reflected)):
+        scalar = profile_orders(cusps, wavelength=RED, orders=1, index=n)
+        assert float(scalar) == pytest.approx(rigorous, rel=0.0105)
+
+
 @pytest.fixture(scope="module")
 def turned():
     part = tw.Part(surface=tw.Plane(), radius=2.0)
