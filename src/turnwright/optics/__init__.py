@@ -1,6 +1,7 @@
 """What a surface does to light: wavefront, point spread, MTF, diffraction and scatter, by scalar theory."""
 
 from turnwright.optics.alvarez import alvarez_focal_length
+from turnwright.optics.imaging import PointSpread, Removed, Wavefront, incidence_angles, wavefront
 from turnwright.optics.orders import (
     check_wavelength,
     cusp_orders,
@@ -10,8 +11,7 @@ from turnwright.optics.orders import (
     tis,
 )
 from turnwright.optics.pupil import Modulation
-from turnwright.optics.scatter import Order, Scatter, scatter
-from turnwright.optics.wavefront import PointSpread, Removed, Wavefront, incidence_angles, wavefront
+from turnwright.optics.scattering import Order, Scatter, scatter
 
 __all__ = [
     "Modulation",
