@@ -14,6 +14,8 @@ from turnwright._validate import check_azimuths, check_numbers, positive, whole_
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
+    from xarray import DataArray
+
     from turnwright.pose import Pose
     from turnwright.surface import Surface
 
@@ -166,6 +168,52 @@ class HeightMap(Compared):
         valid = ~np.isnan(self.z)
         x, y, z = pose.apply(x[valid], y[valid], self.z[valid])
         return HeightMap(x=x, y=y, z=z, name=self.name, metadata=self.metadata)
+
+    def turned_over(self) -> HeightMap:
+        r"""Return the map turned half a turn about the y axis: :math:`z'(x, y) = -z(-x, y)`.
+
+        It turns a map of the part frame, whose material is on the -z side, into the frame of a lens program, for a face
+        whose material is on the +z side, and back. It is a rotation: no writing on the face is mirrored.
+
+        >>> sloped = HeightMap(z=[[1.0, 2.0, 3.0]], x=[0.0, 1.0, 2.0], y=[0.0])
+        >>> sloped.turned_over().x.tolist(), sloped.turned_over().z.tolist()
+        ([-2.0, -1.0, 0.0], [[-3.0, -2.0, -1.0]])
+        """
+        if self.angle is not None:
+            return replace(self, z=0.0 - self.z[::-1], angle=np.pi - self.angle[::-1])
+        assert self.x is not None  # noqa: S101 - a map that is not polar has x
+        if self.scattered:
+            return replace(self, z=0.0 - self.z, x=0.0 - self.x)
+        return replace(self, z=0.0 - self.z[:, ::-1], x=0.0 - self.x[::-1])
+
+    def to_xarray(self) -> DataArray:
+        """Return the map as an ``xarray.DataArray`` in mm, with x and y (or radius and angle) as coordinates.
+
+        Scattered points have the dimension ``point``. ``units`` and the metadata are its attributes.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+        """
+        try:
+            from xarray import DataArray  # noqa: PLC0415 - an optional extra
+        except ImportError as error:
+            raise InputError("xarray is not installed: pip install 'turnwright[xarray]'") from error
+        lateral = "mm" if self.calibrated else "pixel"
+        rows, columns = ("angle", "radius") if self.polar else ("y", "x")
+        units = {rows: "rad" if self.polar else lateral, columns: lateral}
+        dims = ("point",) if self.scattered else (rows, columns)
+        return DataArray(
+            self.z,
+            dims=dims,
+            coords={
+                name: (dims[0] if self.scattered else name, getattr(self, name), {"units": unit})
+                for name, unit in units.items()
+            },
+            name=self.name or "z",
+            attrs={**self.metadata, "units": "mm"},
+        )
 
     def minus(self, other: HeightMap | Surface) -> HeightMap:
         """Return this map minus another on the same grid, or minus a surface. Measured minus nominal is the error.
