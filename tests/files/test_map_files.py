@@ -24,6 +24,7 @@ from measured_files import (
     al3d,
     archive,
     array_file,
+    codev,
     datx,
     digital_surf,
     grid_sag,
@@ -329,6 +330,13 @@ def test_places_of_a_lattice_that_are_not_listed_are_missing(tmp_path):
     assert np.argwhere(np.isnan(found.z)).tolist() == [[0, 3], [1, 1], [1, 2]]
 
 
+def test_a_codev_interferogram_is_in_pixels(tmp_path):
+    found = read(tmp_path, codev(), "a.int")
+    np.testing.assert_allclose(found.z, UP * 0.6328e-3 / 20000, rtol=1e-14)
+    assert (found.calibrated, found.metadata["title"]) == (False, "a dish")
+    np.testing.assert_allclose(read(tmp_path, codev(), "a.int", pixel_size=0.1).x, [0, 0.1, 0.2, 0.3])
+
+
 def test_an_unlisted_column_has_missing_heights(tmp_path):
     lines = [f"{x} {y} 1" for y in range(6) for x in (0, 1, 2, 4, 5, 6, 7)]
     found = read(tmp_path, "\n".join(lines), "a.xyz", unit="mm")
@@ -470,7 +478,7 @@ MAPS = st.builds(
         name=name,
         metadata=metadata,
     ),
-    st.tuples(st.integers(5, 8), st.integers(5, 8), st.integers(0, 2**32 - 1)).map(
+    st.tuples(st.integers(6, 9), st.integers(6, 9), st.integers(0, 2**32 - 1)).map(
         lambda shape: np.where(
             np.random.default_rng(shape[2]).random(shape[:2]) < 0.2,
             np.nan,
@@ -499,10 +507,10 @@ def test_npz_keeps_a_map_bit_by_bit(tmp_path, one):
 
 
 @LAW
-@given(MAPS, st.sampled_from([".x3p", ".dat", ".grd"]))
-def test_other_formats_keep_a_map_to_rounding(tmp_path, one, suffix):
-    write_map(one, tmp_path / f"a{suffix}")
-    again = read_map(tmp_path / f"a{suffix}")
+@given(MAPS, st.sampled_from(["x3p", "grid sag"]))
+def test_other_formats_keep_a_map_to_rounding(tmp_path, one, kind):
+    write_map(one, tmp_path / "a.dat", format=kind)
+    again = read_map(tmp_path / "a.dat")
     np.testing.assert_allclose(again.z, one.z, rtol=1e-15)
     for name in ("x", "y"):
         largest = np.abs(getattr(one, name)).max()
@@ -576,24 +584,27 @@ def test_other_programs_read_a_written_x3p_alike(tmp_path):
 
 
 def test_a_grid_sag_begins_at_the_top_left(tmp_path):
-    z = np.arange(30.0).reshape(5, 6)
-    write_map(HeightMap(z=z, x=np.arange(6.0), y=2 * np.arange(5.0)), tmp_path / "a.dat")
+    z = np.arange(42.0).reshape(6, 7)
+    write_map(HeightMap(z=z, x=np.arange(7.0), y=2 * np.arange(6.0)), tmp_path / "a.dat", format="grid sag")
     lines = (tmp_path / "a.dat").read_text().splitlines()
-    assert lines[0].split() == ["6", "5", "1.0", "2.0", "0", "2.5", "4.0"]
+    assert lines[0].split() == ["7", "6", "1.0", "2.0", "0", "3.0", "5.0"]
     assert [float(line.split()[0]) for line in lines[1:]] == z[::-1].ravel().tolist()
 
 
+NARROW = HeightMap(z=np.zeros((5, 6)), x=np.arange(6.0), y=2 * np.arange(5.0), name="narrow")
 FLAT = HeightMap(z=np.zeros((5, 5)), x=np.arange(5.0), y=np.arange(5.0), name="flat")
 UNWRITABLE = {
-    "suffix": (FLAT, "a.csv", "maps are written as"),
-    "few rows": (HeightMap(z=PICTURE, x=np.arange(4.0), y=np.arange(3.0)), "a.dat", "at least 5"),
+    "suffix": (FLAT, "a.csv", "formats by suffix are"),
+    "suffix of two formats": (FLAT, "a.dat", "state the format, npz, x3p, grid sag"),
+    "few rows": (NARROW, "a.grd", "5 rows and 6 columns, .* at least 6"),
+    "oblong": (NARROW, "a.int", "pixels of 1 x 2 mm, CODE V files hold square ones"),
     "uneven": (
         HeightMap(z=np.zeros((5, 5)), x=np.arange(5.0) ** 2, y=np.arange(5.0)),
         "a.x3p",
         "deviates from even steps",
     ),
     "polar": (HeightMap(z=PICTURE, radius=np.arange(4.0), angle=np.arange(3.0)), "a.x3p", "a polar grid"),
-    "points": (HeightMap(z=PICTURE[0], x=np.arange(4.0), y=np.zeros(4)), "a.dat", "scattered points"),
+    "points": (HeightMap(z=PICTURE[0], x=np.arange(4.0), y=np.zeros(4)), "a.int", "scattered points"),
     "pixels": (
         HeightMap(z=PICTURE, x=np.arange(4.0), y=np.arange(3.0), calibrated=False),
         "a.x3p",
@@ -707,6 +718,17 @@ BAD = {
     "grid sag, cut": ("a.dat", grid_sag()[:-20], "points for 4 x 3|cannot be read"),
     "grid sag, huge": ("a.dat", b"1000000000 1000000000 1 1 0 0 0\n0 0 0 0\n", "the limit is"),
     "grid sag, large": ("a.dat", b"10000 10000 1 1 0 0 0\n0 0 0 0\n", "truncated"),
+    "codev, cut": ("a.int", codev()[:-20], "counts for 4 x 3"),
+    "codev, huge": ("a.int", codev(head="GRD 1000000000 1000000000 SUR WVL 1 SSZ 1"), "the limit is"),
+    "codev, large": ("a.int", codev(head="GRD 10000 10000 SUR WVL 1 SSZ 1"), "truncated"),
+    "codev, nan": ("a.int", codev(head="GRD nan 3 SUR WVL 1 SSZ 1"), "must be integers"),
+    "codev, no number": ("a.int", codev(head="GRD 4 3 SUR WVL SSZ 1"), "no number after WVL"),
+    "codev, no wavelength": ("a.int", codev(head="GRD 4 3 SUR SSZ 1"), "WVL nan"),
+    "codev, no scale": ("a.int", codev(head="GRD 4 3 SUR WVL 1 SSZ 0"), "SSZ 0, they must be"),
+    "codev, wavefront": ("a.int", codev(head="GRD 4 3 WFR WVL 1 SSZ 1"), "not marked SUR"),
+    "codev, oblong": ("a.int", codev(head="GRD 4 3 SUR WVL 1 SSZ 1 XSC 1.5"), "not square"),
+    "codev, unknown": ("a.int", codev(head="GRD 4 3 SUR WVL 1 SSZ 1 ABC 2"), "keyword 'ABC'"),
+    "codev, Zernike": ("a.int", codev(head="ZFR 12 SUR WVL 1 SSZ 1"), "files.read_zernikes"),
     "nms": ("a.nms", bytes(range(256)) * 20, "disagree on the sign"),
     "opd, rubbish": ("a.opd", bytes(range(256)) * 20, "cannot be read by SurfaceTopography"),
     "al3d, cut": ("a.al3d", al3d()[:-5], "cannot be read by SurfaceTopography"),
@@ -742,6 +764,7 @@ def test_what_is_no_file_is_refused(tmp_path):
 SAMPLES = {
     **{name: one[:2] for name, one in FORMATS.items() if not name.startswith("datx")},
     "datx": ("a.datx", datx()),
+    "codev": ("a.int", codev()),
     "csv": ("a.csv", ("x [mm],y [mm],z [mm]\n" + GRID.replace(" ", ",")).encode()),
     "npy": ("a.npy", array_file(PICTURE)),
     "npz": ("a.npz", array_file(None, z=PICTURE, x=np.arange(4.0), y=np.arange(3.0))),

@@ -124,6 +124,13 @@ def zygo_ascii(picture=PICTURE, *, pixel=RESOLUTION, resolution=1, empty_block=T
     return ("\n".join([*lines, "#"]) + "\n").encode()
 
 
+def codev(picture=PICTURE, *, head="GRD 4 3 SUR WVL 0.6328 SSZ 20000 NDA -32768"):
+    """CODE V interferogram: counts of WVL / SSZ um, on lines of any length."""
+    flat = [f"{-32768 if np.isnan(p) else int(p):7d}" for p in picture.ravel()]
+    lines = ["! of an interferometer", "a dish", head, *("".join(flat[start : start + 10]) for start in (0, 10))]
+    return ("\n".join(lines) + "\n").encode()
+
+
 def zygo_xyz(picture=PICTURE, *, pixel=RESOLUTION):
     """Heights in um."""
     lines = zygo_head("Zygo XYZ Data File - Format 1", picture, pixel, 1)

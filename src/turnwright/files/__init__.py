@@ -1,14 +1,15 @@
 """Reading and writing measured maps: one module per file format.
 
 A reader takes the path and the bytes of a file and returns a `turnwright.HeightMap` in mm, rows ascending in y.
-To add a format, add a module here and a line to ``read.py`` (its signature) or ``write.py`` (its suffix).
+To add a format, add a module here and a line to ``read.py`` (its signature) or ``write.py`` (its name).
 
 Sizes stated in a file are compared with its length before memory is allocated. Every failure is a
 `turnwright.errors.MapError` of one sentence.
 """
 
+from turnwright.files.codev import read_zernikes, write_zernikes
 from turnwright.files.read import read_map
 from turnwright.files.slices import read_profile
-from turnwright.files.write import write_map
+from turnwright.files.write import write_grid_sag, write_map
 
-__all__ = ["read_map", "read_profile", "write_map"]
+__all__ = ["read_map", "read_profile", "read_zernikes", "write_grid_sag", "write_map", "write_zernikes"]

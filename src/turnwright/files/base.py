@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from turnwright._arrays import Floats
+from turnwright._io import write_atomic
+from turnwright._validate import one_of
 from turnwright.errors import MapError
 from turnwright.heightmap import HeightMap
 from turnwright.units import convert
@@ -26,11 +28,15 @@ __all__ = [
     "even_axes",
     "finite_or_missing",
     "grid_map",
+    "is_front",
+    "read_contents",
     "require_bytes",
     "require_heights",
     "require_points",
+    "square_pixel",
     "to_mm",
     "words",
+    "write_file",
 ]
 
 MAX_FILE_BYTES = 4 << 30
@@ -65,6 +71,9 @@ DAMAGE = (
     zipfile.BadZipFile,
 )
 """Exceptions of libraries for damaged files; `MapError` is a ValueError, so catch it first."""
+
+SQUARE_TOL = 1e-6
+"""Difference of the sides of a square pixel, relative to one."""
 
 SPELLINGS = {
     **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
@@ -194,3 +203,46 @@ def even_axes(heights: HeightMap, kind: str) -> tuple[tuple[float, float], tuple
     sizes = [pixel for pixel in pixels if not math.isnan(pixel)] or [1.0]
     along_x, along_y = (sizes[0] if math.isnan(pixel) else pixel for pixel in pixels)
     return (float(heights.x[0]), float(heights.y[0])), (along_x, along_y)
+
+
+def square_pixel(heights: HeightMap, kind: str) -> float:
+    """Return the one pixel size of a map; raise if a format with square pixels cannot hold it. [mm]."""
+    _, (along_x, along_y) = even_axes(heights, kind)
+    if abs(along_x - along_y) > SQUARE_TOL * along_x:
+        raise MapError(
+            f"the map {heights.name!r} has pixels of {along_x:.6g} x {along_y:.6g} mm, {kind} files hold square ones: "
+            "resample it, or write it as .npz"
+        )
+    return along_x
+
+
+def is_front(face: str | None) -> bool:
+    """Whether the face of a lens file has its material on the +z side, so that a map must be turned over for it."""
+    if face is not None:
+        one_of(face, "face", ("front", "back"))
+    return face == "front"
+
+
+def write_file(path: Path, data: bytes) -> None:
+    """Write a complete file, or raise and leave what was there."""
+    try:
+        write_atomic(path, data)
+    except OSError as error:
+        raise MapError(f"{path} cannot be written ({error.strerror}): check its folder and permissions") from error
+
+
+def read_contents(path: Path) -> bytes:
+    """Return the bytes of a file, or raise if it is missing, empty or too large."""
+    try:
+        size = path.stat().st_size if path.is_file() or not path.exists() else -1
+        data = path.read_bytes() if 0 < size <= MAX_FILE_BYTES else b""
+    except (OSError, MemoryError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise MapError(f"{path} cannot be read ({reason}): check its name and folder") from error
+    if size < 0:
+        raise MapError(f"{path} is not a file: name the instrument's file")
+    if not data:
+        raise MapError(
+            f"{path} has {size:,} bytes, the limits are 1 and {MAX_FILE_BYTES:,}: export it again, or crop it"
+        )
+    return data

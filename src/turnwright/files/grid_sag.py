@@ -2,11 +2,12 @@
 
 A point is ``z dz/dx dz/dy d2z/dxdy nodata``, where nodata is optional and 1 for a missing point. The first point is at
 -x and +y; x runs fastest, and rows descend in y. The grid is centred on (xdec, ydec). The unit is 0 mm, 1 cm, 2 in,
-3 m. Lines that begin with ``!`` are comments. Slopes are ignored, and written as 0, so that Zemax computes them.
+3 m. Lines that begin with ``!`` are comments. Slopes are ignored when read. Grid phase files are the same with radians
+of phase in place of z; the unit is then that of the steps and slopes.
 
 Sources
 -------
-[Zemax]_ gives the layout.
+[Zemax]_ gives the layout of both.
 """
 
 from __future__ import annotations
@@ -17,12 +18,14 @@ from pathlib import Path
 
 import numpy as np
 
+from turnwright._arrays import Floats
 from turnwright.errors import MapError
 from turnwright.files.base import damaged, even_axes, grid_map, require_bytes, require_points, to_mm
 from turnwright.files.numbers import table
 from turnwright.heightmap import HeightMap
+from turnwright.surface import Gridded
 
-__all__ = ["is_grid_sag", "pack", "read"]
+__all__ = ["is_grid_sag", "pack", "pack_slopes", "read"]
 
 UNITS = {0: "mm", 1: "cm", 2: "in", 3: "m"}
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?"
@@ -30,8 +33,8 @@ HEAD = re.compile(
     rf"(?:[ \t]*(?:![^\n]*)?\r?\n)*[ \t]*(\d+)[ \t]+(\d+)[ \t]+({NUMBER})[ \t]+({NUMBER})[ \t]+([0-3])"
     rf"(?:[ \t]+({NUMBER})[ \t]+({NUMBER}))?[ \t]*\r?(?:\n|$)"
 )
-MIN_ROWS = 5
-"""Rows and columns of the smallest grid that Zemax accepts."""
+MIN_ROWS = 6
+"""Rows and columns of the smallest grid: Zemax accepts 5, the spline that gives the slopes needs 6."""
 
 
 def is_grid_sag(text: str) -> bool:
@@ -69,17 +72,36 @@ def read(path: Path, text: str) -> HeightMap:
     )
 
 
-def pack(heights: HeightMap) -> bytes:
-    """Return the bytes of a grid sag file in mm."""
+def pack(heights: HeightMap, scale: float = 1.0) -> bytes:
+    """Return the bytes of a grid sag file of a map, with the slopes of the bicubic spline through it.
+
+    ``scale`` multiplies heights and slopes: 1, or the phase per height for a grid phase file [rad/mm].
+    """
+    _head(heights)
+    spline = Gridded(x=heights.x, y=heights.y, z=heights.z)  # type: ignore[arg-type] # _head requires a grid
+    _, zx, zy, _, zxy, _ = spline.evaluate(*heights.points(), 2)
+    return pack_slopes(heights, (zx, zy, zxy), scale)
+
+
+def pack_slopes(heights: HeightMap, slopes: tuple[Floats, Floats, Floats], scale: float = 1.0) -> bytes:
+    """Return the bytes of a grid sag file of a map whose dz/dx, dz/dy and d2z/dxdy are known. Each (ny, nx)."""
+    lines = [_head(heights)]
+    points = scale * np.stack([heights.z, *slopes], axis=-1)[::-1]
+    lines += [
+        "0 0 0 0 1" if math.isnan(z) else f"{z!r} {zx!r} {zy!r} {zxy!r} 0"
+        for z, zx, zy, zxy in points.reshape(-1, 4).tolist()
+    ]
+    return ("\n".join(lines) + "\n").encode("ascii")
+
+
+def _head(heights: HeightMap) -> str:
+    """Return the first line of the file of a map, in mm; raise if the format cannot hold the map."""
     start, pixel = even_axes(heights, "grid sag")
     rows, columns = heights.z.shape
     if min(rows, columns) < MIN_ROWS:
         raise MapError(
-            f"the map {heights.name!r} has {rows} rows and {columns} columns, Zemax needs at least {MIN_ROWS} of each: "
-            "write it as .npz"
+            f"the map {heights.name!r} has {rows} rows and {columns} columns, a grid with slopes needs at least "
+            f"{MIN_ROWS} of each: write it as .npz"
         )
     centre = (start[0] + (columns - 1) / 2 * pixel[0], start[1] + (rows - 1) / 2 * pixel[1])
-    lines = [f"{columns} {rows} {pixel[0]!r} {pixel[1]!r} 0 {centre[0]!r} {centre[1]!r}"]
-    for row in heights.z[::-1].tolist():
-        lines.extend("0 0 0 0 1" if math.isnan(z) else f"{z!r} 0 0 0 0" for z in row)
-    return ("\n".join(lines) + "\n").encode("ascii")
+    return f"{columns} {rows} {pixel[0]!r} {pixel[1]!r} 0 {centre[0]!r} {centre[1]!r}"

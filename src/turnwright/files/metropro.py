@@ -22,10 +22,10 @@ from typing import NamedTuple
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files.base import damaged, grid_map, require_bytes, require_points, words
+from turnwright.files.base import damaged, grid_map, require_bytes, require_points, square_pixel, words
 from turnwright.heightmap import HeightMap
 
-__all__ = ["COUNTS", "MISSING", "SIGNATURES", "fringe_scale", "read"]
+__all__ = ["COUNTS", "MISSING", "SIGNATURES", "fringe_scale", "pack", "read"]
 
 SIGNATURES = (b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71")
 
@@ -35,7 +35,11 @@ COUNTS = {0: 4096, 1: 32768, 2: 131072}
 MISSING = 2147483640
 """Phases from this value on are missing."""
 
+WRITTEN_WAVELENGTH_M = 632.8e-9
+"""Helium-neon, the usual one; with the scale factor 0.5 it only sets the height of a count."""
+
 MIN_HEADER_BYTES = 834
+MAX_COLUMNS = 65535
 PLACES = {
     "header size": (6, ">I"),
     "software date": (12, "30s"),
@@ -139,3 +143,43 @@ def _intensity_bytes(path: Path, field: dict[str, int]) -> int:
         f"states {field['intensity bytes']} bytes of intensity for {field['intensity buckets']} pictures "
         f"of {picture} bytes, they must agree",
     )
+
+
+def pack(heights: HeightMap) -> bytes:
+    """Return the bytes of a MetroPro file without intensities, in counts of 2.4 pm, or 9.7 pm above 5 mm."""
+    size = square_pixel(heights, "Zygo")
+    rows, columns = heights.z.shape
+    if max(rows, columns) > MAX_COLUMNS:
+        raise MapError(
+            f"the map {heights.name!r} has {rows} rows and {columns} columns, Zygo files hold up to {MAX_COLUMNS} of "
+            "each: crop it, or write it as .npz"
+        )
+    head = bytearray(MIN_HEADER_BYTES)
+    wavelength = struct.unpack(">f", struct.pack(">f", WRITTEN_WAVELENGTH_M))[0]
+    highest = float(np.nanmax(np.abs(heights.z), initial=0.0))
+    for resolution in (2, 1):
+        count = fringe_scale(Path(heights.name), Fringes(0.5, wavelength, 1.0, resolution))
+        if highest / count < MISSING:
+            break
+    else:
+        raise MapError(
+            f"the map {heights.name!r} has heights of up to {highest:.4g} mm, Zygo files hold up to "
+            f"{MISSING * count:.4g} mm: subtract the design (base), or write it as .npz"
+        )
+    for name, value in {
+        "header size": MIN_HEADER_BYTES,
+        "columns": columns,
+        "rows": rows,
+        "comment": heights.name.encode("ascii", "replace")[:81],
+        "scale factor": 0.5,
+        "wavelength": wavelength,
+        "obliquity factor": 1.0,
+        "pixel size": size * 1e-3,
+        "phase resolution": resolution,
+    }.items():
+        place, form = PLACES[name]
+        struct.pack_into(form, head, place, value)
+    struct.pack_into(">4sH", head, 0, SIGNATURES[0], 1)
+    struct.pack_into(">I", head, 72, 4 * rows * columns)
+    counts = np.where(np.isnan(heights.z), MISSING, np.rint(heights.z / count))
+    return bytes(head) + counts[::-1].astype(">i4").tobytes()

@@ -13,6 +13,7 @@ import numpy as np
 from turnwright.errors import MapError
 from turnwright.files import (
     arrays,
+    codev,
     datx,
     digital_surf,
     grid_sag,
@@ -23,11 +24,11 @@ from turnwright.files import (
     x3p,
     zygo_text,
 )
-from turnwright.files.base import DAMAGE, MAX_FILE_BYTES, damaged, require_heights
+from turnwright.files.base import DAMAGE, damaged, read_contents, require_heights
 from turnwright.files.numbers import text_of
 from turnwright.heightmap import HeightMap
 
-__all__ = ["read_contents", "read_map"]
+__all__ = ["read_map"]
 
 
 def read_map(
@@ -97,23 +98,6 @@ def _unit_option(unit: str | None, lateral_unit: str | None) -> str:
     return f"unit={unit!r}" if unit else f"lateral_unit={lateral_unit!r}"
 
 
-def read_contents(path: Path) -> bytes:
-    """Return the bytes of a file, or raise if it is missing, empty or too large."""
-    try:
-        size = path.stat().st_size if path.is_file() or not path.exists() else -1
-        data = path.read_bytes() if 0 < size <= MAX_FILE_BYTES else b""
-    except (OSError, MemoryError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise MapError(f"{path} cannot be read ({reason}): check its name and folder") from error
-    if size < 0:
-        raise MapError(f"{path} is not a file: name the instrument's file")
-    if not data:
-        raise MapError(
-            f"{path} has {size:,} bytes, the limits are 1 and {MAX_FILE_BYTES:,}: export it again, or crop it"
-        )
-    return data
-
-
 def _reader_of(path: Path, data: bytes) -> tuple[Callable[[Path, bytes], HeightMap], str]:
     suffix = path.suffix.lower()
     for begins, reader, kind in SIGNATURES:
@@ -146,11 +130,12 @@ def _read_text(path: Path, data: bytes, unit: str | None = None, lateral_unit: s
     text = text_of(data)
     if text is None:
         raise MapError(
-            f"{path} has an unknown format: maps are .dat, .datx, .asc, .xyz, .x3p, .sdf, .sur, .npz, .npy, .csv or, "
-            "with the extra 'formats', .opd, .plu, .al3d and others"
+            f"{path} has an unknown format: maps are .dat, .datx, .asc, .xyz, .int, .x3p, .sdf, .sur, .npz, .npy, .csv "
+            "or, with the extra 'formats', .opd, .plu, .al3d and others"
         )
     reader = zygo_text.read if text.startswith((zygo_text.PHASES, zygo_text.POINTS)) else None
     reader = grid_sag.read if grid_sag.is_grid_sag(text) else reader
+    reader = codev.read if codev.is_interferogram(text) else reader
     if reader is None:
         return points.read(path, text, unit, lateral_unit)
     if unit or lateral_unit:

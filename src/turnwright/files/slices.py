@@ -10,11 +10,11 @@ import numpy as np
 from turnwright._arrays import Floats
 from turnwright._validate import whole_number
 from turnwright.errors import MapError
-from turnwright.files.base import require_heights
+from turnwright.files.base import read_contents, require_heights
 from turnwright.files.lattice import even_places
 from turnwright.files.numbers import text_of
 from turnwright.files.points import read_slice
-from turnwright.files.read import read_contents, read_map
+from turnwright.files.read import read_map
 from turnwright.profile import Profile
 
 __all__ = ["read_profile"]
