@@ -2,6 +2,7 @@
 
 from turnwright.cli import (  # noqa: F401 - importing them registers the commands
     cutting,
+    exporting,
     materials,
     measuring,
     optics,
