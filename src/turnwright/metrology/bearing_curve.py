@@ -122,8 +122,9 @@ def bearing(heights: HeightMap, *, form: Form = "plane") -> Bearing:
     height = np.interp(at, ratio, curve)
     wide = round(CORE_AREA_SHARE * (RATIO_SAMPLES - 1))
     first = int(np.argmin(height[:-wide] - height[wide:]))
-    core = slice(first, first + wide + 1)
-    slope, top = np.polyfit(at[core], height[core], 1)
+    # The middles of the samples: with both ends, the line would lean toward them.
+    middle = (at[first : first + wide] + at[first + 1 : first + wide + 1]) / 2
+    slope, top = np.polyfit(middle, np.interp(middle, ratio, curve), 1)
     foot = top + slope
     smr1, smr2 = (float(np.interp(-level, -curve, ratio, left=0.0, right=1.0)) for level in (top, foot))
     peaks = float(np.interp(smr1, edges, filled)) - smr1 * top
