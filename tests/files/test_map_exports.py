@@ -5,6 +5,7 @@ are taken apart here by hand.
 """
 
 import re
+from importlib.metadata import version
 
 import mpmath
 import numpy as np
@@ -26,6 +27,7 @@ ABOUT_Y = np.diag([-1.0, 1.0, -1.0])
 """Half a turn about y."""
 
 WAVELENGTH = 632.8e-6
+FIRST_READER = version("prysm").startswith("0.21")
 
 
 def grid_file(file):
@@ -72,11 +74,14 @@ def test_a_codev_file_is_read_by_prysm_to_half_a_count(tmp_path):
     assert per_um == pytest.approx(32767 / np.nanmax(np.abs(MARK.z)) / 1e3)
     found, meta = prysm.io.read_codev_gridint(tmp_path / "a.int")
     assert meta["data meaning"] == "surface error"
-    np.testing.assert_allclose(found[::-1], MARK.z * 1e6, rtol=0, atol=0.5001 * 1e3 / per_um)
+    # Release 0.21 leaves the rows as they are, with the top first.
+    upward = found[::-1] if FIRST_READER else found
+    np.testing.assert_allclose(upward, MARK.z * 1e6, rtol=0, atol=0.5001 * 1e3 / per_um)
     again = read_map(tmp_path / "a.int", pixel_size=0.125)
     np.testing.assert_allclose(again.z, MARK.z, rtol=0, atol=0.5001e-3 / per_um)
 
 
+@pytest.mark.skipif(not FIRST_READER, reason="an erratum of prysm 0.21")
 def test_prysm_errs_on_a_codev_file_of_another_wavelength(tmp_path):
     """Erratum of prysm 0.21: it divides by the wavelength. 20000 counts of one in 20000 are one wavelength."""
     (tmp_path / "a.int").write_text("one\nGRD 2 2 SUR WVL 0.5 SSZ 20000 NDA -32768\n20000 0 0 -32768\n")
