@@ -57,7 +57,7 @@ def test_a_front_face_is_turned_and_a_phase_has_its_wavelength(tmp_path, measure
     np.testing.assert_allclose(read_map(tmp_path / "a.grd").z, -ERROR[:, ::-1], rtol=0, atol=1e-15)
     phase = ("--format", "grid phase", "--wavelength", "500 nm", "--index", "-1")
     exported(tmp_path, "--out", tmp_path / "b.dat", *options, *phase)
-    lines = (tmp_path / "b.dat").read_text().splitlines()[1:]
+    lines = (tmp_path / "b.dat").read_text().splitlines()[2:]
     found = np.array([float(line.split()[0]) for line in lines]).reshape(21, 21)[::-1]
     np.testing.assert_allclose(found, -4 * np.pi / 500e-6 * ERROR[:, ::-1], rtol=1e-9, atol=1e-9)
 

@@ -32,7 +32,7 @@ FIRST_READER = version("prysm").startswith("0.21")
 
 def grid_file(file):
     """Return x, y, and z, dz/dx, dz/dy, d2z/dxdy of a grid file, rows ascending in y; nan where a point is missing."""
-    head, *lines = file.read_text().splitlines()
+    head, *lines = (line for line in file.read_text().splitlines() if line[0] != "!")
     columns, rows, step_x, step_y, _, x, y = map(float, head.split())
     points = np.array([[float(cell) for cell in line.split()] for line in lines])
     points[points[:, 4] != 0] = np.nan
@@ -215,6 +215,12 @@ def test_phase_of_a_bump_is_the_longer_path_on_both_faces(tmp_path, index, waves
     inner = np.s_[6:-6, 6:-6]
     for found, factor in ((along_x, -2 * (at_x - centre)), (along_y, -2 * at_y), (cross, 4 * (at_x - centre) * at_y)):
         np.testing.assert_allclose(found[inner], (factor * exact)[inner], rtol=0, atol=3e-4 * abs(waves) * 2 * np.pi)
+
+
+def test_a_phase_is_not_read_as_heights(tmp_path):
+    write_map(MARK, tmp_path / "a.dat", format="grid phase", wavelength=WAVELENGTH, index=-1.0)
+    with pytest.raises(MapError, match="a phase in radians, not heights"):
+        read_map(tmp_path / "a.dat")
 
 
 # --------------------------------------------------------------------- Zernike coefficients

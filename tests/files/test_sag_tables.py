@@ -69,7 +69,7 @@ def test_a_table_of_any_kind_is_the_surface_that_it_holds(tmp_path, kind):
     np.testing.assert_allclose(upside.part.surface.sag(x, y), -DISH.sag(x, y), atol=2e-8)
 
 
-@pytest.mark.parametrize("kind", ["map.npz", "map.x3p", "map.dat"])
+@pytest.mark.parametrize("kind", ["map.npz", "map.x3p", "map.grd"])
 def test_an_instrument_s_file_is_a_surface_too(tmp_path, kind):
     tw.write_map(tw.HeightMap(x=AXIS, y=AXIS, z=Z), tmp_path / kind)
     job = Job.read(changed(("part.surface", {"family": "gridded", "file": kind, "placed": {"rotation": "90 deg"}})),

@@ -3,7 +3,8 @@
 A point is ``z dz/dx dz/dy d2z/dxdy nodata``, where nodata is optional and 1 for a missing point. The first point is at
 -x and +y; x runs fastest, and rows descend in y. The grid is centred on (xdec, ydec). The unit is 0 mm, 1 cm, 2 in,
 3 m. Lines that begin with ``!`` are comments. Slopes are ignored when read. Grid phase files are the same with radians
-of phase in place of z; the unit is then that of the steps and slopes.
+of phase in place of z; the unit is then that of the steps and slopes. They are written with a remark, by which they are
+not read as heights.
 
 Sources
 -------
@@ -33,6 +34,7 @@ HEAD = re.compile(
     rf"(?:[ \t]*(?:![^\n]*)?\r?\n)*[ \t]*(\d+)[ \t]+(\d+)[ \t]+({NUMBER})[ \t]+({NUMBER})[ \t]+([0-3])"
     rf"(?:[ \t]+({NUMBER})[ \t]+({NUMBER}))?[ \t]*\r?(?:\n|$)"
 )
+PHASE_REMARK = "! phase in radians"
 MIN_ROWS = 6
 """Rows and columns of the smallest grid: Zemax accepts 5, the spline that gives the slopes needs 6."""
 
@@ -44,6 +46,8 @@ def is_grid_sag(text: str) -> bool:
 
 def read(path: Path, text: str) -> HeightMap:
     """Read a grid sag file."""
+    if text.startswith(PHASE_REMARK):
+        raise MapError(f"{path} holds a phase in radians, not heights: read the map that it was written from")
     head = HEAD.match(text)
     if head is None:
         raise MapError(f"{path} has no line of nx ny delx dely unit xdec ydec: write it again")
@@ -72,21 +76,23 @@ def read(path: Path, text: str) -> HeightMap:
     )
 
 
-def pack(heights: HeightMap, scale: float = 1.0) -> bytes:
+def pack(heights: HeightMap, phase_per_height: float | None = None) -> bytes:
     """Return the bytes of a grid sag file of a map, with the slopes of the bicubic spline through it.
 
-    ``scale`` multiplies heights and slopes: 1, or the phase per height for a grid phase file [rad/mm].
+    With a phase per height it is a grid phase file. [rad/mm]
     """
     _head(heights)
     spline = Gridded(x=heights.x, y=heights.y, z=heights.z)  # type: ignore[arg-type] # _head requires a grid
     _, zx, zy, _, zxy, _ = spline.evaluate(*heights.points(), 2)
-    return pack_slopes(heights, (zx, zy, zxy), scale)
+    return pack_slopes(heights, (zx, zy, zxy), phase_per_height)
 
 
-def pack_slopes(heights: HeightMap, slopes: tuple[Floats, Floats, Floats], scale: float = 1.0) -> bytes:
-    """Return the bytes of a grid sag file of a map whose dz/dx, dz/dy and d2z/dxdy are known. Each (ny, nx)."""
-    lines = [_head(heights)]
-    points = scale * np.stack([heights.z, *slopes], axis=-1)[::-1]
+def pack_slopes(
+    heights: HeightMap, slopes: tuple[Floats, Floats, Floats], phase_per_height: float | None = None
+) -> bytes:
+    """Return the bytes of the file of a map whose dz/dx, dz/dy and d2z/dxdy are known. Each (ny, nx)."""
+    lines = [_head(heights)] if phase_per_height is None else [PHASE_REMARK, _head(heights)]
+    points = (phase_per_height or 1.0) * np.stack([heights.z, *slopes], axis=-1)[::-1]
     lines += [
         "0 0 0 0 1" if math.isnan(z) else f"{z!r} {zx!r} {zy!r} {zxy!r} 0"
         for z, zx, zy, zxy in points.reshape(-1, 4).tolist()

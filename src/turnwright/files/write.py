@@ -99,13 +99,12 @@ def write_map(
             f"{path} has the suffix {path.suffix!r}, formats by suffix are {', '.join(SUFFIXES)}: choose one of these, "
             f"or state the format, {', '.join(WRITERS)}"
         )
-    scale = _phase_per_height(kind, wavelength, index)
+    phase = _phase_per_height(kind, wavelength, index)
     heights = map if base is None else map.minus(base)
     if front:
         # The phase is a number at a point of the face, so that turning moves it but keeps its sign.
-        heights, scale = heights.turned_over(), -scale
-    data = grid_sag.pack(heights, scale) if kind == "grid phase" else WRITERS[kind](heights)
-    write_file(path, data)
+        heights, phase = heights.turned_over(), -phase
+    write_file(path, grid_sag.pack(heights, phase) if kind == "grid phase" else WRITERS[kind](heights))
 
 
 def write_grid_sag(
@@ -159,11 +158,11 @@ def write_grid_sag(
 
 
 def _phase_per_height(kind: str, wavelength: float | None, index: float | None) -> float:
-    """Return the phase of one mm of height above the material [rad/mm]; 1 for a format of heights."""
+    """Return the phase of one mm of height above the material [rad/mm]; nan for a format of heights."""
     if kind != "grid phase":
         if wavelength is not None or index is not None:
             raise InputError(f"wavelength and index apply to the format grid phase only, not to {kind}: omit them")
-        return 1.0
+        return math.nan
     if wavelength is None or index is None:
         raise InputError("a grid phase needs the wavelength, and the index of the part or -1 for a mirror: give both")
     if index != MIRROR and not 1 <= index <= MAX_INDEX:

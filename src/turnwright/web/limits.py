@@ -21,8 +21,8 @@ MAX_POINTS = 60_000_000
 """Points of all passes together in a job from the page: four times those of the freeform infrared lens."""
 
 MAP_TYPES = (
-    ".al3d", ".asc", ".csv", ".dat", ".datx", ".frt", ".grd", ".lext", ".npy", ".npz", ".opd", ".opdx", ".os3d", ".plu",
-    ".plux", ".sdf", ".sur", ".txt", ".vk3", ".vk4", ".vk6", ".vk7", ".x3p", ".xyz",
+    ".al3d", ".asc", ".csv", ".dat", ".datx", ".frt", ".grd", ".int", ".lext", ".npy", ".npz", ".opd", ".opdx", ".os3d",
+    ".plu", ".plux", ".sdf", ".sur", ".txt", ".vk3", ".vk4", ".vk6", ".vk7", ".x3p", ".xyz",
 )  # fmt: skip
 """File name extensions of measured maps; the reader is chosen by content."""
 
