@@ -277,7 +277,7 @@ OPTIONS = {
     "face": ({"format": "npz", "face": "left"}, '"front" or "back"'),
     "wavelength without use": ({"format": "x3p", "wavelength": 5e-4}, "grid phase only, not to x3p"),
     "no index": ({"format": "grid phase", "wavelength": 5e-4}, "needs the wavelength, and the index"),
-    "index": ({"format": "grid phase", "wavelength": 5e-4, "index": 0.5}, "from 1 to 10, or -1"),
+    "index": ({"format": "grid phase", "wavelength": 5e-4, "index": 1.0}, "above 1, up to 10, or -1"),
     "wavelength": ({"format": "grid phase", "wavelength": 0.0, "index": 1.5}, "must be finite and above 0"),
 }
 

@@ -91,8 +91,9 @@ def pack_slopes(
     heights: HeightMap, slopes: tuple[Floats, Floats, Floats], phase_per_height: float | None = None
 ) -> bytes:
     """Return the bytes of the file of a map whose dz/dx, dz/dy and d2z/dxdy are known. Each (ny, nx)."""
-    lines = [_head(heights)] if phase_per_height is None else [PHASE_REMARK, _head(heights)]
-    points = (phase_per_height or 1.0) * np.stack([heights.z, *slopes], axis=-1)[::-1]
+    lines, points = [_head(heights)], np.stack([heights.z, *slopes], axis=-1)[::-1]
+    if phase_per_height is not None:
+        lines, points = [PHASE_REMARK, *lines], phase_per_height * points
     lines += [
         "0 0 0 0 1" if math.isnan(z) else f"{z!r} {zx!r} {zy!r} {zxy!r} 0"
         for z, zx, zy, zxy in points.reshape(-1, 4).tolist()

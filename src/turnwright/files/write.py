@@ -165,8 +165,8 @@ def _phase_per_height(kind: str, wavelength: float | None, index: float | None) 
         return math.nan
     if wavelength is None or index is None:
         raise InputError("a grid phase needs the wavelength, and the index of the part or -1 for a mirror: give both")
-    if index != MIRROR and not 1 <= index <= MAX_INDEX:
+    if index != MIRROR and not 1 < index <= MAX_INDEX:
         raise InputError(
-            f"index is {index:g}, it must be from 1 to {MAX_INDEX:g}, or {MIRROR:g} for a mirror: correct it"
+            f"index is {index:g}, it must be above 1, up to {MAX_INDEX:g}, or {MIRROR:g} for a mirror: correct it"
         )
     return 2 * math.pi * (index - 1) / positive(wavelength, "the wavelength", "mm")
