@@ -27,7 +27,9 @@ __all__ = [
     "check_angle",
     "check_azimuths",
     "check_cumulative",
+    "check_index",
     "check_numbers",
+    "check_wavelength",
     "finite",
     "finite_tuple",
     "instance_of",
@@ -50,6 +52,11 @@ INTEGER_TYPE = re.compile(r"(int|Count|Ints|Natural|tuple\[int, \.\.\.\])( \| No
 SCALAR_TYPE = re.compile(
     r"(int|float|Angle|Count|Feed|Length|Natural|Number|Radius|Size|Slope|Speed|Step|Thickness)( \| None)?"
 )
+
+SHORTEST_MM, LONGEST_MM = 1e-6, 1.0
+"""Wavelengths of light; one beyond has a wrong unit."""
+
+HIGHEST_INDEX = 10.0
 
 MAX_SCALAR_CHECKS = 64
 """Entries of a list that are checked one by one; a longer list is converted to an array first."""
@@ -160,6 +167,22 @@ def positive(value: float, name: str, unit: str) -> float:
             f"{name} is {plain:g} {unit}, the limits are {LEAST:g} to {MOST:g} {unit}: check its exponent and its unit"
         )
     return plain
+
+
+def check_wavelength(wavelength: float) -> float:
+    """Return a wavelength of light, from soft X-rays to submillimetre waves. [mm]."""
+    positive(wavelength, "the wavelength", "mm")
+    return between(wavelength, "the wavelength", SHORTEST_MM, LONGEST_MM, "mm")
+
+
+def check_index(index: float) -> float:
+    """Return the refractive index of a material."""
+    if not 1.0 < number(index, "index") <= HIGHEST_INDEX:
+        raise InputError(
+            f"index is {index:g}, it must be above 1 and at most {HIGHEST_INDEX:g}: give that of the material, or "
+            "leave it out for a mirror"
+        )
+    return float(index)
 
 
 def key_of(name: str) -> str:

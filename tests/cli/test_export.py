@@ -55,7 +55,7 @@ def test_a_front_face_is_turned_and_a_phase_has_its_wavelength(tmp_path, measure
     options = ("--base", tmp_path / "job.toml", "--face", "front")
     exported(tmp_path, "--out", tmp_path / "a.grd", *options)
     np.testing.assert_allclose(read_map(tmp_path / "a.grd").z, -ERROR[:, ::-1], rtol=0, atol=1e-15)
-    phase = ("--format", "grid phase", "--wavelength", "500 nm", "--index", "-1")
+    phase = ("--format", "grid phase", "--wavelength", "500 nm")
     exported(tmp_path, "--out", tmp_path / "b.dat", *options, *phase)
     lines = (tmp_path / "b.dat").read_text().splitlines()[2:]
     found = np.array([float(line.split()[0]) for line in lines]).reshape(21, 21)[::-1]
@@ -67,7 +67,7 @@ BAD = {
     "format": (("--out", "a.dat", "--format", "sur"), '"zygo" or "codev"'),
     "face": (("--out", "a.int", "--face", "left"), '"front" or "back"'),
     "phase": (("--out", "a.dat", "--format", "grid phase"), "needs the wavelength"),
-    "wavelength": (("--out", "a.dat", "--format", "grid phase", "--wavelength", "500", "--index", "-1"), "unit"),
+    "wavelength": (("--out", "a.dat", "--format", "grid phase", "--wavelength", "500"), "unit"),
     "pixel size": (("--out", "b.int", "--pixel-size", "1 um"), "states its pixel size"),
     "existing file": (("--out", "a.npz"), "already exists"),
     "folder": (("--out", "none/a.int"), "does not exist"),

@@ -199,7 +199,7 @@ def test_every_valid_point_next_to_a_hole_has_its_slopes(tmp_path):
 
 
 # --------------------------------------------------------------------- phase
-@pytest.mark.parametrize(("index", "waves"), [(-1.0, -2.0), (1.49, 0.49), (3.42, 2.42)])
+@pytest.mark.parametrize(("index", "waves"), [(None, -2.0), (1.49, 0.49), (3.42, 2.42)])
 @pytest.mark.parametrize("face", [None, "front"])
 def test_phase_of_a_bump_is_the_longer_path_on_both_faces(tmp_path, index, waves, face):
     """One wavelength of material more: a mirror shortens the path twice, a lens adds n - 1 wavelengths."""
@@ -218,7 +218,7 @@ def test_phase_of_a_bump_is_the_longer_path_on_both_faces(tmp_path, index, waves
 
 
 def test_a_phase_is_not_read_as_heights(tmp_path):
-    write_map(MARK, tmp_path / "a.dat", format="grid phase", wavelength=WAVELENGTH, index=-1.0)
+    write_map(MARK, tmp_path / "a.dat", format="grid phase", wavelength=WAVELENGTH)
     with pytest.raises(MapError, match="a phase in radians, not heights"):
         read_map(tmp_path / "a.dat")
 
@@ -276,8 +276,8 @@ OPTIONS = {
     "format": ({"format": "opd"}, 'it must be "npz", "x3p"'),
     "face": ({"format": "npz", "face": "left"}, '"front" or "back"'),
     "wavelength without use": ({"format": "x3p", "wavelength": 5e-4}, "grid phase only, not to x3p"),
-    "no index": ({"format": "grid phase", "wavelength": 5e-4}, "needs the wavelength, and the index"),
-    "index": ({"format": "grid phase", "wavelength": 5e-4, "index": 1.0}, "above 1, up to 10, or -1"),
+    "no wavelength": ({"format": "grid phase", "index": 1.5}, "needs the wavelength, and the index"),
+    "index": ({"format": "grid phase", "wavelength": 5e-4, "index": 1.0}, "above 1 and at most 10"),
     "wavelength": ({"format": "grid phase", "wavelength": 0.0, "index": 1.5}, "must be finite and above 0"),
 }
 

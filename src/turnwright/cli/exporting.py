@@ -39,7 +39,8 @@ def export_map(
         str | None, typer.Option(help='Wavelength of a grid phase, such as "632.8 nm".', show_default=False)
     ] = None,
     index: Annotated[
-        float | None, typer.Option(help="Index of the part for a grid phase; -1 for a mirror.", show_default=False)
+        float | None,
+        typer.Option(help="Index of the part for a grid phase, unless it is a mirror.", show_default=False),
     ] = None,
     unit: Unit = None,
     pixel_size: Annotated[

@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from turnwright._arrays import Floats
-from turnwright._validate import one_of, positive
+from turnwright._validate import check_index, check_wavelength, one_of
 from turnwright.errors import InputError, MapError
 from turnwright.files import arrays, codev, grid_sag, metropro, x3p
 from turnwright.files.base import is_front, write_file
@@ -31,9 +31,6 @@ WRITERS = {
     "codev": codev.pack,
 }
 SUFFIXES = {".npz": "npz", ".x3p": "x3p", ".grd": "grid sag", ".int": "codev"}
-MIRROR = -1.0
-"""Index of refraction that means a mirror in air, as lens programs state it."""
-MAX_INDEX = 10.0
 
 
 def write_map(
@@ -54,7 +51,8 @@ def write_map(
 
     Grid sag and grid phase have the slopes of the bicubic spline through the heights; see `write_grid_sag` for those of
     a surface. The phase is :math:`2\pi(n-1)z/\lambda`, where z is along the outward normal of the material and n its
-    index, -1 for a mirror: positive where the path of the light is longer, at normal incidence in air.
+    index, and :math:`-4\pi z/\lambda` of a mirror: positive where the path of the light is longer, at normal incidence
+    in air.
 
     Parameters
     ----------
@@ -75,14 +73,14 @@ def write_map(
     wavelength
         Of a grid phase, required there. [mm]
     index
-        Of refraction of the part for a grid phase, -1 for a mirror; required there.
+        Of refraction of the part for a grid phase; ``None`` for a mirror.
 
     Raises
     ------
     MapError
         If the suffix does not state a format, the format cannot hold the map, or the file cannot be written.
     InputError
-        If an option is not one of those allowed, or a wavelength or an index is missing or without use.
+        If an option is not one of those allowed, or a wavelength is missing, or without use like an index.
 
     Sources
     -------
@@ -163,10 +161,7 @@ def _phase_per_height(kind: str, wavelength: float | None, index: float | None) 
         if wavelength is not None or index is not None:
             raise InputError(f"wavelength and index apply to the format grid phase only, not to {kind}: omit them")
         return math.nan
-    if wavelength is None or index is None:
-        raise InputError("a grid phase needs the wavelength, and the index of the part or -1 for a mirror: give both")
-    if index != MIRROR and not 1 < index <= MAX_INDEX:
-        raise InputError(
-            f"index is {index:g}, it must be above 1, up to {MAX_INDEX:g}, or {MIRROR:g} for a mirror: correct it"
-        )
-    return 2 * math.pi * (index - 1) / positive(wavelength, "the wavelength", "mm")
+    if wavelength is None:
+        raise InputError("a grid phase needs the wavelength, and the index of the part unless it is a mirror: give it")
+    gain = -2.0 if index is None else check_index(index) - 1
+    return 2 * math.pi * gain / check_wavelength(wavelength)

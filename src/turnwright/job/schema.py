@@ -19,7 +19,7 @@ from turnwright._arrays import Floats
 from turnwright._faults import faults as faults_of, sentences
 from turnwright._io import bytes_of, read_toml, write_atomic
 from turnwright._tables import adapter, read_by, types_of, write_table
-from turnwright._validate import check_numbers
+from turnwright._validate import check_index, check_numbers, check_wavelength
 from turnwright.chuck import Chuck
 from turnwright.diagnosis import ERROR_SOURCES
 from turnwright.errors import InputError, JobError
@@ -27,7 +27,7 @@ from turnwright.job.replacing import replace_field
 from turnwright.job.tables import AnyInstrument, AnyMachine, ExistingFile, MachineDeviations, Table, context_of
 from turnwright.machine import Machine
 from turnwright.motion import require_variable
-from turnwright.optics import Removed, check_wavelength, path_factor
+from turnwright.optics import Removed
 from turnwright.outline import BORDER_TOL
 from turnwright.part import Part
 from turnwright.pose import Pose
@@ -505,7 +505,7 @@ class OpticsTable(Table):
         check_numbers(self)
         try:
             check_wavelength(self.wavelength)
-            path_factor(index=self.index)
+            _ = None if self.index is None else check_index(self.index)
         except InputError as error:
             raise JobError(str(error)) from error
         if not 0 <= self.obscuration < 1:

@@ -3,7 +3,6 @@
 from turnwright.optics.alvarez import alvarez_focal_length
 from turnwright.optics.imaging import PointSpread, Removed, Wavefront, incidence_angles, wavefront
 from turnwright.optics.orders import (
-    check_wavelength,
     cusp_orders,
     order_angles,
     path_factor,
@@ -21,7 +20,6 @@ __all__ = [
     "Scatter",
     "Wavefront",
     "alvarez_focal_length",
-    "check_wavelength",
     "cusp_orders",
     "incidence_angles",
     "order_angles",

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Floats, frozen
-from turnwright._validate import between, check_numbers, finite, finite_tuple, one_of, positive
+from turnwright._validate import between, check_numbers, check_wavelength, finite, finite_tuple, one_of, positive
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import ZernikeFit, fit_zernike
-from turnwright.optics.orders import check_wavelength, path_factor
+from turnwright.optics.orders import path_factor
 from turnwright.optics.pupil import Modulation, Nodes, PathMap, disc_nodes, even_frequencies, overlap_nodes, phasors
 from turnwright.surface import Indexing, Surface
 

@@ -8,35 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Floats, Ints, frozen
-from turnwright._validate import between, finite, number, positive
+from turnwright._validate import between, check_index, check_wavelength, finite, positive
 from turnwright.errors import InputError
 
-__all__ = [
-    "LONGEST_MM",
-    "SHORTEST_MM",
-    "check_wavelength",
-    "cusp_orders",
-    "order_angles",
-    "path_factor",
-    "profile_orders",
-    "tis",
-]
-
-SHORTEST_MM, LONGEST_MM = 1e-6, 1.0
-"""Wavelengths from soft X-rays to submillimetre waves; one beyond has a wrong unit."""
-
-HIGHEST_INDEX = 10.0
+__all__ = ["cusp_orders", "order_angles", "path_factor", "profile_orders", "tis"]
 
 MOST_ORDERS = 100_000
 
 PANEL_RAD, PANEL_NODES = 4.0, 16
 """Phase across a panel of the quadrature, and its nodes: Gauss-Legendre is then exact to rounding."""
-
-
-def check_wavelength(wavelength: float) -> float:
-    """Return a wavelength of light. [mm]."""
-    positive(wavelength, "the wavelength", "mm")
-    return between(wavelength, "the wavelength", SHORTEST_MM, LONGEST_MM, "mm")
 
 
 def path_factor(*, index: float | None = None, incidence: ArrayLike = 0.0, inside: bool = False) -> Floats:
@@ -78,12 +58,7 @@ def path_factor(*, index: float | None = None, incidence: ArrayLike = 0.0, insid
         )
     if index is None:
         return np.asarray(-2.0 * np.cos(angle))
-    n = number(index, "index")
-    if not 1.0 < n <= HIGHEST_INDEX:
-        raise InputError(
-            f"index is {n:g}, it must be above 1 and at most {HIGHEST_INDEX:g}: give that of the material, or leave it "
-            "out for a mirror"
-        )
+    n = check_index(index)
     sine = np.sin(angle) * (n if inside else 1 / n)
     with np.errstate(invalid="ignore"):
         refracted = np.sqrt(1.0 - sine * sine)

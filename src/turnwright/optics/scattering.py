@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from turnwright._arrays import Complexes, Floats, is_even
-from turnwright._validate import check_numbers, whole_number
+from turnwright._validate import check_numbers, check_wavelength, whole_number
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import Form, remove_form
-from turnwright.optics.orders import check_wavelength, path_factor
+from turnwright.optics.orders import path_factor
 from turnwright.optics.pupil import phasors
 
 __all__ = ["Order", "Scatter", "scatter"]
