@@ -4,6 +4,7 @@ from turnwright.metrology.alignment import Alignment
 from turnwright.metrology.areal_parameters import Roughness, roughness
 from turnwright.metrology.bearing_curve import Bearing, bearing
 from turnwright.metrology.best_fits import BestFit, best_fit, interferogram
+from turnwright.metrology.call_outs import CallOut, Limit, read_call_out, require_consistent
 from turnwright.metrology.clean import Filled, OutlierRemoval, crop_to_aperture, fill_holes, remove_outliers, trim_edge
 from turnwright.metrology.cusps import Cusps, Stretch, find_cusps
 from turnwright.metrology.feature_parameters import Features, features
@@ -19,6 +20,7 @@ from turnwright.metrology.registration import EDGE, DoubtKind, PoseCandidate, Re
 from turnwright.metrology.slope import Slopes, slope_error
 from turnwright.metrology.smoothing import Smooth, form_compensation, sum_tables
 from turnwright.metrology.spectrum import FEWEST, AreaSpectrum, Spectrum, Window, area_psd, line_psd
+from turnwright.metrology.tolerances import FormComponents, evaluate_call_out, form_components
 from turnwright.metrology.tool_edge import EdgeFit, fit_edge, read_edge_trace
 from turnwright.metrology.turned_edge import TurnedEdge, edge_from_cusps
 from turnwright.metrology.turning import TurningCentre, turning_centre
@@ -32,14 +34,17 @@ __all__ = [
     "Bands",
     "Bearing",
     "BestFit",
+    "CallOut",
     "Cusps",
     "DoubtKind",
     "EdgeFit",
     "Features",
     "Filled",
     "Form",
+    "FormComponents",
     "Lenslet",
     "Lenslets",
+    "Limit",
     "Nesting",
     "OutlierRemoval",
     "PoseCandidate",
@@ -63,6 +68,7 @@ __all__ = [
     "best_fit",
     "crop_to_aperture",
     "edge_from_cusps",
+    "evaluate_call_out",
     "features",
     "fill_holes",
     "filter_map",
@@ -70,6 +76,7 @@ __all__ = [
     "fit_edge",
     "fit_zernike",
     "form_compensation",
+    "form_components",
     "has_lenslets",
     "interferogram",
     "lenslets",
@@ -78,10 +85,12 @@ __all__ = [
     "line_psd",
     "overview",
     "profile_roughness",
+    "read_call_out",
     "read_edge_trace",
     "register",
     "remove_form",
     "remove_outliers",
+    "require_consistent",
     "roughness",
     "separate_bands",
     "slope_error",
