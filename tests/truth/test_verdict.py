@@ -77,7 +77,7 @@ def test_places_that_no_pass_cuts_keep_no_tolerance():
 def test_the_judge_says_what_is_not_judged():
     job = tw.Job.read(DISH | {"tolerances": {"form_pv": "40 nm", "sq": "8 nm"}})
     assert [one.is_kept for one in not_evaluated(job, "no surface")] == [None, None]
-    form, sq = judge_form(job, 41.0, sq_reason="a map of the form")
+    form, sq = judge_form(job, 41.0, reason="a map of the form")
     assert (form.is_kept, sq.is_kept) == (False, None)
     assert "a map of the form" in sq.sentence
     assert any_missed((form, sq))
@@ -89,7 +89,7 @@ def test_a_job_without_patches_is_judged_by_its_roughest_ring():
     _, result = finishing_motion(tw.Job.read(DISH | {"tolerances": {"sq": "5 nm"}}))
     (verdict,) = result.verdicts
     cusp = 0.01**2 / (8 * 0.5 * (1 - 0.5 / 20)) * 1e6
-    assert verdict.value_nm == pytest.approx(cusp * np.sqrt(4 / 45), rel=0.1)
+    assert verdict.value == pytest.approx(cusp * np.sqrt(4 / 45), rel=0.1)
     assert verdict.is_kept is False
 
 
@@ -106,7 +106,7 @@ def test_plan_judges_the_finish_as_run_does_form_included():
     _, result = finishing_motion(chosen.job)
     assert result.keeps_tolerances
     for own, again in zip(chosen.verdicts, result.verdicts, strict=True):
-        assert own.value_nm == pytest.approx(again.value_nm, rel=1e-6)
+        assert own.value == pytest.approx(again.value, rel=1e-6)
 
 
 def test_a_plan_with_servos_is_run_with_servos(tmp_path):

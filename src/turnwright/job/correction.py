@@ -129,7 +129,7 @@ class Correction:
     def verdicts(self) -> tuple[Verdict, ...]:
         """Which stated tolerances the corrected part should meet, at the predicted points."""
         pv_nm, _ = self.numbers_nm["simulated" if self.predicted is None else "predicted"]
-        return judge_form(self.job, pv_nm, sq_reason="a correction predicts the form, run the job")
+        return judge_form(self.job, pv_nm, reason="a correction predicts the form, run the job")
 
 
 def correct(

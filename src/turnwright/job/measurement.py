@@ -23,7 +23,7 @@ from turnwright.job.instrument_effect import TextureComparison, compare_texture,
 from turnwright.job.pass_plan import Watch, across_feed, cut_heights, feed_of, motion_of
 from turnwright.job.schema import Job
 from turnwright.job.tables import name_keys
-from turnwright.job.verdict import Verdict, judge_form
+from turnwright.job.verdict import Verdict, judge_measured
 from turnwright.machine import Machine
 from turnwright.metrology import (
     EDGE,
@@ -167,10 +167,9 @@ class Measured:
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:
-        """Which stated form tolerances the measured part meets; a form map does not resolve the finish."""
-        return judge_form(
-            self.job, self.form_pv_nm, sq_reason="a form map does not resolve it, predict or measure the patches"
-        )
+        """Which stated tolerances the measured part meets."""
+        inside = _inside(self.error, self.job.part)
+        return judge_measured(self.job, self.form_pv_nm, inside, self.registration.error)
 
     @property
     def as_seen(self) -> tuple[str, ...]:
@@ -274,7 +273,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
             registration = _register_at(job, heights, _pose_on_axis(registration, axis), free=free_dofs)
     with watch.stage("judge"):
         placed, error = _to_part_frame(heights, registration)
-        inside = crop_to_aperture(_on_outline(error, part), part.reach * (1 + EDGE))
+        inside = _inside(error, part)
         zernike = _terms(inside, part.reach)
         rough = None
         if not heights.scattered:
@@ -710,6 +709,11 @@ def _add_reference(heights: HeightMap, job: Job) -> tuple[HeightMap, Pose | None
     z = np.full(heights.z.shape, np.nan)
     z[valid] = height
     return replace(heights, z=z), pose
+
+
+def _inside(error: HeightMap, part: Part) -> HeightMap:
+    """Return an error without heights outside the clear aperture."""
+    return crop_to_aperture(_on_outline(error, part), part.reach * (1 + EDGE))
 
 
 def _on_outline(error: HeightMap, part: Part) -> HeightMap:

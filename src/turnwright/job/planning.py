@@ -226,7 +226,7 @@ def _plan_interpolation(job: Job, form: float, sq: float, report: StageProgress)
             return best
         # A patch may be rougher than the rings that the feed is chosen by.
         for name in target:
-            over = [(one.value_nm or 0.0) / one.limit_nm for one in best.verdicts if one.tolerance == name]
+            over = [(one.value or 0.0) / one.limit for one in best.verdicts if one.tolerance == name]
             target[name] *= MARGIN / max(over) if max(over) > 1 else 1.0
     raise LimitError(
         f"the plan misses a tolerance: {'; '.join(one.sentence for one in best.verdicts if not one.is_kept)}; form "

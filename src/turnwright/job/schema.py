@@ -26,6 +26,7 @@ from turnwright.errors import InputError, JobError
 from turnwright.job.replacing import replace_field
 from turnwright.job.tables import AnyInstrument, AnyMachine, ExistingFile, MachineDeviations, Table, context_of
 from turnwright.machine import Machine
+from turnwright.metrology import CallOut, read_call_out, require_consistent
 from turnwright.motion import require_variable
 from turnwright.optics import Removed
 from turnwright.outline import BORDER_TOL
@@ -372,6 +373,8 @@ class MeasurementTable(Table):
         linear.
     noise
         Standard deviation of a height; estimated from the map if left out. [mm]
+    calibration
+        Expanded uncertainty (k = 2) of a difference of heights, by the calibration of the instrument. [mm]
     reference
         Reference surface of the form error.
     error_sources
@@ -419,6 +422,7 @@ class MeasurementTable(Table):
     instrument: AnyInstrument | None = None
     loss: Literal["linear", "huber", "tukey"] | None = None
     noise: Size | None = None
+    calibration: Size | None = None
     reference: Literal["true form", "best-fit sphere", "best-fit sphere, along its normal"] = "true form"
     error_sources: tuple[Text, ...] | None = None
     fixed: tuple[Literal["piston", "tilt", "decentre", "clocking"], ...] = ()
@@ -429,6 +433,11 @@ class MeasurementTable(Table):
     repeats: Flag = True
     corrected: tuple[Text, ...] = ()
     cut_by: Literal["this job"] | None = None
+
+    @property
+    def height_noise(self) -> float | None:
+        """Stated standard deviation of a height, that of the instrument if the job states none. [mm]."""
+        return self.noise or (None if self.instrument is None else self.instrument.noise or None)
 
     @property
     def pose(self) -> Pose | None:
@@ -464,10 +473,26 @@ class Tolerances(Table):
         Peak to valley of the form error over the whole part. [mm]
     sq
         Root mean square roughness Sq of each patch. [mm]
+    drawing
+        Call-outs as they are written on the drawing, after ISO 10110-5, -8 and -12 and ISO 21920, such as "3/
+        0.5(0.2/0.1); λ = 546.07 nm" and "Ra 0.02".
     """
 
     form_pv: Size | None = None
     sq: Size | None = None
+    drawing: tuple[Text, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        try:
+            require_consistent(self.call_outs)
+        except InputError as error:
+            raise JobError(f"drawing: {error}") from error
+
+    @property
+    def call_outs(self) -> tuple[CallOut, ...]:
+        """The call-outs of the drawing."""
+        return tuple(read_call_out(text) for text in self.drawing)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -123,6 +123,11 @@ class CallOut:
         return self.short, long
 
     @property
+    def is_texture(self) -> bool:
+        """Whether it limits texture, which a patch shows, instead of the form or the slopes of the whole part."""
+        return self.standard in ("ISO 10110-8", "ISO 21920")
+
+    @property
     def unit(self) -> str:
         """Unit in which its values are stated."""
         return {"slope": "mrad", "rms slope": "mrad", "PSD": "nm² mm"}.get(self.limits[0].symbol, "nm")

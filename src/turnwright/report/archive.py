@@ -6,8 +6,9 @@ has the keys
 ``schema``, ``turnwright``, ``ok``
     1; the version; whether the tool has access to the part and all machine limits are met.
 ``verdicts``, ``keeps_tolerances``
-    One entry per stated tolerance and place: ``tolerance``, ``place``, ``limit_nm``, ``value_nm``, ``kept`` (``null``
-    if it was not evaluated), ``reason``, ``sentence``; whether none is missed.
+    One entry per limit and place: ``tolerance`` (its key, or the call-out of the drawing), ``quantity``, ``place``,
+    ``unit`` of the numbers, ``limit``, ``value``, ``uncertainty`` (expanded, k = 2), ``kept`` (``null`` if it was not
+    evaluated or is not decided), ``reason``, ``sentence``; whether none is missed.
 ``part``, ``machine``, ``dialect``
     Names.
 ``access``
@@ -75,6 +76,10 @@ __all__ = [
 
 AXES = ("x", "y", "radius", "angle")
 
+VERDICT_FIELDS = (
+    "tolerance", "quantity", "place", "unit", "limit", "value", "uncertainty", "reason", "sentence",
+)  # fmt: skip
+
 ARRAY_UNITS = {
     **dict.fromkeys(("angle", "sweep", "C", "sweep_low", "sweep_high", "rake"), "rad"),
     **dict.fromkeys(("axial", "radial", "cutting"), "N"),
@@ -92,10 +97,7 @@ def archive_run(result: Result, folder: str | PathLike[str]) -> None:
     write_atomic(folder / "job.toml", job)
     numbers = {
         "ok": result.ok,
-        "verdicts": [
-            {"kept": one.is_kept, **_fields(one, "tolerance", "place", "limit_nm", "value_nm", "reason", "sentence")}
-            for one in result.verdicts
-        ],
+        "verdicts": [{"kept": one.is_kept, **_fields(one, *VERDICT_FIELDS)} for one in result.verdicts],
         "part": result.part.name,
         "machine": result.machine.name,
         "dialect": result.machine.dialect,

@@ -334,7 +334,7 @@ def _numbers(predictions: Sequence[Prediction], passes: Sequence[Limits], verdic
         one = by_place.get(key)
         if one is None:
             return Number(label, _number(value), "nm", note)
-        words = "; ".join([f"tolerance {_number(one.limit_nm)} nm, {note}", *filter(None, [one.reason])])
+        words = "; ".join([f"tolerance {_number(one.limit)} nm, {note}", *filter(None, [one.reason])])
         return Number(label, _number(value), "nm", words, ok=one.is_kept is not False)
 
     whole_parts = [one for one in predictions if one.error.polar]
