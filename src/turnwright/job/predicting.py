@@ -24,7 +24,7 @@ from turnwright.part import Part
 from turnwright.path import Motion
 from turnwright.progress import Progress, StageProgress
 
-__all__ = ["follow_motion", "predict"]
+__all__ = ["follow_motion", "needs_lines", "predict"]
 
 PART_PIXELS = 240
 """Pixels along the longer side of the map of one part of a chuck."""
@@ -145,13 +145,26 @@ def _with_extremes(job: Job, whole: Prediction, motion: Motion, watch: Watch) ->
     tool, part, machine = job.actual_tool, job.part, job.actual_machine
     with watch.stage("highest and lowest point") as update:
         form = find_extremes(motion, tool, part, machine=machine, known=whole.error, progress=update)
-    ring = None
-    if job.tolerances.sq is not None and not job.simulation.patches:
-        with watch.stage("roughest ring"):
+    ring, across = None, None
+    if needs_lines(job):
+        with watch.stage("lines across revolutions"):
             radius, angle = lines(part, motion.feed, motion.axes["C"])
-            surface = generate_polar(motion, tool, radius=radius, angle=angle, machine=machine)
-            ring = finish_nm(part.form_error(surface), motion.feed)
-    return replace(whole, form=form, finish_nm=ring)
+            across = part.form_error(generate_polar(motion, tool, radius=radius, angle=angle, machine=machine))
+            if _needs_ring(job):
+                ring = finish_nm(across, motion.feed)
+    return replace(whole, form=form, finish_nm=ring, lines=across)
+
+
+def needs_lines(job: Job) -> bool:
+    """Whether tolerances are judged on lines across all revolutions: finish without a patch, or form call-outs.
+
+    On the grid of the whole part cusps alias to waves of form.
+    """
+    return _needs_ring(job) or any(one.standard == "ISO 10110-5" for one in job.tolerances.call_outs)
+
+
+def _needs_ring(job: Job) -> bool:
+    return job.tolerances.sq is not None and not job.simulation.patches
 
 
 def follow_motion(

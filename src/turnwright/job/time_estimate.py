@@ -12,6 +12,7 @@ from turnwright.errors import TurnwrightError
 from turnwright.job.comparison import strategies_of
 from turnwright.job.contributions import has_servos
 from turnwright.job.planning import stage_of
+from turnwright.job.predicting import needs_lines
 from turnwright.job.schema import Job, PassTable
 from turnwright.part import Part
 from turnwright.progress import Step
@@ -90,8 +91,8 @@ def steps_of_prediction(job: Job, *, tracking: bool | None = None) -> tuple[Step
         steps.append(Step(stage="roughness", work=0.1 + heights / MILLION))
         if name == "whole part":
             steps.append(Step(stage="highest and lowest point", work=1.5 + EXTREMES_S * points))
-            if job.tolerances.sq is not None and not job.simulation.patches:
-                steps.append(Step(stage="roughest ring", work=0.5))
+            if needs_lines(job):
+                steps.append(Step(stage="lines across revolutions", work=0.5))
     return tuple(steps)
 
 

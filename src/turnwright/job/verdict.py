@@ -150,7 +150,8 @@ def _predicted(call_out: CallOut, part: Part, prediction: Prediction) -> Values:
     """Return the values of a predicted map."""
     if call_out.standard != "ISO 10110-5":
         return _of_grid(call_out, prediction.error)
-    components = form_components(_along_normal(part, prediction.error), part.border)
+    error = prediction.error if prediction.lines is None else prediction.lines
+    components = form_components(_along_normal(part, error), part.border)
     values = components.values
     if prediction.form is not None:
         # A grid hits the highest and the lowest point only by chance.
