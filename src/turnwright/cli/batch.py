@@ -44,6 +44,7 @@ def run_into(folder: Path, job: Job, progress: StageProgress) -> Result:
 
     report.archive_run(result, folder)
     report.write_report(result, folder)
+    report.write_certificate(result, folder)
     progress("report", 1, 1)
     return result
 

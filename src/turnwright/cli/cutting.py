@@ -80,6 +80,8 @@ def run(
     session.echo(f"time and memory: {sum(result.timings.values()):.1f} s, {result.peak_memory_gb:.2f} GB")
     warn(result.warnings)
     session.echo(f"report: {out / 'report.html'}")
+    if result.verdicts:
+        session.echo(f"certificate: {out / 'certificate.html'}")
     exit_on_missed(session, result.verdicts)
 
 

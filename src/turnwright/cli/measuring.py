@@ -123,15 +123,18 @@ def measure(
     ):
         measured = register_maps([file], [job], progress, unit, keys)[0]
         progress("report", 0, 1)
-        from turnwright.report import archive_measured, write_measured  # noqa: PLC0415 - costly to import
+        from turnwright.report import archive_measured, write_certificate, write_measured  # noqa: PLC0415 - costly to import
 
         archive_measured(measured, folder)
         write_measured(measured, folder)
+        write_certificate(measured, folder, [file])
         progress("report", 1, 1)
     _print_measured(session, [measured])
     for verdict in measured.verdicts:
         session.echo(verdict.sentence)
     session.echo(f"report: {out / 'report.html'}")
+    if measured.verdicts:
+        session.echo(f"certificate: {out / 'certificate.html'}")
     exit_on_missed(session, measured.verdicts)
 
 

@@ -33,9 +33,10 @@ from turnwright.job.time_estimate import (
     steps_of_preview,
     steps_of_run,
 )
-from turnwright.job.verdict import Verdict, any_missed, judge, judge_form, judge_measured, not_evaluated
+from turnwright.job.verdict import UNDECIDED, Verdict, any_missed, judge, judge_form, judge_measured, not_evaluated
 
 __all__ = [
+    "UNDECIDED",
     "Candidate",
     "Comparison",
     "Correction",

@@ -16,7 +16,7 @@ from turnwright.job.schema import Job
 from turnwright.metrology import CallOut, evaluate_call_out, form_components
 from turnwright.part import Part
 
-__all__ = ["WHOLE", "Verdict", "any_missed", "judge", "judge_form", "judge_measured", "not_evaluated"]
+__all__ = ["UNDECIDED", "WHOLE", "Verdict", "any_missed", "judge", "judge_form", "judge_measured", "not_evaluated"]
 
 Values: TypeAlias = Mapping[str, tuple[float, float | None]]
 """Value and expanded uncertainty of each quantity of a call-out, by symbol. [mm, rad, mm³]"""
@@ -30,7 +30,7 @@ SCALES = {"nm": NM, "mrad": 1e3, "nm² mm": NM**2}
 WHOLE = "whole part"
 MEASURED = "measured map"
 
-UNDECIDED = "the tolerance lies within the uncertainty, so that neither conformity nor nonconformity is proven"
+UNDECIDED = "neither conforming nor nonconforming beyond its uncertainty"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -152,7 +152,7 @@ class CallOut:
             sampled = "" if short is None else f", sampled every {say_length(short)}"
             return f"{limits} over {say_length(long)}{sampled}"
         power = f" at 1/mm, falling with f^-{self.exponent:g}," if self.exponent else ""
-        filters = ", Gaussian S-filter and L-filter" if self.standard == "ISO 21920" else ""
+        filters = ", Gaussian filters" if self.standard == "ISO 21920" else ""
         return f"{limits}{power} in the band {say_length(short or 0.0)} to {say_length(long)}{filters}"
 
 

@@ -11,6 +11,7 @@ from turnwright.report.archive import (
     read_maps,
     write_maps,
 )
+from turnwright.report.certificate import write_certificate
 from turnwright.report.comparison import write_comparison
 from turnwright.report.figures import write_fit_picture, write_picture
 from turnwright.report.measurement import write_correction, write_diagnosis, write_measured
@@ -31,6 +32,7 @@ __all__ = [
     "optics_facts",
     "read_maps",
     "write_backplot",
+    "write_certificate",
     "write_comparison",
     "write_correction",
     "write_diagnosis",

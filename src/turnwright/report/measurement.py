@@ -158,16 +158,17 @@ def write_correction(
 
 
 def _verdict(measured: Measured) -> dict[str, Any]:
-    """Return grade, word and reason of the verdict on form."""
+    """Return grade, word and reason of the verdict on the tolerances that the map can decide."""
     verdicts = measured.verdicts
-    form = next((one for one in verdicts if one.tolerance == "form_pv"), None)
-    if form is None:
-        return {"grade": "plain", "word": "Measured", "why": ["The job states no tolerances.form_pv."]}
-    return {
-        "grade": "good" if form.is_kept else "bad",
-        "word": "Form within tolerance" if form.is_kept else "Form out of tolerance",
-        "why": [f"{one.sentence}." for one in verdicts],
-    }
+    judged = [one.is_kept for one in verdicts if one.value is not None]
+    if not judged:
+        return {"grade": "plain", "word": "Measured", "why": ["The job states no tolerances.form_pv and no drawing."]}
+    grade, word = "good", "Within tolerance"
+    if False in judged:
+        grade, word = "bad", "Out of tolerance"
+    elif None in judged:
+        grade, word = "warn", "Not decided"
+    return {"grade": grade, "word": word, "why": [f"{one.sentence}." for one in verdicts]}
 
 
 def _instrument_sections(measured: Measured) -> list[Section]:

@@ -103,6 +103,7 @@ class Page:
     why: Sequence[str] = ()
     numbers: Sequence[Number] = ()
     notes: Sequence[str] = ()
+    is_sheet: bool = False  # one printed sheet, without the job
 
 
 def page_file(path: str | PathLike[str]) -> File:
