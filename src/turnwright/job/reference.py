@@ -22,7 +22,7 @@ SMALLER = {
     **dict.fromkeys(
         ("stock", "allowance", "depth", "pixel", "radius_error", "arc_length", "resolution", "stylus_radius"), "um"
     ),
-    **dict.fromkeys(("form_pv", "sq", "chord", "scallop", "min_effect", "wavelength"), "nm"),
+    **dict.fromkeys(("form_pv", "sq", "chord", "scallop", "min_effect", "wavelength", "calibration"), "nm"),
     "squareness": "urad",
 }
 """The unit in a job file of keys whose values are far below a millimetre or a degree."""
