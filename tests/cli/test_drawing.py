@@ -113,8 +113,8 @@ def test_measure_writes_a_certificate(tmp_path):
     mask[50:52, 50:52] = np.nan
     write_map(tw.HeightMap(x=np.arange(121.0), y=np.arange(121.0), z=mask), tmp_path / "mask.npz")
     settings = {
-        "free": ["z", "tilt_x", "tilt_y"], "noise": "0.2 nm", "calibration": "1 nm", "mask": "mask.npz",
-        "instrument": "fizeau-50mm", "trim": "0.01 mm",
+        "free": ["z", "tilt_x", "tilt_y"], "calibration": "1 nm", "mask": "mask.npz",
+        "instrument": {"noise": "0.2 nm"}, "trim": "0.01 mm",
     }  # fmt: skip
     job = written(tmp_path, *FLAT, ("tolerances", {"drawing": [FORM]}), ("measurement", settings))
     file, out = tmp_path / "plate.x3p", tmp_path / "out"
@@ -125,8 +125,9 @@ def test_measure_writes_a_certificate(tmp_path):
     assert "<h2>Job</h2>" not in page
     text = text_of(page)
     for expected in (
-        "Nonconforming", FORM, "136.5 nm", "fizeau-50mm", "file mask.npz; edge of 10 um left out", "outliers removed",
-        "z, tilt_x, tilt_y fitted", "noise of a height 0.2 nm", "calibration of the instrument (k = 2) 1 nm",
+        "Nonconforming", FORM, "136.5 nm", "unnamed (noise 0.2 nm)", "file mask.npz; edge of 10 um left out",
+        "outliers removed", "z, tilt_x, tilt_y fitted", "noise of a height 0.2 nm",
+        "calibration of the instrument (k = 2) 1 nm",
         hashlib.sha256(file.read_bytes()).hexdigest()[:16], "Signature", "along the normal",
     ):  # fmt: skip
         assert expected in text, expected

@@ -296,6 +296,8 @@ ANSWERS = """
     Comparison Contribution Correction Cusps CuttingForces Diagnosis DialectCheck DrawnCut Draws DuctileCheck EdgeFit
     Blended Entry ErrorBreakdown Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage
     HeightFile IntactShare Bounded Continued
+    Blended CallOut Entry ErrorBreakdown Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage
+    FormComponents HeightFile IntactShare Bounded Continued
     LearnedMaterial Lenslet Lenslets Limits Measured Move Outcome OutlierRemoval PartShape Pass Plan PoseCandidate
     Prediction Preview ProfileRoughness ProgramFiles ProgramInfo ProgramPass Proof Registration Result Roughness
     Sensitivity Series Slopes Spectrum Stretch Tightening TiledMap ToleranceStudy Trial TurnedEdge TurningCentre

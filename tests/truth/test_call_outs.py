@@ -91,6 +91,9 @@ def test_default_nesting_indices_follow_the_limit():
         (["Rq 0.01"], "0.0025-0.8 / Rq 0.01"),
         (["-0.8 / Ra 0.02; 0.8"], "twice"),
         (["Sq 2 nm; 1/0.01"], "shorter"),
+        (["Sq 2 nm; 0/1"], "length of 0 mm"),
+        (["Ra " + "9" * 300], "the limit is 200"),
+        (["PSD 1 nm² mm/400; 0.1/1"], "cannot be read"),
         (["4/ 3'"], "cannot be read"),
     ],
 )

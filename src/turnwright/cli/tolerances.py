@@ -95,6 +95,8 @@ def _print_result(session: Session, result: ToleranceStudy) -> None:
         t = result.tightening
         p = t.probability
         session.echo(f"confirmed: {p.value:.1%} ({p.low:.1%} to {p.high:.1%}) with half the spread of {t.group}")
+    for remark in result.remarks:
+        session.echo(remark)
     if result.reasons:
         session.echo(
             f"{len(result.reasons)} failed cases count as parts out of tolerance, the first one: {result.reasons[0]}"

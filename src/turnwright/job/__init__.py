@@ -33,10 +33,9 @@ from turnwright.job.time_estimate import (
     steps_of_preview,
     steps_of_run,
 )
-from turnwright.job.verdict import UNDECIDED, Verdict, any_missed, judge, judge_form, judge_measured, not_evaluated
+from turnwright.job.verdict import Verdict, any_missed, judge, judge_form, not_evaluated
 
 __all__ = [
-    "UNDECIDED",
     "Candidate",
     "Comparison",
     "Correction",
@@ -78,7 +77,6 @@ __all__ = [
     "job_template",
     "judge",
     "judge_form",
-    "judge_measured",
     "make_test_part",
     "measure",
     "measured_optics",

@@ -16,7 +16,7 @@ from turnwright.job.schema import Job
 from turnwright.metrology import CallOut, evaluate_call_out, form_components
 from turnwright.part import Part
 
-__all__ = ["UNDECIDED", "WHOLE", "Verdict", "any_missed", "judge", "judge_form", "judge_measured", "not_evaluated"]
+__all__ = ["WHOLE", "Verdict", "any_missed", "judge", "judge_form", "judge_measured", "not_evaluated"]
 
 Values: TypeAlias = Mapping[str, tuple[float, float | None]]
 """Value and expanded uncertainty of each quantity of a call-out, by symbol. [mm, rad, mm³]"""

@@ -4,7 +4,7 @@ from turnwright.metrology.alignment import Alignment
 from turnwright.metrology.areal_parameters import Roughness, roughness
 from turnwright.metrology.bearing_curve import Bearing, bearing
 from turnwright.metrology.best_fits import BestFit, best_fit, interferogram
-from turnwright.metrology.call_outs import CallOut, Limit, read_call_out, require_consistent
+from turnwright.metrology.call_outs import CallOut, read_call_out, require_consistent
 from turnwright.metrology.clean import Filled, OutlierRemoval, crop_to_aperture, fill_holes, remove_outliers, trim_edge
 from turnwright.metrology.cusps import Cusps, Stretch, find_cusps
 from turnwright.metrology.feature_parameters import Features, features
@@ -44,7 +44,6 @@ __all__ = [
     "FormComponents",
     "Lenslet",
     "Lenslets",
-    "Limit",
     "Nesting",
     "OutlierRemoval",
     "PoseCandidate",

@@ -38,6 +38,9 @@ SETTINGS = {
 S_FILTERS = {2.5: 0.008, 8.0: 0.025}
 """Default nesting index of the S-filter by that of the L-filter, 0.0025 mm for shorter ones (ISO 21920-3). [mm]"""
 
+MAX_CHARACTERS = 200
+"""Characters in a call-out; longer numbers have no meaning."""
+
 WAVELENGTHS = (1e-4, 2e-2)
 """Least and greatest wavelength of an interferometer. [mm]"""
 
@@ -52,7 +55,7 @@ EXAMPLES = (
     "'0.0025-0.08 / Ra 0.02'"
 )
 
-_NUMBER = r"([0-9]*\.?[0-9]+(?:[eE][+-]?[0-9]+)?)"
+_NUMBER = r"([0-9]*\.?[0-9]+(?:[eE][+-]?[0-9]{1,2})?)"
 _UNIT = r"([nuµμm]?m)?"
 _SIZE = rf"{_NUMBER}\s*{_UNIT}"
 _BAND = rf"{_NUMBER}\s*(?:mm)?\s*[-/]\s*{_NUMBER}\s*(?:mm)?"
@@ -63,7 +66,7 @@ _RMS = re.compile(rf"RMS\s*_?([tia])\s*<?\s*{_SIZE}")
 _WAVELENGTH = re.compile(rf"(?:λ|lambda)\s*=\s*{_NUMBER}\s*(\w*)")
 _AREA = re.compile(r"(?:all\s*)?(?:[øØ⌀]|dia).*", re.IGNORECASE)
 _BAND_RMS = re.compile(rf"(Sq|Rq)\s*<?\s*{_NUMBER}\s*([nuµμ]m)?\s*;\s*{_BAND}")
-_PSD = re.compile(rf"PSD\s*<?\s*{_NUMBER}\s*([^/;0-9][^/;]*?)?\s*/\s*{_NUMBER}\s*;\s*{_BAND}")
+_PSD = re.compile(rf"PSD\s*<?\s*{_NUMBER}\s*([^/;0-9][^/;]*?)?\s*/\s*([0-9](?:\.[0-9]+)?)\s*;\s*{_BAND}")
 _SLOPE = re.compile(rf"(rms\s+)?slope\s*<?\s*{_NUMBER}\s*([^;\s]*)\s*;\s*{_SIZE}(?:\s*;\s*{_SIZE})?", re.IGNORECASE)
 _NESTING = rf"(?:{_NUMBER}\s*(?:mm)?)?\s*-\s*{_NUMBER}\s*(?:mm)?"
 _PROFILE = re.compile(
@@ -183,6 +186,10 @@ def read_call_out(text: str) -> CallOut:
     >>> read_call_out("3/ 2(1/0,5); λ = 632,8 nm").limits[0]
     Limit(symbol='A', value=0.0006328)
     """
+    if len(text) > MAX_CHARACTERS:
+        raise InputError(
+            f"the call-out {quote(text)} has {len(text)} characters, the limit is {MAX_CHARACTERS}: write one call-out"
+        )
     plain = re.sub(r"(?<=\d),(?=\d)", ".", text.strip())
     for signs, sign in (("≤|<=", "<"), ("[−–—]", "-")):
         plain = re.sub(signs, sign, plain)
@@ -196,6 +203,8 @@ def read_call_out(text: str) -> CallOut:
     zeros = [limit.symbol for limit in call_out.limits if limit.value == 0]
     if zeros:
         raise InputError(f"the call-out {quote(text)} limits {zeros[0]} to 0, it must be above 0: use - for no limit")
+    if 0.0 in (call_out.short, call_out.long):
+        raise InputError(f"the call-out {quote(text)} states a length of 0 mm, it must be above 0 mm: correct it")
     if call_out.short is not None and call_out.long is not None and call_out.short >= call_out.long:
         raise InputError(
             f"the call-out {quote(text)} has the lengths {call_out.short:g} and {call_out.long:g} mm, the first of a "
@@ -215,11 +224,11 @@ def require_consistent(call_outs: Iterable[CallOut]) -> None:
         shown = [f"{limit.symbol} to {limit.value * first.scale:.4g} {first.unit}" for limit in (one, other)]
         if one.symbol == other.symbol and one.value != other.value and first.exponent == second.exponent:
             raise InputError(f"the call-outs {where} limit {shown[0]} and {shown[1]}: state one limit")
-        for whole, part in WHOLE_AND_PART:
+        for larger, part in WHOLE_AND_PART:
             values = {one.symbol: one.value, other.symbol: other.value}
-            if {whole, part} == values.keys() and values[part] > values[whole]:
+            if {larger, part} == values.keys() and values[part] > values[larger]:
                 raise InputError(
-                    f"the call-out {where} limits {shown[0]} and {shown[1]}, but {part} never exceeds {whole}: correct "
+                    f"the call-out {where} limits {shown[0]} and {shown[1]}, but {part} never exceeds {larger}: correct "
                     "one of them"
                 )
 

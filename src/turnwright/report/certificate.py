@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Any
 
-from turnwright.job import UNDECIDED, Measured, Result, Verdict
+from turnwright.job import Measured, Result, Verdict
 from turnwright.report.page import Cell, Number, Page, Section, Table, write_page
 from turnwright.units import say_length
 
@@ -52,8 +52,8 @@ def write_certificate(subject: Measured | Result, path: str | PathLike[str], fil
     if not verdicts:
         return None
     path = File(path)
-    kept, missed = (sum(one.is_kept is state for one in verdicts) for state in (True, False))
-    undecided = len(verdicts) - kept - missed
+    met, missed = (sum(one.is_kept is state for one in verdicts) for state in (True, False))
+    undecided = len(verdicts) - met - missed
     grade, word = (
         ("bad", "Nonconforming") if missed else ("warn", "Not decided") if undecided else ("good", "Conforming")
     )
@@ -68,7 +68,11 @@ def write_certificate(subject: Measured | Result, path: str | PathLike[str], fil
         "Job, SHA-256": _short(job.to_toml().encode()),
         **{f"{file.name}, SHA-256": _short(file.read_bytes()) for file in files},
     }
-    notes = [f"{one.quantity}, {one.place}: {one.reason}." for one in verdicts if one.reason not in ("", UNDECIDED)]
+    notes = [
+        f"{one.quantity}, {one.place}: {one.reason}."
+        for one in verdicts
+        if one.reason and (one.value is None or one.is_kept is False)
+    ]
     page = Page(
         kind="Certificate, measured part" if is_measured else "Certificate, predicted part",
         job=job,
@@ -77,7 +81,7 @@ def write_certificate(subject: Measured | Result, path: str | PathLike[str], fil
         word=word,
         why=["as measured" if is_measured else "as predicted from the program, not measured"],
         numbers=[
-            Number("Conforming", str(kept), f"of {len(verdicts)}", "limits"),
+            Number("Conforming", str(met), f"of {len(verdicts)}", "limits"),
             Number("Nonconforming", str(missed), "", "limits", ok=not missed),
             Number("Not decided", str(undecided), "", "limits, see below"),
         ],
@@ -144,8 +148,8 @@ def _measurement(measured: Measured) -> dict[str, str]:
     datum += [f"{', '.join(fixed)} fixed"] if fixed else []
     mask = [f"file {settings.mask.name}"] if settings.mask else []
     mask += [f"edge of {say_length(settings.trim)} left out"] if settings.trim else []
-    known = {"noise of a height": settings.height_noise, "calibration of the instrument (k = 2)": settings.calibration}
-    uncertainty = ", ".join(f"{name} {say_length(value)}" for name, value in known.items() if value)
+    stated = {"noise of a height": settings.height_noise, "calibration of the instrument (k = 2)": settings.calibration}
+    uncertainty = ", ".join(f"{name} {say_length(value)}" for name, value in stated.items() if value)
     return {
         "Instrument": "not stated" if instrument is None else f"{instrument.name or 'unnamed'} ({instrument.summary})",
         "Mask": "; ".join(mask) or "none",

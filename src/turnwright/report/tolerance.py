@@ -88,7 +88,7 @@ def _format_interval(one: Interval) -> str:
 
 
 def _notes(study: ToleranceStudy) -> list[str]:
-    notes = [f"{kind}: {outcome.advice}" for kind, outcome in study.outcomes.items()]
+    notes = [*study.remarks, *(f"{kind}: {outcome.advice}" for kind, outcome in study.outcomes.items())]
     if study.tightening is not None:
         t = study.tightening
         notes.append(

@@ -182,6 +182,12 @@ class ToleranceStudy:
     tightening: Tightening | None
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """Tolerances of the job that the cases do not tell."""
+        count = len(self.job.tolerances.drawing)
+        return (f"{count} call-outs of the drawing are not evaluated: run the job",) if count else ()
+
+    @property
     def count(self) -> int:
         """Number of successful cases."""
         return int(next(iter(self.columns.values())).size)
