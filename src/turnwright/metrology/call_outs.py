@@ -228,8 +228,8 @@ def require_consistent(call_outs: Iterable[CallOut]) -> None:
             values = {one.symbol: one.value, other.symbol: other.value}
             if {larger, part} == values.keys() and values[part] > values[larger]:
                 raise InputError(
-                    f"the call-out {where} limits {shown[0]} and {shown[1]}, but {part} never exceeds {larger}: correct "
-                    "one of them"
+                    f"the call-out {where} limits {shown[0]} and {shown[1]}, but {part} never exceeds {larger}: "
+                    "correct one of them"
                 )
 
 
