@@ -120,6 +120,8 @@ def test_measure_writes_a_certificate(tmp_path):
     file, out = tmp_path / "plate.x3p", tmp_path / "out"
     write_map(plate(factor=1.5), file)
     assert main(["measure", str(file), "--job", str(job), "--out", str(out)]) == 4
+    verdicts = json.loads((out / "measured.json").read_text())["verdicts"]
+    assert {one["quantity"]: one["kept"] for one in verdicts} == {"A": True, "B": False, "C": True, "RMSi": None}
     page = (out / "certificate.html").read_text(encoding="utf-8")
     assert "@page { size: A4" in page
     assert "<h2>Job</h2>" not in page

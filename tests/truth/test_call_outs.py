@@ -5,6 +5,7 @@ import pytest
 
 import turnwright as tw
 from turnwright.errors import InputError
+from turnwright.job.verdict import _along_normal
 from turnwright.metrology import evaluate_call_out, form_components, read_call_out, require_consistent
 
 LAMBDA = 546.07
@@ -159,6 +160,17 @@ def test_the_arithmetic_of_the_how_to():
     }  # fmt: skip
     for symbol, nm in expected.items():
         assert values[symbol] * 1e6 == pytest.approx(nm, rel=1e-9), symbol
+
+
+def test_a_concentric_sphere_has_a_constant_error_along_the_normal():
+    """A sphere of 3 mm with its centre kept and its radius 10 nm smaller, on a steep part: 45 degrees at the rim."""
+    part = tw.Part(surface=tw.Sphere(radius=3.0), radius=3 / np.sqrt(2))
+    x = np.linspace(-2, 2, 41)
+    away = np.hypot(x, x[:, None])
+    away = np.where(away <= part.reach, away, np.nan)
+    made = 3 - np.sqrt((3 - 1e-5) ** 2 - away**2)  # a bowl; material is added
+    error = _along_normal(part, part.form_error(tw.HeightMap(x=x, y=x, z=made)))
+    assert np.nanmax(np.abs(error.z - 1e-5)) < 1e-9 * 3
 
 
 def test_a_map_of_another_aperture_is_fitted_over_it():

@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.diagnosis import Diagnosis
     from turnwright.job import Comparison, Correction, Measured, OpticalPerformance, Prediction, Result
+    from turnwright.job import Comparison, Correction, Measured, Prediction, Result, Verdict
     from turnwright.metrology import Roughness, Spectrum
     from turnwright.studies import TiledMap
 
@@ -97,7 +98,7 @@ def archive_run(result: Result, folder: str | PathLike[str]) -> None:
     write_atomic(folder / "job.toml", job)
     numbers = {
         "ok": result.ok,
-        "verdicts": [{"kept": one.is_kept, **_fields(one, *VERDICT_FIELDS)} for one in result.verdicts],
+        "verdicts": _verdicts(result.verdicts),
         "part": result.part.name,
         "machine": result.machine.name,
         "dialect": result.machine.dialect,
@@ -163,7 +164,12 @@ def archive_measured(measured: Measured, folder: str | PathLike[str]) -> None:
     write_map(measured.error, folder / "error.npz")
     if measured.lenslets is not None:
         write_atomic(folder / "lenslets.csv", measured.lenslets.csv())
-    _write_json(folder / "measured.json", {"part": measured.job.part.name, **_measured_numbers(measured)})
+    numbers = {"part": measured.job.part.name, "verdicts": _verdicts(measured.verdicts), **_measured_numbers(measured)}
+    _write_json(folder / "measured.json", numbers)
+
+
+def _verdicts(verdicts: Iterable[Verdict]) -> list[dict[str, Any]]:
+    return [{"kept": one.is_kept, **_fields(one, *VERDICT_FIELDS)} for one in verdicts]
 
 
 def _measured_numbers(measured: Measured) -> dict[str, object]:

@@ -176,6 +176,7 @@ def _cut(job: Job, out: Path, progress: _ProgressWriter) -> Ended:
     progress("report", 0, 1)
     report.archive_run(result, out)
     report.write_report(result, out)
+    report.write_certificate(result, out)
     progress(INDEX_STEP.stage, 0, 1)
     index(out, job.machine)
     minutes = sum(one.limits.cycle_time_s for one in result.passes) / 60
@@ -264,6 +265,7 @@ def _diagnose(run: Path, server: Path, out: Path, record: dict[str, Any], progre
     report.archive_measured(measured[0], out)
     report.archive_diagnosis(measured, diagnosis, out)
     report.write_diagnosis(measured, diagnosis, out)
+    report.write_certificate(measured[0], out)
     write_page_data(measured[0], diagnosis, out)
     return Ended(diagnosis.summary, any_missed(measured[0].verdicts))
 
