@@ -294,8 +294,6 @@ ANSWERS = """
     CuspLight Modulation OpticalPerformance Order PointSpread Scatter Wavefront
     Access AccessFinding Alignment Approach AreaSpectrum Bands Bearing BestFit Candidate CentreDefect ChipMap Column
     Comparison Contribution Correction Cusps CuttingForces Diagnosis DialectCheck DrawnCut Draws DuctileCheck EdgeFit
-    Blended Entry ErrorBreakdown Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage
-    HeightFile IntactShare Bounded Continued
     Blended CallOut Entry ErrorBreakdown Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage
     FormComponents HeightFile IntactShare Bounded Continued
     LearnedMaterial Lenslet Lenslets Limits Measured Move Outcome OutlierRemoval PartShape Pass Plan PoseCandidate

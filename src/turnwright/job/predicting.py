@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -18,13 +19,16 @@ from turnwright.job.interpolation import chord_error, interpolate_motion
 from turnwright.job.pass_plan import Watch
 from turnwright.job.prediction import Prediction
 from turnwright.job.schema import Job
-from turnwright.job.verdict import WHOLE
+from turnwright.job.verdict import WHOLE, form_values
 from turnwright.metrology import roughness
 from turnwright.part import Part
 from turnwright.path import Motion
 from turnwright.progress import Progress, StageProgress
 
 __all__ = ["follow_motion", "needs_lines", "predict"]
+
+FORM_POINTS = 4_000_000
+"""Most points that a form error is split on; every n-th line and radius of more of them."""
 
 PART_PIXELS = 240
 """Pixels along the longer side of the map of one part of a chuck."""
@@ -145,14 +149,17 @@ def _with_extremes(job: Job, whole: Prediction, motion: Motion, watch: Watch) ->
     tool, part, machine = job.actual_tool, job.part, job.actual_machine
     with watch.stage("highest and lowest point") as update:
         form = find_extremes(motion, tool, part, machine=machine, known=whole.error, progress=update)
-    ring, across = None, None
+    ring, values = None, None
     if needs_lines(job):
         with watch.stage("lines across revolutions"):
             radius, angle = lines(part, motion.feed, motion.axes["C"])
             across = part.form_error(generate_polar(motion, tool, radius=radius, angle=angle, machine=machine))
             if _needs_ring(job):
                 ring = finish_nm(across, motion.feed)
-    return replace(whole, form=form, finish_nm=ring, lines=across)
+            if _needs_form(job):
+                with suppress(InputError):  # the verdict repeats it and states why
+                    values = form_values(part, across.thinned(FORM_POINTS), form)
+    return replace(whole, form=form, finish_nm=ring, form_values=values)
 
 
 def needs_lines(job: Job) -> bool:
@@ -160,7 +167,11 @@ def needs_lines(job: Job) -> bool:
 
     On the grid of the whole part cusps alias to waves of form.
     """
-    return _needs_ring(job) or any(one.standard == "ISO 10110-5" for one in job.tolerances.call_outs)
+    return _needs_ring(job) or _needs_form(job)
+
+
+def _needs_form(job: Job) -> bool:
+    return any(one.standard == "ISO 10110-5" for one in job.tolerances.call_outs)
 
 
 def _needs_ring(job: Job) -> bool:

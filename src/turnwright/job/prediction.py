@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,8 +41,9 @@ class Prediction:
         Highest and lowest point of the whole part, which a grid hits only by chance; ``None`` for a patch.
     finish_nm
         Sq of the roughest ring of the whole part, where the job states a tolerance and has no patch; else ``None``.
-    lines
-        Error on radial lines that cross every revolution, where the job states a tolerance that needs them. [mm]
+    form_values
+        Quantities of ISO 10110-5 by symbol, from radial lines that cross every revolution, where the job states a
+        call-out of form; else ``None``. [mm]
     outside
         Number of points of the map outside the outline of the part, which have no height.
     """
@@ -54,7 +56,7 @@ class Prediction:
     chord_error: float = 0.0
     form: Extremes | None = None
     finish_nm: float | None = None
-    lines: HeightMap | None = None
+    form_values: Mapping[str, float] | None = None
     outside: int = 0
 
     @property

@@ -11,12 +11,13 @@ import numpy as np
 
 from turnwright.errors import InputError, quote
 from turnwright.heightmap import HeightMap
+from turnwright.job.extremes import Extremes
 from turnwright.job.prediction import Prediction
 from turnwright.job.schema import Job
 from turnwright.metrology import CallOut, evaluate_call_out, form_components
 from turnwright.part import Part
 
-__all__ = ["WHOLE", "Verdict", "any_missed", "judge", "judge_form", "judge_measured", "not_evaluated"]
+__all__ = ["WHOLE", "Verdict", "any_missed", "form_values", "judge", "judge_form", "judge_measured", "not_evaluated"]
 
 Values: TypeAlias = Mapping[str, tuple[float, float | None]]
 """Value and expanded uncertainty of each quantity of a call-out, by symbol. [mm, rad, mm³]"""
@@ -150,16 +151,23 @@ def _predicted(call_out: CallOut, part: Part, prediction: Prediction) -> Values:
     """Return the values of a predicted map."""
     if call_out.standard != "ISO 10110-5":
         return _of_grid(call_out, prediction.error)
-    error = prediction.error if prediction.lines is None else prediction.lines
+    values = prediction.form_values or form_values(part, prediction.error, prediction.form)
+    return {symbol: (value, None) for symbol, value in values.items()}
+
+
+def form_values(part: Part, error: HeightMap, form: Extremes | None) -> dict[str, float]:
+    """Return the quantities of ISO 10110-5 of a predicted part by symbol. [mm].
+
+    A grid hits the highest and the lowest point only by chance, so they count for the irregularity as well.
+    """
     components = form_components(_along_normal(part, error), part.border)
     values = components.values
-    if prediction.form is not None:
-        # A grid hits the highest and the lowest point only by chance.
-        x, y, z = np.array([prediction.form.highest, prediction.form.lowest]).T
+    if form is not None:
+        x, y, z = np.array([form.highest, form.lowest]).T
         ends = _along_normal(part, HeightMap(x=x, y=y, z=z)).z - components.sphere.sag(x, y)
         z = np.append(components.irregularity.z, ends)
         values["B"] = float(np.nanmax(z) - np.nanmin(z))
-    return {symbol: (value, None) for symbol, value in values.items()}
+    return values
 
 
 def _of_grid(call_out: CallOut, error: HeightMap, doubt: float | None = None) -> Values:

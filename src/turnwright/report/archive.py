@@ -58,8 +58,7 @@ if TYPE_CHECKING:
 
     from turnwright._arrays import Floats
     from turnwright.diagnosis import Diagnosis
-    from turnwright.job import Comparison, Correction, Measured, OpticalPerformance, Prediction, Result
-    from turnwright.job import Comparison, Correction, Measured, Prediction, Result, Verdict
+    from turnwright.job import Comparison, Correction, Measured, OpticalPerformance, Prediction, Result, Verdict
     from turnwright.metrology import Roughness, Spectrum
     from turnwright.studies import TiledMap
 
