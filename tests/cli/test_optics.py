@@ -126,3 +126,44 @@ def test_optics_needs_its_table():
     with pytest.raises(tw.InputError, match=r"\[optics\]"):
         _ = Pipeline(tw.Job.read(plain)).optics
     assert "optics" not in tomllib.loads(tw.Job.read(plain).to_toml())
+
+
+LENS = {
+    **MIRROR,
+    "strategy": {"kind": "slow tool servo", "feed": "5 um/rev", "chord": "5 nm"},
+    "simulation": {"whole_part": {"radii": 40, "angles": 60}},
+}
+
+
+def test_cusp_order_is_a_tolerance(tmp_path, capsys):
+    """20 um/rev leaves 13 % in an order, far above 0.1 %."""
+    job = tmp_path / "job.toml"
+    job.write_text(tomli_w.dumps(MIRROR | {"tolerances": {"cusp_order": {"max": 0.001, "wavelength": "633 nm"}}}))
+    assert main(["run", str(job), "--out", str(tmp_path / "run")]) == 4
+    assert "light in one order of the cusps is 13." in capsys.readouterr().err
+    (verdict,) = json.loads((tmp_path / "run" / "result.json").read_text())["verdicts"]
+    assert (verdict["kept"], verdict["unit"], verdict["limit"]) == (False, "%", pytest.approx(0.1))
+
+
+def test_plan_keeps_the_orders_of_the_cusps():
+    """The feed where f² / (8 R (1 - R / 80)) sends 0.1 % into the first order, by Fresnel integrals at 40 digits."""
+    tolerances = {"form_pv": "500 nm", "sq": "100 nm", "cusp_order": {"max": 0.001, "wavelength": "633 nm"}}
+    planned = tw.plan(tw.Job.read(LENS | {"tolerances": tolerances}))
+    feed = planned.job.strategy.feed
+    period = feed / math.sqrt(1 - 0.5 / 80)
+    made = tw.optics.cusp_orders(nose_radius=0.5, feed=period, wavelength=633e-6, orders=1)
+    assert 0.85e-3 < float(made) <= 0.001
+    assert [one.is_kept for one in planned.verdicts] == [True, True, True]
+
+
+@pytest.mark.parametrize(
+    ("order", "named"),
+    [
+        ({"max": 0.001}, "wavelength"),
+        ({"max": 1.5, "wavelength": "633 nm"}, "max"),
+        ({"max": 0.001, "wavelength": "633 nm", "index": 0.3}, "index"),
+    ],
+)
+def test_order_that_cannot_be_is_refused(order, named):
+    with pytest.raises(JobError, match=named):
+        tw.Job.read(MIRROR | {"tolerances": {"cusp_order": order}})

@@ -51,6 +51,7 @@ NOSE, SPHERE, FEED = 0.5, 20.0, 0.02
 PANELS = ("maps", "profile", "motion", "compare", "program", "measure")
 WINDOW = {"centre": ["0.9 mm", "0 mm"], "size": ["0.6 mm", "0.6 mm"], "pixel": "0.4 um"}
 # Millions of points, as slowly as the lathe reads them, and windows for another quarter of a minute.
+LIT = (*DISH, ("optics", {"wavelength": "633 nm"}))
 LONG = (
     *DISH, ("part.name", "long"), ("strategy.feed", "2 um/rev"), ("strategy.points_per_rev", 3600),
     ("strategy.spindle_speed", "8 rpm"),
@@ -68,7 +69,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def by_hand(folder):
     """The job of these tests, carried out by the command line."""
-    file = written(folder, *DISH, ("optics", {"wavelength": "633 nm"}))
+    file = written(folder, *LIT)
     assert main(["run", str(file), "--out", str(folder / "by-hand")]) == 0
     return folder / "by-hand"
 
@@ -216,7 +217,7 @@ def test_a_wrong_field_is_marked_where_it_stands(bench, by_hand, tmp_path, capsy
 def test_a_job_goes_in_and_out_as_toml(bench, by_hand):
     one = bench().take(by_hand.parent / "job.toml")
     page = one.page
-    assert tomllib.loads(one.download(page.get_by_role("button", name="Save the job file")).decode()) == changed(*DISH)
+    assert tomllib.loads(one.download(page.get_by_role("button", name="Save the job file")).decode()) == changed(*LIT)
     page.get_by_role("tab", name="TOML").click()
     text = page.get_by_label("The job as TOML")
     one.answer("/api/job/parse", lambda: text.fill(text.input_value().replace('"20 um/rev"', '"7 um/rev"')))
@@ -225,7 +226,7 @@ def test_a_job_goes_in_and_out_as_toml(bench, by_hand):
     expect(feed).to_have_value("7 um/rev")
     feed.fill("9 um/rev")
     saved = tomllib.loads(one.download(page.get_by_role("button", name="Save the job file")).decode())
-    assert saved == changed(*DISH, ("strategy.feed", "9 um/rev"))
+    assert saved == changed(*LIT, ("strategy.feed", "9 um/rev"))
     feed.blur()
     for wanted in ("7 um/rev", "20 um/rev"):
         page.get_by_role("button", name="Undo").click()
@@ -372,7 +373,7 @@ def test_a_file_that_is_no_job_leaves_the_job_as_it_is(bench, by_hand, tmp_path)
     one.take(tmp_path / "odd.toml")
     expect(one.page.locator("#foot")).to_contain_text("odd.toml: the job is not TOML")
     assert not one.store("errors")
-    assert tomllib.loads(one.store("toml")) == changed(*DISH)
+    assert tomllib.loads(one.store("toml")) == changed(*LIT)
     expect(one.page.locator("#run")).to_be_enabled()
     one.take(by_hand.parent / "job.toml")
     expect(one.page.locator("#foot")).not_to_contain_text("odd.toml")

@@ -4,10 +4,11 @@ from turnwright.job.approach import Entry
 from turnwright.job.comparison import Candidate, Comparison, compare
 from turnwright.job.contributions import ErrorBreakdown, break_down_error, has_servos, without_servos
 from turnwright.job.correction import Correction, correct
+from turnwright.job.cusps import CuspLight
 from turnwright.job.finish_terms import Finish, finish
 from turnwright.job.links import find_wrong_move
 from turnwright.job.measurement import Measured, diagnose, measure, read_measurement
-from turnwright.job.optics import CuspLight, OpticalPerformance, measured_optics
+from turnwright.job.optics import OpticalPerformance, measured_optics
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.pipeline import Pipeline
 from turnwright.job.planning import Plan, Trial, plan

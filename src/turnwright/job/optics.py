@@ -9,23 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Floats, Ints
-from turnwright.errors import InputError
 from turnwright.generation import generate_polar
 from turnwright.heightmap import HeightMap
+from turnwright.job.cusps import CuspLight, cusp_light
 from turnwright.job.predicting import follow_motion
 from turnwright.metrology import Form
 from turnwright.optics import (
     Scatter,
     Wavefront,
-    cusp_orders,
-    incidence_angles,
-    order_angles,
-    path_factor,
     scatter,
     wavefront,
 )
-from turnwright.part import Part, evenly
+from turnwright.part import Part
 from turnwright.pose import Pose
 from turnwright.surface import Placed, Surface
 
@@ -37,7 +32,7 @@ if TYPE_CHECKING:
     from turnwright.path import Motion
     from turnwright.progress import Progress
 
-__all__ = ["NO_OPTICS", "CuspLight", "OpticalPerformance", "cusp_light", "measured_optics", "predict_optics"]
+__all__ = ["OpticalPerformance", "measured_optics", "predict_optics"]
 
 RINGS, AZIMUTHS = 128, 128
 """Grid of the form in the pupil: errors with up to 64 lobes."""
@@ -45,41 +40,7 @@ RINGS, AZIMUTHS = 128, 128
 SAMPLES_PER_FEED = 8
 """Samples across a feed whose mean is the form without its cusps."""
 
-CUSP_POINTS = 200
-"""Points of the part at which the height of the cusps is evaluated."""
-
-CUSP_HEIGHTS = 65
-"""Heights of cusps for which orders are computed; in between they are interpolated."""
-
-LISTED_ORDERS = 3
-
 BORDER_POINTS = 720
-
-NO_OPTICS = "the job states no [optics], its optical performance needs a wavelength: add the table"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CuspLight:
-    """Diffraction by the cusps that feed and nose radius leave over the part. See `turnwright.optics.cusp_orders`.
-
-    Parameters
-    ----------
-    feed
-        Their period. [mm/rev]
-    orders, angles
-        Numbers from 1 on, and their angles from the specular direction at normal incidence, nan where an order does
-        not propagate. (n,) [rad]
-    efficiency
-        Largest share of the light in each order, on either side, anywhere on the part. (n,)
-    specular
-        Share of the light in the specular order over the part: the square of its mean amplitude.
-    """
-
-    feed: float
-    orders: tuple[int, ...]
-    angles: tuple[float, ...]
-    efficiency: tuple[float, ...]
-    specular: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -116,7 +77,7 @@ class OpticalPerformance:
     @property
     def cusp_order(self) -> float | None:
         """Largest share of the light in one order of the cusps; ``None`` where the feed is not known."""
-        return None if self.cusps is None else max(self.cusps.efficiency)
+        return None if self.cusps is None else self.cusps.brightest
 
     @property
     def tis(self) -> float:
@@ -153,21 +114,20 @@ def predict_optics(
     InputError
         If the job does not state ``optics``, or the part is curved more than the nose.
     """
-    if job.optics is None:
-        raise InputError(NO_OPTICS)
+    stated = job.light
     followed, real = follow_motion(job, motion, job.simulation.tracking, nominal, watch)
     with watch.stage("optics") as update:
         form = _mean_form(job, real or followed, update)
         patches = {
-            one.name: light_of_patch(one.error, job.optics, job.roughness.form)
+            one.name: light_of_patch(one.error, stated, job.roughness.form)
             for one in predictions
             if one.name in {patch.name for patch in job.simulation.patches}
         }
-        light = _wavefront(job.part, job.part.design.surface, form, job.optics, Pose())
-        cusps = cusp_light(job, motion.feed)
+        light = _wavefront(job.part, job.part.design.surface, form, stated, Pose())
+        cusps = cusp_light(job, motion.feed, stated)
         return OpticalPerformance(
             wavefront=replace(light, specular=cusps.specular),
-            cusps=cusps, marks=patches, focal_length=job.optics.focal_length,
+            cusps=cusps, marks=patches, focal_length=stated.focal_length,
         )  # fmt: skip
 
 
@@ -180,13 +140,12 @@ def measured_optics(measured: Measured) -> OpticalPerformance:
         If the job does not state ``optics``, the map has scattered points, or it covers less than 95 % of the aperture.
     """
     job = measured.job
-    if job.optics is None:
-        raise InputError(NO_OPTICS)
+    stated = job.light
     to_map = measured.registration.pose.inverse
     surface = Placed(surface=job.part.design.surface, shift=to_map.shift, rotation=to_map.rotation, tilt=to_map.tilt)
     return OpticalPerformance(
-        wavefront=_wavefront(job.part, surface, measured.registration.error, job.optics, to_map),
-        focal_length=job.optics.focal_length,
+        wavefront=_wavefront(job.part, surface, measured.registration.error, stated, to_map),
+        focal_length=stated.focal_length,
     )
 
 
@@ -224,56 +183,3 @@ def _mean_form(job: Job, motion: Motion, update: Progress) -> HeightMap:
     error = part.form_error(made)
     z = error.z.reshape(AZIMUTHS, RINGS, SAMPLES_PER_FEED).mean(axis=2)
     return HeightMap(radius=rings, angle=angle, z=z, name="form")
-
-
-def cusp_light(job: Job, feed: float) -> CuspLight:
-    r"""Return the diffraction by the cusps of a feed over the part.
-
-    With slope angle :math:`\alpha` and curvature :math:`\kappa` along the feed, neighbouring cusps are
-    :math:`p = f / \cos \alpha` apart along the surface and :math:`p^2 (1/R - \kappa) / 8` high; a path placed along z
-    has its feed at the tip, and cusps farther apart by :math:`1 / (1 - R \kappa)`.
-
-    Raises
-    ------
-    InputError
-        If the job does not state ``optics``, or the part is curved more than the nose.
-    """
-    stated, nose_radius = job.optics, job.actual_tool.actual_radius
-    if stated is None:
-        raise InputError(NO_OPTICS)
-    surface = job.part.design.surface
-    x, y = evenly(job.part, CUSP_POINTS)
-    radius = np.hypot(x, y)
-    cosine, sine = x / radius, y / radius
-    zx, zy = surface.gradient(x, y)
-    zxx, zxy, zyy = surface.hessian(x, y)
-    secant = np.sqrt(1 + (zx * cosine + zy * sine) ** 2)
-    curvature = (zxx * cosine**2 + 2 * zxy * cosine * sine + zyy * sine**2) / secant**3
-    if (bad := curvature * nose_radius >= 1).any():
-        raise InputError(
-            f"the part is curved by {curvature[bad].max():.4g} 1/mm along the feed, the nose by {1 / nose_radius:.4g} "
-            "1/mm, so that it leaves no cusps: use a smaller nose radius"
-        )
-    period = feed * secant / (1 - nose_radius * curvature if job.strategy.along == "z" else 1.0)
-    heights = period**2 * (1 / nose_radius - curvature) / 8
-    incidence = incidence_angles(surface, x, y, source=stated.source)
-    gain, straight = (path_factor(index=stated.index, incidence=one, inside=stated.inside) for one in (incidence, 0.0))
-    orders = np.arange(1, LISTED_ORDERS + 1)
-    shares = _shares(heights * gain / straight, stated, np.append(0, orders))
-    angles = order_angles(float(period.mean()), wavelength=stated.wavelength, orders=orders)
-    return CuspLight(
-        feed=feed, orders=tuple(orders.tolist()), angles=tuple(angles.tolist()),
-        efficiency=tuple(shares[:, 1:].max(axis=0).tolist()), specular=float(np.sqrt(shares[:, 0]).mean() ** 2),
-    )  # fmt: skip
-
-
-def _shares(heights: Floats, stated: OpticsTable, orders: Ints) -> Floats:
-    """Return the shares of orders of cusps at normal incidence, by a table over their height. (n, orders)."""
-    nodes = np.linspace(heights.min(), heights.max(), CUSP_HEIGHTS)
-    table = np.array([
-        cusp_orders(
-            nose_radius=1.0, feed=math.sqrt(8 * height), wavelength=stated.wavelength, orders=orders, index=stated.index
-        )
-        for height in nodes
-    ])  # fmt: skip
-    return np.stack([np.interp(heights, nodes, column) for column in table.T], axis=1)

@@ -21,6 +21,7 @@ from turnwright.job.contributions import (
     max_difference_nm,
     without_servos,
 )
+from turnwright.job.cusps import cusp_light
 from turnwright.job.interpolation import interpolate_motion
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.predicting import predict
@@ -428,6 +429,13 @@ def _fill_in(job: Job, across: float, ways: Mapping[str, float], speed: float | 
     return replace(job, strategy=strategy, passes=passes, simulation=simulation)
 
 
+def _order_share(job: Job, feed: float) -> float:
+    """Return the height of the cusps over that which keeps the tolerance of their diffraction orders."""
+    limit = job.tolerances.cusp_order
+    # On shallow cusps the light in an order is proportional to the square of their height.
+    return 0.0 if limit is None else math.sqrt(cusp_light(job, feed, limit.light).brightest / (MARGIN * limit.max))
+
+
 def _largest_feed(job: Job, form: float, sq: float) -> tuple[float, float]:
     """Return the largest feed or scallop whose cusps keep their share of both tolerances, and their height [mm]."""
     part, tool, machine = job.part.aimed, job.tool, job.machine
@@ -441,7 +449,7 @@ def _largest_feed(job: Job, form: float, sq: float) -> tuple[float, float]:
         spiral = PassPlan(filled).spiral
         error, pv_nm = exact_cusps(spiral, part, tool, machine)
         pv, finish = pv_nm / NM, finish_nm(error, spiral.feed) / NM
-        share = max(pv / pv_limit, finish / sq_limit)
+        share = max(pv / pv_limit, finish / sq_limit, _order_share(filled, spiral.feed))
         if NEAR <= share <= 1:
             return round_down(across), pv
         # The cusp height is proportional to the square of the feed.

@@ -44,6 +44,9 @@ class Prediction:
     form_values
         Quantities of ISO 10110-5 by symbol, from radial lines that cross every revolution, where the job states a
         call-out of form; else ``None``. [mm]
+    cusp_order
+        Largest share of the light in one diffraction order of the cusps, where the job states a tolerance; else
+        ``None``.
     outside
         Number of points of the map outside the outline of the part, which have no height.
     """
@@ -57,6 +60,7 @@ class Prediction:
     form: Extremes | None = None
     finish_nm: float | None = None
     form_values: Mapping[str, float] | None = None
+    cusp_order: float | None = None
     outside: int = 0
 
     @property

@@ -464,38 +464,6 @@ class MeasurementTable(Table):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tolerances(Table):
-    """Tolerances of the part; a missed tolerance becomes a warning.
-
-    Parameters
-    ----------
-    form_pv
-        Peak to valley of the form error over the whole part. [mm]
-    sq
-        Root mean square roughness Sq of each patch. [mm]
-    drawing
-        Call-outs as they are written on the drawing, after ISO 10110-5, -8 and -12 and ISO 21920, such as "3/
-        0.5(0.2/0.1); λ = 546.07 nm" and "Ra 0.02".
-    """
-
-    form_pv: Size | None = None
-    sq: Size | None = None
-    drawing: tuple[Text, ...] = ()
-
-    def __post_init__(self) -> None:
-        check_numbers(self)
-        try:
-            require_consistent(self.call_outs)
-        except InputError as error:
-            raise JobError(f"drawing: {error}") from error
-
-    @property
-    def call_outs(self) -> tuple[CallOut, ...]:
-        """The call-outs of the drawing."""
-        return tuple(read_call_out(text) for text in self.drawing)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OpticsTable(Table):
     """How light meets the surface, to predict its optical performance: see `turnwright.optics.wavefront`.
 
@@ -539,6 +507,71 @@ class OpticsTable(Table):
             )
         if self.inside and self.index is None:
             raise JobError("inside is true and there is no index, a mirror has no light inside: state the index")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CuspOrder(Table):
+    """Tolerance of the light in diffraction orders of the cusps, anywhere on the part.
+
+    Parameters
+    ----------
+    max
+        Largest share of the light in one order other than the specular one.
+    wavelength
+        Wavelength of the light in air. [mm]
+    index
+        Refractive index of the material at this wavelength; left out for a mirror.
+    """
+
+    max: Number
+    wavelength: Size
+    index: Number | None = None
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        _ = self.light
+        if not 0 < self.max < 1:
+            raise JobError(f"max must be above 0 and below 1, got {self.max:g}: give a share of the light")
+
+    @property
+    def light(self) -> OpticsTable:
+        """Collimated light of this wavelength."""
+        return OpticsTable(wavelength=self.wavelength, index=self.index)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tolerances(Table):
+    """Tolerances of the part; a missed tolerance becomes a warning.
+
+    Parameters
+    ----------
+    form_pv
+        Peak to valley of the form error over the whole part. [mm]
+    sq
+        Root mean square roughness Sq of each patch. [mm]
+    cusp_order
+        Light in each diffraction order of the cusps.
+    drawing
+        Call-outs as they are written on the drawing, after ISO 10110-5, -8 and -12 and ISO 21920, such as "3/
+        0.5(0.2/0.1); λ = 546.07 nm" and "Ra 0.02".
+    """
+
+    form_pv: Size | None = None
+    sq: Size | None = None
+    cusp_order: CuspOrder | None = None
+    drawing: tuple[Text, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        try:
+            require_consistent(self.call_outs)
+        except InputError as error:
+            raise JobError(f"drawing: {error}") from error
+
+    @property
+    def call_outs(self) -> tuple[CallOut, ...]:
+        """The call-outs of the drawing."""
+        return tuple(read_call_out(text) for text in self.drawing)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -958,6 +991,19 @@ class Job(Table):
             raise InputError('it leaves no allowance, only roughing passes can be "turning": state it as strategy.kind')
         shared = {name: getattr(self.strategy, name) for name in ("sense", "inside_out", "along")}
         return Turning(**shared, **choices, symmetric_part=True)
+
+    @property
+    def light(self) -> OpticsTable:
+        """How light meets the surface.
+
+        Raises
+        ------
+        InputError
+            If the job does not state it.
+        """
+        if self.optics is None:
+            raise InputError("the job states no [optics], its optical performance needs a wavelength: add the table")
+        return self.optics
 
     @property
     def reference(self) -> Surface:

@@ -23,10 +23,11 @@ Values: TypeAlias = Mapping[str, tuple[float, float | None]]
 """Value and expanded uncertainty of each quantity of a call-out, by symbol. [mm, rad, mm³]"""
 
 NM = 1e6
-TOLERANCE_NAMES = {"form_pv": "form error PV", "sq": "Sq"}
+KEYS = {"form_pv": ("form error PV", "nm"), "sq": ("Sq", "nm"), "cusp_order": ("light in one order of the cusps", "%")}
+"""Quantity and unit of each tolerance that a job states by key."""
 
-SCALES = {"nm": NM, "mrad": 1e3, "nm² mm": NM**2}
-"""Factor from mm, rad and mm³ to the unit of a verdict."""
+SCALES = {"nm": NM, "mrad": 1e3, "nm² mm": NM**2, "%": 100.0}
+"""Factor from mm, rad, mm³ and shares to the unit of a verdict."""
 
 WHOLE = "whole part"
 MEASURED = "measured map"
@@ -41,9 +42,9 @@ class Verdict:
     Parameters
     ----------
     tolerance
-        Key in the job file, "form_pv" or "sq", or a call-out as it is written on the drawing.
+        Key in the job file, such as "form_pv" or "sq", or a call-out as it is written on the drawing.
     quantity
-        What it limits: "form error PV", "Sq", or the symbol in the call-out.
+        What it limits: "form error PV", "Sq" and so on, or the symbol in the call-out.
     place
         "whole part", "measured map", or the name of a patch.
     unit
@@ -74,7 +75,7 @@ class Verdict:
     def sentence(self) -> str:
         """The value and the tolerance."""
         name = self.quantity
-        if self.tolerance not in TOLERANCE_NAMES:
+        if self.tolerance not in KEYS:
             name = f"{name} of {quote(self.tolerance)}"
         if self.value is None:
             limit = f"{self.limit:.4g} {self.unit}"
@@ -125,10 +126,14 @@ def judge(job: Job, predictions: Iterable[Prediction]) -> tuple[Verdict, ...]:
 
 
 def _judge_key(verdict: Verdict, prediction: Prediction | None) -> Verdict:
-    is_form, is_patch = verdict.tolerance == "form_pv", verdict.place != WHOLE
     if prediction is None:
-        return replace(verdict, reason=_missing(verdict.place, is_form=is_form))
-    value = prediction.pv_nm if is_form else prediction.roughness.sq_nm if is_patch else prediction.finish_nm
+        return replace(verdict, reason=_missing(verdict.place, is_form=verdict.tolerance != "sq"))
+    order = prediction.cusp_order
+    value = {
+        "form_pv": prediction.pv_nm,
+        "sq": prediction.finish_nm if verdict.place == WHOLE else prediction.roughness.sq_nm,
+        "cusp_order": None if order is None else order * SCALES["%"],
+    }[verdict.tolerance]
     verdict = replace(verdict, reason=_missing(WHOLE, is_form=False)) if value is None else verdict.judged(value)
     return _uncut(verdict, prediction)
 
@@ -262,12 +267,17 @@ def not_evaluated(job: Job, reason: str) -> tuple[Verdict, ...]:
 
 def _keys(job: Job, reason: str) -> list[Verdict]:
     """Return the tolerances that a job states by key as not evaluated."""
+    stated, order = job.tolerances, job.tolerances.cusp_order
+    limits = {"form_pv": stated.form_pv, "sq": stated.sq, "cusp_order": None if order is None else order.max}
     return [
-        Verdict(tolerance=key, quantity=name, place=place, limit=limit * NM, reason=reason)
-        for key, name in TOLERANCE_NAMES.items()
-        if (limit := getattr(job.tolerances, key)) is not None
+        Verdict(
+            tolerance=key, quantity=KEYS[key][0], unit=KEYS[key][1], place=place, limit=limit * SCALES[KEYS[key][1]],
+            reason=reason,
+        )
+        for key, limit in limits.items()
+        if limit is not None
         for place in _places(job, texture=key == "sq")
-    ]
+    ]  # fmt: skip
 
 
 def _limits(call_out: CallOut, place: str, reason: str) -> list[Verdict]:
