@@ -1,7 +1,7 @@
 """What a surface does to light: wavefront, point spread, MTF, diffraction and scatter, by scalar theory."""
 
 from turnwright.optics.alvarez import alvarez_focal_length
-from turnwright.optics.imaging import PointSpread, Removed, Wavefront, incidence_angles, wavefront
+from turnwright.optics.imaging import PointSpread, Removed, Wavefront, incidence_angles, path_per_height, wavefront
 from turnwright.optics.orders import (
     cusp_orders,
     order_angles,
@@ -24,6 +24,7 @@ __all__ = [
     "incidence_angles",
     "order_angles",
     "path_factor",
+    "path_per_height",
     "profile_orders",
     "scatter",
     "tis",

@@ -17,9 +17,9 @@ from turnwright.heightmap import HeightMap
 from turnwright.metrology import ZernikeFit, fit_zernike
 from turnwright.optics.orders import path_factor
 from turnwright.optics.pupil import Modulation, Nodes, PathMap, disc_nodes, even_frequencies, overlap_nodes, phasors
-from turnwright.surface import Indexing, Surface
+from turnwright.surface import Indexing, Plane, Surface
 
-__all__ = ["REMOVED", "PointSpread", "Removed", "Wavefront", "incidence_angles", "wavefront"]
+__all__ = ["PointSpread", "Removed", "Wavefront", "incidence_angles", "path_per_height", "wavefront"]
 
 Removed: TypeAlias = Literal["none", "piston", "tilt", "focus"]
 REMOVED = ("none", "piston", "tilt", "focus")
@@ -268,7 +268,7 @@ def wavefront(
     index
         Refractive index of the material; ``None`` for a mirror.
     design
-        The surface, for the angles of the rays; without it light arrives along the normal of a plane.
+        The surface, for the angles of the rays; a plane if left out.
     source
         Height of the point on the axis from which the light comes, or to which it converges; collimated along the axis
         if left out. [mm]
@@ -305,9 +305,13 @@ def wavefront(
     one_of(remove, "remove", REMOVED)
     error.require_calibrated()
     around = fit_zernike(error, terms=1, indexing="fringe", radius=radius, centre=centre)
-    gain = _gain(error, index, design, source, inside=inside)
+    measured = np.isfinite(error.z)
+    opd = np.full(error.z.shape, np.nan)
+    x, y = (one[measured] for one in error.points())
+    plane = Plane() if design is None else design
+    opd[measured] = error.z[measured] * path_per_height(plane, x, y, index=index, source=source, inside=inside)
     made = Wavefront(
-        opd=replace(error, z=error.z * gain, name=f"{error.name} wavefront".strip()),
+        opd=replace(error, z=opd, name=f"{error.name} wavefront".strip()),
         wavelength=wavelength, radius=around.radius, centre=around.centre, obscuration=obscuration, specular=specular,
     )  # fmt: skip
     if radius is not None and made.covered < LEAST_COVERED:
@@ -348,14 +352,34 @@ def incidence_angles(design: Surface, x: Floats, y: Floats, *, source: float | N
     return np.asarray(np.arccos(np.minimum(cosine, 1.0)))
 
 
-def _gain(
-    error: HeightMap, index: float | None, design: Surface | None, source: float | None, *, inside: bool
+def path_per_height(
+    design: Surface,
+    x: Floats,
+    y: Floats,
+    *,
+    index: float | None = None,
+    source: float | None = None,
+    inside: bool = False,
 ) -> Floats:
-    """Return the path gained for each height of a map. Shape of the map, or a number."""
-    if design is None:
-        return path_factor(index=index, inside=inside)
-    measured = np.isfinite(error.z)
-    x, y = (one[measured] for one in error.points())
+    """Return the optical path that light gains for each length by which a surface is raised along z.
+
+    Parameters
+    ----------
+    design, x, y
+        The surface, and points of one shape. [mm]
+    index, source, inside
+        See `wavefront`.
+
+    Returns
+    -------
+    ndarray
+        Shape of the points. [1]
+
+    Raises
+    ------
+    InputError
+        If light is totally reflected at a point.
+    """
     zx, zy = design.gradient(x, y)
     gain = path_factor(index=index, incidence=incidence_angles(design, x, y, source=source), inside=inside)
     if (lost := np.isnan(gain)).any():
@@ -363,9 +387,7 @@ def _gain(
             f"light is totally reflected at {np.count_nonzero(lost)} of {lost.size} points of the map: correct the "
             "index or the source"
         )
-    over_map = np.full(error.z.shape, np.nan)
-    over_map[measured] = gain / np.sqrt(1 + zx * zx + zy * zy)
-    return over_map
+    return np.asarray(gain / np.sqrt(1 + zx * zx + zy * zy))
 
 
 def _without(made: Wavefront, degree: int) -> Wavefront:

@@ -65,7 +65,10 @@ def _percent(one: Interval) -> str:
 def _label(measure: str) -> str:
     """Return the display name of a measure."""
     name, _, where = measure.partition("@")
-    called = {"form_pv_nm": "form error PV", "form_rms_nm": "form error RMS", "sq_nm": "Sq", "sa_nm": "Sa"}[name]
+    called = {
+        "form_pv_nm": "form error PV", "form_rms_nm": "form error RMS", "wavefront_rms_nm": "wavefront error RMS",
+        "sq_nm": "Sq", "sa_nm": "Sa",
+    }[name]  # fmt: skip
     return f"{called}, {where}" if where else called
 
 

@@ -15,6 +15,7 @@ from turnwright.diagnosis import DEFAULT, FREE, diagnose, prove
 from turnwright.heightmap import HeightMap
 from turnwright.job import Job, make_test_part
 from turnwright.metrology import remove_form
+from turnwright.optics import path_per_height
 from turnwright.studies.budget import ErrorBudget
 from turnwright.studies.files import fetch_array, list_files, provide_files, relocate_paths, store_files
 from turnwright.studies.scenes import (
@@ -308,6 +309,13 @@ class CaseContext:
                 there = form[np.isfinite(form)]
                 numbers["form_pv_nm"] = float(np.ptp(there)) * NM
                 numbers["form_rms_nm"] = math.sqrt(float(np.average(there**2, weights=weight))) * NM
+                if (light := part.job.optics) is not None:
+                    path = there * path_per_height(
+                        part.job.part.design.surface, cut.x[np.isfinite(form)], cut.y[np.isfinite(form)],
+                        index=light.index, source=light.source, inside=light.inside,
+                    )  # fmt: skip
+                    path -= np.average(path, weights=weight)
+                    numbers["wavefront_rms_nm"] = math.sqrt(float(np.average(path**2, weights=weight))) * NM
                 continue
             patch = HeightMap(z=error, x=view.scene.columns, y=view.scene.rows)
             residual = remove_form(patch, part.job.roughness.form).z
