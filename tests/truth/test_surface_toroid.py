@@ -32,6 +32,42 @@ def test_toroid(radius_x, radius_y, reach_x, reach_y):
     assert (error(surface, torus(radius_x, radius_y), x, y) < [1e-14, 2e-14, 1e-13]).all()
 
 
+def aspheric_torus(radius_x, radius_y, conic, terms):
+    """Turn a conic with even powers about the line."""
+    arc = even_conic(radius_x, conic, terms).subs(Y, 0)
+    if np.isinf(radius_y):
+        return arc
+    turn = sp.Rational(radius_y)
+    return turn - sp.sign(turn) * sp.sqrt((turn - arc) ** 2 - Y**2)
+
+
+@pytest.mark.parametrize(
+    ("radius_x", "radius_y", "conic", "terms"),
+    [
+        (30.0, -55.0, -0.7, {2: 1e-4, 4: -2e-6, 6: 3e-8}),
+        (-25.0, 40.0, 0.4, {8: 1e-10}),
+        (np.inf, 20.0, 0.0, {4: 1e-5, 14: 1e-17}),
+        (18.0, np.inf, -2.0, {4: -1e-5}),
+    ],
+)
+def test_toroid_with_an_aspheric_arc(radius_x, radius_y, conic, terms):
+    surface = Toroid(radius_x=radius_x, radius_y=radius_y, conic=conic, terms=terms)
+    x, y = points(9.0, 9.0)
+    assert (error(surface, aspheric_torus(radius_x, radius_y, conic, terms), x, y) < [1e-14, 2e-14, 1e-13]).all()
+
+
+def test_domain_of_an_aspheric_torus_is_that_of_its_formula():
+    x, y = np.meshgrid(np.linspace(-35, 35, 141) + 1e-3, np.linspace(-35, 35, 141) + 2e-3)
+    for radius_x, radius_y, conic, a in ((30.0, 12.0, 0.5, 1e-4), (-20.0, 15.0, -3.0, -1e-5)):
+        with np.errstate(invalid="ignore"):
+            root = np.sqrt(1 - (1 + conic) * x**2 / radius_x**2)
+            arc = x**2 / radius_x / (1 + root) + a * x**4
+            defined = np.isfinite(np.sqrt((radius_y - arc) ** 2 - y**2)) & ((radius_y - arc) * radius_y > 0)
+        surface = Toroid(radius_x=radius_x, radius_y=radius_y, conic=conic, terms={4: a})
+        assert np.array_equal(surface.inside(x, y), defined)
+        assert np.isfinite(surface.evaluate(x[defined], y[defined], 2)).all()
+
+
 def test_toroid_keeps_its_digits_near_the_vertex():
     surface = Toroid(radius_x=1e6, radius_y=-12.0)
     x, y = np.array([1e-3, 1e-6, 0.3]), np.array([0.0, 1e-7, 1e-6])

@@ -13,7 +13,7 @@ import math
 
 from turnwright._kernels import jit
 
-__all__ = ["biconic", "conic", "secant", "toroid"]
+__all__ = ["aspheric_toroid", "biconic", "conic", "secant", "toroid"]
 
 
 def sum_points(name, point):
@@ -99,16 +99,12 @@ def secant(x, y, c, k, out):
 
 
 @jit
-def toroid_point(x, y, cx, cy):
-    """Arc of curvature ``cx`` in the xz plane, turned about the line y = 0, z = 1/cy, and derivatives.
+def turned_point(y, g, gx, gxx, cy):
+    """Arc of height g(x), with its derivatives, turned about the line y = 0, z = 1/cy.
 
-    On it z - cy z^2 / 2 = q with q = g - cy g^2 / 2 + cy y^2 / 2, g(x) being the arc: q and z(q) need no difference of
-    large numbers, and cy = 0 is a cylinder.
+    On it z - cy z^2 / 2 = q with q = g - cy g^2 / 2 + cy y^2 / 2: q and z(q) need no difference of large numbers, and
+    cy = 0 is a cylinder.
     """
-    root = math.sqrt(1.0 - cx * cx * x * x)
-    g = cx * x * x / (1.0 + root)
-    gx = cx * x / root
-    gxx = cx / (root * root * root)
     lean = 1.0 - cy * g
     drop = math.sqrt(lean * lean - cy * cy * y * y)
     z = (g + g * lean + cy * y * y) / (1.0 + drop)
@@ -118,7 +114,29 @@ def toroid_point(x, y, cx, cy):
     return z, qx / drop, qy / drop, zxx, qx * qy * h, cy / drop + qy * qy * h
 
 
+@jit
+def toroid_point(x, y, cx, cy):
+    """Arc of curvature ``cx`` in the xz plane, turned, and derivatives."""
+    root = math.sqrt(1.0 - cx * cx * x * x)
+    return turned_point(y, cx * x * x / (1.0 + root), cx * x / root, cx / (root * root * root), cy)
+
+
+@jit
+def aspheric_toroid_point(x, y, cx, cy, k, terms):
+    """Conic with even powers terms[i] x^(2i) in the xz plane, turned, and derivatives."""
+    s = x * x
+    root = math.sqrt(1.0 - (1.0 + k) * cx * cx * s)
+    a, b, c = 0.0, 0.0, 0.0  # the polynomial in s, its derivative, half the second one
+    for i in range(terms.size - 1, -1, -1):
+        c = c * s + b
+        b = b * s + a
+        a = a * s + terms[i]
+    g = cx * s / (1.0 + root) + a
+    return turned_point(y, g, cx * x / root + 2.0 * x * b, cx / (root * root * root) + 2.0 * b + 8.0 * s * c, cy)
+
+
 toroid = sum_points("toroid", toroid_point)
+aspheric_toroid = sum_points("aspheric_toroid", aspheric_toroid_point)
 
 
 @jit

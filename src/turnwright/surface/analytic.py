@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
 
 import numpy as np
 
+from turnwright._arrays import frozen
 from turnwright._kernels import quadrics
 from turnwright._validate import check_numbers, finite, whole_number
 from turnwright.errors import InputError, JobError
@@ -28,6 +29,8 @@ __all__ = [
     "Terms",
     "changing_length",
     "check_radius",
+    "even_coefficients",
+    "even_power",
     "index_of",
     "indices_of",
     "read_terms",
@@ -116,6 +119,30 @@ def read_terms(terms: Terms[Any], what: str, key: Callable[[object], K]) -> tupl
             raise InputError(f"{what} has the term {name!r} twice, only one is allowed: add the two coefficients")
         coefficients[place] = finite(value, f"the coefficient of term {name!r} of {what}")
     return tuple(sorted(coefficients.items()))
+
+
+def even_power(what: str) -> Callable[[object], int]:
+    """Return the check of a term's key that is an even power of at least 2, in ``what``."""
+
+    def check(key: object) -> int:
+        power = whole_number(key, f"the power of a term of {what}", 0)
+        if power < 2 or power % 2 or power > MAX_DEGREE:
+            raise InputError(
+                f"the power of a term of {what} is {power}, it must be even and from 2 to {MAX_DEGREE}: name each term "
+                "by its power, 4 for r^4"
+            )
+        return power
+
+    return check
+
+
+def even_coefficients(terms: Terms[int]) -> Floats:
+    """Return the coefficients of the even powers 0, 2, ... as an array."""
+    pairs = dict(terms)
+    coefficients = np.zeros(1 + max(pairs, default=0) // 2)
+    for power, value in pairs.items():
+        coefficients[power // 2] = value
+    return frozen(coefficients, "coefficients")
 
 
 def check_radius(radius: float, what: str) -> None:

@@ -7,17 +7,17 @@ from types import MappingProxyType
 
 import numpy as np
 
-from turnwright._arrays import Floats, frozen
+from turnwright._arrays import Floats
 from turnwright._kernels import polynomials, quadrics
-from turnwright._validate import check_numbers, finite_tuple, whole_number
-from turnwright.errors import InputError
+from turnwright._validate import check_numbers, finite_tuple
 from turnwright.surface.analytic import (
-    MAX_DEGREE,
     OnConic,
     Radius,
     Terms,
     changing_length,
     check_radius,
+    even_coefficients,
+    even_power,
     index_of,
     read_terms,
     summed,
@@ -114,16 +114,6 @@ class Conic(OnConic):
     conic: Number
 
 
-def _even_power(key: object) -> int:
-    power = whole_number(key, "the power of an even asphere's term", 0)
-    if power < 2 or power % 2 or power > MAX_DEGREE:
-        raise InputError(
-            f"the power of an even asphere's term is {power}, it must be even and from 2 to {MAX_DEGREE}: name each "
-            "term by its power of r, 4 for r^4"
-        )
-    return power
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EvenAsphere(OnConic):
     r"""A conic with even powers of the distance from the axis.
@@ -162,12 +152,8 @@ class EvenAsphere(OnConic):
     def __post_init__(self) -> None:
         check_numbers(self, inf=("radius",))
         check_radius(self.radius, "the radius of an even asphere")
-        terms = read_terms(self.terms, "an even asphere", _even_power)
-        object.__setattr__(self, "terms", terms)
-        coefficients = np.zeros(1 + max((power for power, _ in terms), default=0) // 2)
-        for power, value in terms:
-            coefficients[power // 2] = value
-        object.__setattr__(self, "_coefficients", frozen(coefficients, "coefficients"))
+        object.__setattr__(self, "terms", read_terms(self.terms, "an even asphere", even_power("an even asphere")))
+        object.__setattr__(self, "_coefficients", even_coefficients(self.terms))
 
     @property
     def feature_size(self) -> float:

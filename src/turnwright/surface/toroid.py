@@ -2,46 +2,64 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._arrays import Bools, Floats
 from turnwright._kernels import quadrics
 from turnwright._validate import check_numbers
-from turnwright.surface.analytic import Radius, check_radius, summed
-from turnwright.surface.base import Surface
+from turnwright.surface.analytic import (
+    Radius,
+    Terms,
+    changing_length,
+    check_radius,
+    even_coefficients,
+    even_power,
+    index_of,
+    read_terms,
+    summed,
+)
+from turnwright.surface.base import Series, Surface
 from turnwright.units import Number
-
-if TYPE_CHECKING:
-    from turnwright._arrays import Bools, Floats
 
 __all__ = ["Biconic", "Toroid"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Toroid(Surface):
-    r"""A circular torus: an arc in the xz plane, rotated about a line parallel to x.
+    r"""A torus: an arc in the xz plane, rotated about a line parallel to x.
 
-    The arc has the radius :math:`R_x` and passes through the vertex; the line is y = 0, :math:`z = R_y`. An infinite
-    ``radius_y`` gives a cylinder with its generators along y, an infinite ``radius_x`` one with them along x. For the
-    other torus, an arc in the yz plane rotated about a line parallel to y, exchange the radii and place it with a
-    rotation of pi/2.
+    The arc is a circle of radius :math:`R_x` through the vertex, or a conic with even powers of x; the line is y = 0,
+    :math:`z = R_y`. An infinite ``radius_y`` gives a cylinder with its generators along y, an infinite ``radius_x`` one
+    with them along x. For the other torus, an arc in the yz plane rotated about a line parallel to y, exchange the
+    radii and place it with a rotation of pi/2.
 
-    .. math:: z = R_y - \sqrt{(R_y - g)^2 - y^2}, \quad g = R_x - \sqrt{R_x^2 - x^2} \qquad (R_x, R_y > 0)
+    .. math::
+
+        z = R_y - \sqrt{(R_y - g)^2 - y^2}, \quad
+        g = \frac{x^2 / R_x}{1 + \sqrt{1 - (1 + k) x^2 / R_x^2}} + \sum_n a_n x^n \qquad (R_y > 0)
 
     Parameters
     ----------
     radius_x
-        Radius of the arc along x: positive concave, negative convex, inf ("flat" in a file) straight. [mm]
+        Vertex radius of the arc along x: positive concave, negative convex, inf ("flat" in a file) straight. [mm]
     radius_y
-        Distance from the vertex to the line, the vertex radius along y. [mm]
+        Distance from the vertex to the line, the vertex radius along y unless there is a term of x^2. [mm]
+    conic
+        Conic constant k of the arc.
+    terms
+        Coefficients a_n of the arc by the power n of x, n even and at least 2. [mm^(1-n)]
 
     Raises
     ------
     InputError
-        If a radius is 0 or nan.
+        If a radius is 0 or nan, a power is odd, or a number is not finite.
+
+    Sources
+    -------
+    [Zemax]_ gives the toroidal surface with an aspheric arc.
 
     Examples
     --------
@@ -52,38 +70,55 @@ class Toroid(Surface):
 
     family = "toroid"
     example = MappingProxyType({"radius_x": "60 mm", "radius_y": "40 mm"})
+    series = MappingProxyType({"terms": Series(power=lambda power: 1 - power, key=index_of)})
     radius_x: Radius
     radius_y: Radius
+    conic: Number = 0.0
+    terms: Terms[int] = ()
+    _coefficients: Floats = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_numbers(self, inf=("radius_x", "radius_y"))
         check_radius(self.radius_x, "radius_x of a toroid")
         check_radius(self.radius_y, "radius_y of a toroid")
+        object.__setattr__(self, "terms", read_terms(self.terms, "a toroid", even_power("a toroid")))
+        object.__setattr__(self, "_coefficients", even_coefficients(self.terms))
+
+    def _arc(self, x: Floats) -> tuple[Floats, Floats]:
+        """Return what the root of the arc is taken of, and the height of the arc; nan where it is vertical."""
+        squared = 1 - (1 + self.conic) * x * x / self.radius_x**2
+        with np.errstate(invalid="ignore"):
+            height = x * x / self.radius_x / (1 + np.sqrt(squared))
+        return squared, height + np.polynomial.polynomial.polyval(x * x, self._coefficients)
 
     def inside(self, x: Floats, y: Floats) -> Bools | None:
         """Return the mask of points where neither the arc nor the circle around the line is vertical."""
-        cx, cy = 1 / self.radius_x, 1 / self.radius_y
-        squared = 1 - cx * cx * x * x
-        with np.errstate(invalid="ignore"):
-            lean = 1 - cy * cx * x * x / (1 + np.sqrt(squared))
-        return np.asarray((squared > 0) & (lean > np.abs(cy * y)))
+        squared, height = self._arc(x)
+        return np.asarray((squared > 0) & (1 - height / self.radius_y > np.abs(y / self.radius_y)))
 
     @property
     def domain(self) -> str:
         """The domain of the surface in words."""
+        reach = abs(self.radius_x) / np.sqrt(1 + self.conic) if self.conic > -1 else np.inf
         return (
-            f"|x| below {abs(self.radius_x):g} mm and |y| below {abs(self.radius_y):g} mm, the latter "
+            f"|x| below {reach:g} mm and |y| below {abs(self.radius_y):g} mm, the latter "
             "less the sag of the arc in x where both bend to one side"
         )
 
     @property
     def feature_size(self) -> float:
-        """The smaller radius. [mm]."""
-        return min(abs(self.radius_x), abs(self.radius_y))
+        """The smaller radius, or the length over which the curvature of the arc changes. [mm]."""
+        sizes = {2 * half: value for half, value in enumerate(self._coefficients)}
+        sizes[2] = sizes.get(2, 0.0) + 1 / self.radius_x / 2
+        return min(abs(self.radius_x), abs(self.radius_y), changing_length(sizes))
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
-        return summed(x, y, order, (quadrics.toroid, (1 / self.radius_x, 1 / self.radius_y)))
+        radii = 1 / self.radius_x, 1 / self.radius_y
+        if not (self.conic or self.terms):  # ten times as fast
+            return summed(x, y, order, (quadrics.toroid, radii))
+        parameters = (*radii, float(self.conic), self._coefficients)
+        return summed(x, y, order, (quadrics.aspheric_toroid, parameters))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
