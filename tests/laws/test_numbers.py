@@ -114,7 +114,7 @@ EXAMPLES = [
     tw.Sphere(radius=10.0),
     tw.Conic(radius=10.0, conic=-1.0),
     tw.EvenAsphere(radius=9.0, conic=0.0, terms={4: 1e-4}),
-    tw.Toroid(radius_x=9.0, radius_y=8.0),
+    tw.Toroid(radius_x=9.0, radius_y=8.0, conic=-0.5, terms={4: 1e-4}),
     tw.Biconic(radius_x=9.0, radius_y=8.0, conic_x=-1.0, conic_y=0.0),
     tw.XYPolynomial(terms={(2, 0): 1e-3}),
     tw.Zernike(terms={4: 1e-3}, radius=5.0, indexing="fringe"),
@@ -295,7 +295,7 @@ ANSWERS = """
     Access AccessFinding Alignment Approach AreaSpectrum Bands Bearing BestFit Candidate CentreDefect ChipMap Column
     Comparison Contribution Correction Cusps CuttingForces Diagnosis DialectCheck DrawnCut Draws DuctileCheck EdgeFit
     Blended CallOut Entry ErrorBreakdown Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage
-    FormComponents HeightFile IntactShare Bounded Continued
+    FormComponents HeightFile IntactShare Bounded Continued LensFile LensPhase LensSide LensSurface
     LearnedMaterial Lenslet Lenslets Limits Measured Move Outcome OutlierRemoval PartShape Pass Plan PoseCandidate
     Prediction Preview ProfileRoughness ProgramFiles ProgramInfo ProgramPass Proof Registration Result Roughness
     Sensitivity Series Slopes Spectrum Stretch Tightening TiledMap ToleranceStudy Trial TurnedEdge TurningCentre

@@ -3,6 +3,7 @@
 from turnwright.cli import (  # noqa: F401 - importing them registers the commands
     cutting,
     exporting,
+    importing,
     materials,
     measuring,
     optics,

@@ -21,7 +21,7 @@ from turnwright.job.running import finishing_motion, preview, run
 from turnwright.job.schema import Job, faults
 from turnwright.job.shape import PartShape, part_shape
 from turnwright.job.tables import HeightFile, MachineDeviations, Table, context_of, name_keys
-from turnwright.job.template import job_template, reference_tables
+from turnwright.job.template import job_template, part_template, reference_tables
 from turnwright.job.testparts import TestPartKind, make_test_part
 from turnwright.job.text import as_tables, edit_text, write_job
 from turnwright.job.time_estimate import (
@@ -84,6 +84,7 @@ __all__ = [
     "name_keys",
     "not_evaluated",
     "part_shape",
+    "part_template",
     "plan",
     "predict",
     "predicted_motion",

@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import tomli_w
 import tomlkit
 
 from turnwright._faults import suggestion
+from turnwright._tables import write_table
 from turnwright.errors import JobError
 from turnwright.job.reference import job_schema
+from turnwright.job.text import name_files
+from turnwright.part import Part
 from turnwright.strategy import STRATEGIES
 from turnwright.surface import FAMILIES
 
-__all__ = ["KeyHelp", "TableHelp", "job_template", "reference_tables"]
+__all__ = ["KeyHelp", "TableHelp", "job_template", "part_template", "reference_tables"]
 
 WIDTH = 110
+
+LEGEND = "# Quantities are text with a unit. A line that begins with # and a key is optional: remove the # to state it."
 
 _EXAMPLES: dict[str, dict[str, Any]] = {
     "part": {"name": "lens", "radius": "5 mm"},
@@ -78,27 +85,52 @@ def job_template(family: str, strategy: str = "slow tool servo") -> str:
         if name not in classes:
             raise JobError(f"{name!r} is not known: {suggestion(name, classes)}")
     schema = job_schema()
-    moves_fast_tool = "fast" in strategy or "hybrid" in strategy
-    machine = {"name": "nanoform-fts-70"} if moves_fast_tool else _EXAMPLES["machine"]
     part, patches = dict(_EXAMPLES["part"]), [("simulation.patches", "Patch", _ADDED["simulation.patches"])]
     if FAMILIES[family].has_outline:
         del part["radius"]
         patches = []  # they must be on the part
+    others = _other_tables(strategy)
     tables: list[tuple[str, str, Mapping[str, Any]]] = [
         ("part", "Part", part),
         ("part.surface", FAMILIES[family].__name__, {"family": family, **FAMILIES[family].example}),
+        *others[:3],
+        *patches,
+        *others[3:],
+    ]
+    head = f"# A job of turnwright: a part of the family {family!r}, cut with a {strategy}."
+    return "\n".join([head, LEGEND, *_sections(schema, tables)]) + "\n"
+
+
+def part_template(part: Part, notes: Sequence[str], strategy: str = "slow tool servo", *, folder: Path) -> str:
+    """Return a job file of a part, with notes above it, and with examples of everything else as `job_template` does.
+
+    ``folder`` is that of the job: files in it are named without it.
+    """
+    if strategy not in STRATEGIES:
+        raise JobError(f"{strategy!r} is not known: {suggestion(strategy, STRATEGIES)}")
+    lines = [f"# A job of turnwright: {part.name}, cut with a {strategy}.", *(f"# {note}" for note in notes), LEGEND]
+    text = "\n".join(line for one in lines for line in textwrap.wrap(one, WIDTH, subsequent_indent="# "))
+    others = "\n".join(_sections(job_schema(), _other_tables(strategy)))
+    return f"{text}\n\n{tomli_w.dumps({'part': name_files(write_table(part), folder)})}{others}\n"
+
+
+def _other_tables(strategy: str) -> list[tuple[str, str, Mapping[str, Any]]]:
+    """Return place, class and values of the tables of a job besides its part and patches."""
+    moves_fast_tool = "fast" in strategy or "hybrid" in strategy
+    machine = {"name": "nanoform-fts-70"} if moves_fast_tool else _EXAMPLES["machine"]
+    program = [("program", "ProgramTable", {"fast_tool": "position"})] if moves_fast_tool else []
+    return [
         ("tool", "Tool", _EXAMPLES["tool"]),
         ("machine", "MachineTable", machine),
         ("strategy", STRATEGIES[strategy].__name__, {"kind": strategy, **STRATEGIES[strategy].example}),
-        *patches,
         ("tolerances", "Tolerances", _ADDED["tolerances"]),
+        *program,
     ]
-    if moves_fast_tool:
-        tables.append(("program", "ProgramTable", {"fast_tool": "position"}))
-    lines = [
-        f"# A job of turnwright: a part of the family {family!r}, cut with a {strategy}.",
-        "# Quantities are text with a unit. A line that begins with # and a key is optional: remove the # to state it.",
-    ]
+
+
+def _sections(schema: dict[str, Any], tables: Sequence[tuple[str, str, Mapping[str, Any]]]) -> list[str]:
+    """Return the lines of tables with an explanation of every key."""
+    lines: list[str] = []
     for place, cls, values in tables:
         lines += ["", f"[[{place}]]" if place.endswith("patches") else f"[{place}]"]
         for key in _keys(schema["$defs"][cls], values):
@@ -107,7 +139,7 @@ def job_template(family: str, strategy: str = "slow tool servo") -> str:
             note = " ".join(filter(None, (key.text, key.limits, f"Default: {key.default}." if key.default else "")))
             lines += textwrap.wrap(note, WIDTH, initial_indent="# ", subsequent_indent="# ")
             lines.append(key.line if key.name in values else f"#{key.line}")
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def reference_tables() -> tuple[TableHelp, ...]:

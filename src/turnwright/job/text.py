@@ -17,7 +17,7 @@ from turnwright.errors import TurnwrightError, UnitError
 from turnwright.job.schema import Job
 from turnwright.units import parse
 
-__all__ = ["as_tables", "edit_text", "write_job"]
+__all__ = ["as_tables", "edit_text", "name_files", "write_job"]
 
 _LONE_END = re.compile(r"(?<!\r)\n")
 
@@ -72,16 +72,18 @@ def edit_text(before: str, old: Job, new: Job, *, folder: Path, into: Path) -> s
     into = into.resolve()
     if folder.resolve() != into:
         table = _with_absolute_paths(table, folder)
-    was, now = (
-        _replace_texts(one.table(), lambda text: Path(text).name if Path(text).parent == into else text)
-        for one in (old, new)
-    )
+    was, now = (name_files(one.table(), into) for one in (old, new))
     for convert in (_keep_unit, lambda _value, new: new) if table else ():
         text = write_job(_merge_changes(table, was, now, convert), before)
         with suppress(TurnwrightError, tomllib.TOMLDecodeError):
             if Job.read(tomllib.loads(text), folder=into) == new:
                 return MARK * before.startswith(MARK) + text
     return tomli_w.dumps(now)
+
+
+def name_files(table: Any, folder: Path) -> Any:
+    """Return a table in which the files of a folder have their names alone."""
+    return _replace_texts(table, lambda text: Path(text).name if Path(text).parent == folder else text)
 
 
 def _with_absolute_paths(value: Any, folder: Path) -> Any:

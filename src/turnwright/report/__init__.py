@@ -14,6 +14,7 @@ from turnwright.report.archive import (
 from turnwright.report.certificate import write_certificate
 from turnwright.report.comparison import write_comparison
 from turnwright.report.figures import write_fit_picture, write_picture
+from turnwright.report.lens import write_lens_picture
 from turnwright.report.measurement import write_correction, write_diagnosis, write_measured
 from turnwright.report.optics import optics_facts, write_optics
 from turnwright.report.run import write_backplot, write_report
@@ -37,6 +38,7 @@ __all__ = [
     "write_correction",
     "write_diagnosis",
     "write_fit_picture",
+    "write_lens_picture",
     "write_maps",
     "write_measured",
     "write_optics",

@@ -1,0 +1,370 @@
+"""Sag of every type of surface in a lens file, and the frame of the part that is cut from it.
+
+Oracle: the formulas that the programs publish, evaluated by mpmath at 40 digits in the unit of the file; for the frame,
+a rigid rotation of the lens by a matrix of determinant +1.
+"""
+
+# ruff: noqa: ARG005 - all formulas have the same arguments
+
+import math
+
+import mpmath
+import numpy as np
+import pytest
+
+import turnwright as tw
+from lens_files import EVEN, ODD, Q_DATA, ZERNIKE_DATA, ZERNIKES, K, R, block, grid_block, write_zmx
+from turnwright.files import read_lens
+
+
+def zmx(tmp_path, *surfaces, **how):
+    return read_lens(write_zmx(tmp_path / "lens.zmx", *surfaces, **how))
+
+
+def seq(tmp_path, *commands, unit="M"):
+    path = tmp_path / "lens.seq"
+    path.write_text("\n".join(["RDM;LEN", f"DIM {unit}", "WL 587.6", "SO 0 1e13", *commands, "SI 0 0", "GO"]))
+    return read_lens(path)
+
+
+def conic(r2, radius=R, k=K):
+    c = 1 / mpmath.mpf(radius) if radius else mpmath.mpf(0)
+    return c * r2 / (1 + mpmath.sqrt(1 - (1 + mpmath.mpf(k)) * c**2 * r2))
+
+
+def largest_error(surface, formula, scale=1.0, reach=5.0, curve=True):
+    """Return the largest difference of the sag from a formula in the unit of the file, the axis included. [mm]."""
+    rng = np.random.default_rng(7)
+    angle, distance = rng.uniform(-np.pi, np.pi, 40), reach * np.sqrt(rng.uniform(0, 1, 40))
+    distance[:3] = 0.0, 1e-9, 1e-4
+    x, y = distance * np.cos(angle), distance * np.sin(angle)
+    with mpmath.workdps(40):
+        unit = mpmath.mpf(scale)
+        wanted = [float(unit * formula(mpmath.mpf(a) / unit, mpmath.mpf(b) / unit)) for a, b in zip(x, y, strict=True)]
+    return float(np.abs(surface.sag(x, y) - wanted).max())
+
+
+def power_sum(terms, r, step):
+    return sum(mpmath.mpf(a) * r ** (step * i) for i, a in terms.items())
+
+
+def even_asphere(x, y):
+    return conic(x * x + y * y) + power_sum(EVEN, mpmath.hypot(x, y), 2)
+
+
+NOLL = (  # Noll 1976, Table I, from j = 1
+    lambda r, t: 1, lambda r, t: 2 * r * mpmath.cos(t), lambda r, t: 2 * r * mpmath.sin(t),
+    lambda r, t: mpmath.sqrt(3) * (2 * r**2 - 1), lambda r, t: mpmath.sqrt(6) * r**2 * mpmath.sin(2 * t),
+    lambda r, t: mpmath.sqrt(6) * r**2 * mpmath.cos(2 * t),
+    lambda r, t: mpmath.sqrt(8) * (3 * r**3 - 2 * r) * mpmath.sin(t),
+    lambda r, t: mpmath.sqrt(8) * (3 * r**3 - 2 * r) * mpmath.cos(t),
+    lambda r, t: mpmath.sqrt(8) * r**3 * mpmath.sin(3 * t), lambda r, t: mpmath.sqrt(8) * r**3 * mpmath.cos(3 * t),
+    lambda r, t: mpmath.sqrt(5) * (6 * r**4 - 6 * r**2 + 1),
+)  # fmt: skip
+FRINGE = (  # Wyant and Creath 1992, Table III, from 1
+    lambda r, t: 1, lambda r, t: r * mpmath.cos(t), lambda r, t: r * mpmath.sin(t), lambda r, t: 2 * r**2 - 1,
+    lambda r, t: r**2 * mpmath.cos(2 * t), lambda r, t: r**2 * mpmath.sin(2 * t),
+    lambda r, t: (3 * r**3 - 2 * r) * mpmath.cos(t), lambda r, t: (3 * r**3 - 2 * r) * mpmath.sin(t),
+    lambda r, t: 6 * r**4 - 6 * r**2 + 1, lambda r, t: r**3 * mpmath.cos(3 * t), lambda r, t: r**3 * mpmath.sin(3 * t),
+)  # fmt: skip
+
+
+def zernike(table, x, y, radius=6.0):
+    r, t = mpmath.hypot(x, y) / mpmath.mpf(radius), mpmath.atan2(y, x)
+    return sum(mpmath.mpf(ZERNIKES[place]) * one(r, t) for place, one in enumerate(table, 1))
+
+
+def toroid(x, y, radius, terms):
+    arc = conic(y * y) + sum(mpmath.mpf(a) * y ** (2 * i) for i, a in terms.items())
+    if not radius:
+        return arc
+    turn = mpmath.mpf(radius)
+    return turn - mpmath.sign(turn) * mpmath.sqrt((turn - arc) ** 2 - x * x)
+
+
+POWERS = [(i, degree - i) for degree in range(1, 5) for i in range(degree, -1, -1)]
+"""x, y, x^2, xy, y^2, x^3, ..."""
+XY = {place: 1e-2 * (-1) ** place / (place + 2) for place in range(1, len(POWERS) + 1)}
+
+
+def polynomial(x, y, radius):
+    u, v = x / mpmath.mpf(radius), y / mpmath.mpf(radius)
+    return sum(mpmath.mpf(XY[place]) * u**i * v**j for place, (i, j) in enumerate(POWERS, 1))
+
+
+def q_bfs(x, y):  # Forbes 2007, Eq. 3.2 and Table
+    c, u2 = 1 / mpmath.mpf(R), (x * x + y * y) / mpmath.mpf(6) ** 2
+    q = (
+        1, (13 - 16 * u2) / mpmath.sqrt(19), mpmath.sqrt(mpmath.mpf(2) / 95) * (29 - 4 * u2 * (25 - 19 * u2)),
+        mpmath.sqrt(mpmath.mpf(2) / 2545) * (207 - 4 * u2 * (315 - u2 * (577 - 320 * u2))),
+    )  # fmt: skip
+    r2 = x * x + y * y
+    total = sum(mpmath.mpf(a) * one for a, one in zip((1e-2, -2e-3, 3e-4, 1e-4), q, strict=True))
+    return conic(r2, k=0) + u2 * (1 - u2) / mpmath.sqrt(1 - c * c * r2) * total
+
+
+def q_con(x, y):  # Forbes 2007, Eq. 2.2 and Table
+    u2 = (x * x + y * y) / mpmath.mpf(6) ** 2
+    q = (1, -(5 - 6 * u2), 15 - 14 * u2 * (3 - 2 * u2), -(35 - 12 * u2 * (14 - u2 * (21 - 10 * u2))))
+    total = sum(mpmath.mpf(a) * one for a, one in zip((1e-2, -2e-3, 3e-4, 1e-4), q, strict=True))
+    return conic(x * x + y * y) + u2**2 * total
+
+
+ARC = {1: 1e-4, 2: -2e-6, 3: 3e-8, 4: 1e-10, 5: -1e-12, 6: 1e-14, 7: 1e-16}
+
+CASES = {
+    "STANDARD": (block("STANDARD"), lambda x, y: conic(x * x + y * y)),
+    "flat": (block("STANDARD", radius=0), lambda x, y: mpmath.mpf(0)),
+    "EVENASPH": (block("EVENASPH", EVEN), even_asphere),
+    "ODDASPHE": (block("ODDASPHE", ODD), lambda x, y: conic(x * x + y * y) + power_sum(ODD, mpmath.hypot(x, y), 1)),
+    "XOSPHERE": (
+        block("XOSPHERE", extra={1: 8, 2: 6.0} | {i + 2: 10 * a for i, a in ODD.items()}),
+        lambda x, y: conic(x * x + y * y) + power_sum({i: 10 * a for i, a in ODD.items()}, mpmath.hypot(x, y) / 6, 1),
+    ),
+    "XASPHERE": (
+        block("XASPHERE", extra={1: 8, 2: 6.0} | {i + 2: a for i, a in EVEN.items()}),
+        lambda x, y: conic(x * x + y * y) + power_sum(EVEN, mpmath.hypot(x, y) / 6, 2),
+    ),
+    "newer version": (
+        block("XASPHERE", {13: 8, 14: 6.0} | {i + 14: a for i, a in EVEN.items()}),
+        lambda x, y: conic(x * x + y * y) + power_sum(EVEN, mpmath.hypot(x, y) / 6, 2),
+    ),
+    "BICONICX": (
+        block("BICONICX", {1: -70.0, 2: 0.4}),
+        lambda x, y: (y * y / R - x * x / 70)
+        / (1 + mpmath.sqrt(1 - (1 + mpmath.mpf(K)) * y * y / R**2 - (1 + mpmath.mpf(0.4)) * x * x / 70**2)),
+    ),
+    "BICONICX, flat in x": (block("BICONICX", {1: 0.0}), lambda x, y: conic(y * y)),
+    "TOROIDAL": (
+        block("TOROIDAL", {1: -55.0} | {i + 1: a for i, a in ARC.items()}), lambda x, y: toroid(x, y, -55.0, ARC)
+    ),
+    "TOROIDAL, cylinder": (
+        block("TOROIDAL", {1: 0.0} | {i + 1: a for i, a in ARC.items()}), lambda x, y: toroid(x, y, 0, ARC)
+    ),
+    "TOROIDAL with Zernike": (
+        block("TOROIDAL", {0: 1.0, 1: 30.0}, ZERNIKE_DATA), lambda x, y: toroid(x, y, 30.0, {}) + zernike(NOLL, x, y)
+    ),
+    "XPOLYNOM": (
+        block("XPOLYNOM", extra={1: len(XY), 2: 6.0} | {i + 2: a for i, a in XY.items()}),
+        lambda x, y: conic(x * x + y * y) + polynomial(x, y, 6),
+    ),
+    "FZERNSAG": (
+        block("FZERNSAG", {0: 1.0, 9: 0.3, 10: -0.2} | EVEN, ZERNIKE_DATA),
+        lambda x, y: even_asphere(x, y) + zernike(FRINGE, x - mpmath.mpf(0.3), y + mpmath.mpf(0.2)),
+    ),
+    "SZERNSAG": (
+        block("SZERNSAG", {0: 0.0} | EVEN, ZERNIKE_DATA), lambda x, y: even_asphere(x, y) + zernike(NOLL, x, y)
+    ),
+    "QED_TYPE, Q-bfs": (block("QED_TYPE", extra={1: 0, 2: 4, 3: 6.0} | Q_DATA, conic=0.0), q_bfs),
+    "QED_TYPE, Q-con": (block("QED_TYPE", extra={1: 1, 2: 4, 3: 6.0} | Q_DATA), q_con),
+    "QED_TYPE by parameter": (
+        block("QED_TYPE", {0: 1}, {1: 4, 2: 6.0} | {i - 1: a for i, a in Q_DATA.items()}), q_con
+    ),
+    "QED_TYPE, an unused parameter": (block("QED_TYPE", {0: 0}, {1: 1, 2: 4, 3: 6.0} | Q_DATA), q_con),
+    "BINARY_2": (block("BINARY_2", {0: 1} | EVEN, {1: 2, 2: 6.0, 3: -800.0, 4: 30.0}), even_asphere),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("unit", ["MM", "IN"])
+def test_sag_of_a_zemax_type_is_its_formula(tmp_path, case, unit):
+    lines, formula = CASES[case]
+    scale = {"MM": 1.0, "IN": 25.4}[unit]
+    surface = zmx(tmp_path, lines, unit=unit).surface(1).surface
+    assert largest_error(surface, formula, scale, 5.0 * scale) < 1e-12
+
+
+def test_irregular_surface_lies_on_its_tilted_formula(tmp_path):
+    """Points of the surface, turned back by mpmath's rotation matrices, have the height of the formula."""
+    parameters = {1: 0.3, 2: -0.2, 3: 2.0, 4: -1.5, 5: 1e-3, 6: 2e-3, 7: -1.5e-3, 8: 25.0}
+    surface = zmx(tmp_path, block("IRREGULA", parameters)).surface(1).surface
+    rng = np.random.default_rng(3)
+    x, y = rng.uniform(-3.5, 3.5, (2, 30))
+    z = surface.sag(x, y)
+    with mpmath.workdps(40):
+        a, b, theta = (mpmath.radians(mpmath.mpf(parameters[place])) for place in (3, 4, 8))
+        about_x = mpmath.matrix([[1, 0, 0], [0, mpmath.cos(a), -mpmath.sin(a)], [0, mpmath.sin(a), mpmath.cos(a)]])
+        about_y = mpmath.matrix([[mpmath.cos(b), 0, mpmath.sin(b)], [0, 1, 0], [-mpmath.sin(b), 0, mpmath.cos(b)]])
+        for point in zip(x, y, z, strict=True):
+            moved = mpmath.matrix(point) - mpmath.matrix([mpmath.mpf(0.3), mpmath.mpf(-0.2), 0])
+            u, v, w = (about_x * about_y).T * moved
+            rho2, along = (u * u + v * v) / 25, (v * mpmath.cos(theta) - u * mpmath.sin(theta)) / 5
+            wanted = (
+                conic(u * u + v * v) + 1e-3 * rho2**2 + mpmath.mpf(2e-3) * along**2 - mpmath.mpf(1.5e-3) * rho2 * along
+            )
+            assert abs(w - wanted) < 1e-12
+
+
+def test_grid_sag_passes_through_its_heights(tmp_path):
+    """A bilinear table, which the spline reproduces, on an even asphere."""
+    lines, x, y, z = grid_block()
+    surface = zmx(tmp_path, lines).surface(1).surface
+    px, py = (one.ravel() for one in np.meshgrid(x[1:-1], y[1:-1]))
+    with mpmath.workdps(40):
+        base = np.array([float(even_asphere(mpmath.mpf(a), mpmath.mpf(b))) for a, b in zip(px, py, strict=True)])
+    assert np.abs(surface.sag(px, py) - base - z[1:-1, 1:-1].ravel()).max() < 1e-12
+
+
+def test_phase_of_a_diffractive_surface(tmp_path):
+    one = zmx(tmp_path, block("BINARY_2", {0: 2}, {1: 2, 2: 6.0, 3: -800.0, 4: 30.0}), unit="IN").surface(1)
+    x, y = np.array([0.0, 30.0]), np.array([10.0, -40.0])
+    p = np.hypot(x, y) / (6 * 25.4)
+    assert one.phase.at(x, y) == pytest.approx(2 * (-800 * p**2 + 30 * p**4), rel=1e-14)
+
+
+SEQ = {
+    "SPH": (["S 40 3 NBK7_SCHOTT"], lambda x, y: conic(x * x + y * y, k=0)),
+    "RDY": (["S 1 3 NBK7_SCHOTT", "RDY 40; CON; K -0.7"], lambda x, y: conic(x * x + y * y)),
+    "CUY by number": (["S 1 3 NBK7_SCHOTT", "S 5 1", "CUY S1 0.025"], lambda x, y: conic(x * x + y * y, k=0)),
+    "ASP": (
+        ["S 40 3 NBK7_SCHOTT", "  ASP", "  K -0.7", "  A -2e-05; B 3e-07; C 1e-09; D &", "  -2e-11 ! r^10"],
+        lambda x, y: conic(x * x + y * y) + power_sum({2: -2e-5, 3: 3e-7, 4: 1e-9, 5: -2e-11}, mpmath.hypot(x, y), 2),
+    ),
+    "XYP": (
+        ["S 40 3 NBK7_SCHOTT", "SPS XYP", "SCO NRADIUS 6", "SCO K -0.7"]
+        + [f"SCO C{place + 1} {value!r}; SCC C{place + 1} 100" for place, value in XY.items()],
+        lambda x, y: conic(x * x + y * y) + polynomial(x, y, 6),
+    ),
+    "ZFR": (
+        ["S 40 3 NBK7_SCHOTT", "SPS ZFR 6", "SCO C1 -0.7; SCO C3 6"]
+        + [f"SCO C{place + 3} {value!r}" for place, value in ZERNIKES.items()],
+        lambda x, y: conic(x * x + y * y) + zernike(FRINGE, x, y),
+    ),
+    "ODD": (
+        ["S 40 3 NBK7_SCHOTT", "SPS ODD 0.0", "SCO K -0.7"]
+        + [f"SCO AR{power} {value!r}" for power, value in ODD.items()],
+        lambda x, y: conic(x * x + y * y) + power_sum(ODD, mpmath.hypot(x, y), 1),
+    ),
+    "ODD by number": (
+        ["S 40 3 NBK7_SCHOTT", "SPS ODD 6.0", "SCO C1 -0.7"]
+        + [f"SCO C{power + 1} {value!r}" for power, value in ODD.items()],
+        lambda x, y: conic(x * x + y * y) + power_sum(ODD, mpmath.hypot(x, y) / 6, 1),
+    ),
+    "YTO": (
+        ["S 40 3 NBK7_SCHOTT", "YTO; K -0.7; RDX -55; A -2e-6"], lambda x, y: toroid(x, y, -55.0, {2: -2e-6})
+    ),
+    "XTO": (["S -55 3 NBK7_SCHOTT", "XTO; K -0.7; CUX 0.025; A -2e-6"], lambda x, y: toroid(y, x, -55.0, {2: -2e-6})),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", SEQ)
+@pytest.mark.parametrize("unit", ["M", "C"])
+def test_sag_of_a_code_v_type_is_its_formula(tmp_path, case, unit):
+    commands, formula = SEQ[case]
+    scale = {"M": 1.0, "C": 10.0}[unit]
+    surface = seq(tmp_path, *commands, unit=unit).surface(1).surface
+    assert largest_error(surface, formula, scale, 5.0 * scale) < 1e-12
+
+
+HALF_TURN = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
+L_MARK = [
+    block("XPOLYNOM", extra={1: 9, 2: 5.0, 3: 0.02, 4: -0.05, 6: 0.03, 8: 0.01, 10: -0.02, 11: 0.015}),
+    block("FZERNSAG", {0: 1.0, 9: 0.4}, ZERNIKE_DATA),
+    block("SZERNSAG", {0: 1.0}, ZERNIKE_DATA),
+    block("IRREGULA", {1: 0.3, 2: -0.2, 3: 2.0, 4: -1.5, 5: 1e-3, 6: 2e-3, 7: -1.5e-3, 8: 25.0}, diameter=4.0),
+    block("ODDASPHE", ODD), block("BICONICX", {1: 60.0}), block("TOROIDAL", {1: -55.0, 3: 1e-5}),
+    block("QED_TYPE", extra={1: 1, 2: 4, 3: 6.0} | Q_DATA), grid_block()[0],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("mark", L_MARK, ids=lambda lines: lines[0])
+def test_an_l_shaped_mark_keeps_its_hand_on_both_faces(tmp_path, mark):
+    """The same surface as front and back of a lens: points of the solid lens, turned by hand, lie on the part."""
+    assert np.linalg.det(HALF_TURN) == pytest.approx(1.0)
+    back = [line.replace("GLAS N-BK7", "COAT AR") for line in mark]
+    lens = zmx(tmp_path, mark, back)
+    rng = np.random.default_rng(5)
+    x, y = rng.uniform(-2.5, 2.5, (2, 50))
+    front, rear = lens.part(1), lens.part(2)
+    assert lens.side(1).is_turned
+    assert not lens.side(2).is_turned
+    points = HALF_TURN @ np.stack([x, y, lens.surface(1).surface.sag(x, y)])
+    assert front.surface.sag(points[0], points[1]) == pytest.approx(points[2], abs=1e-12)
+    assert rear.surface.sag(x, y) == pytest.approx(lens.surface(2).surface.sag(x, y), abs=1e-15)
+    mirror_image = front.surface.sag(-points[0], points[1]) - points[2]
+    assert (
+        mark[0] in ("TYPE ODDASPHE", "TYPE BICONICX", "TYPE TOROIDAL", "TYPE QED_TYPE") or np.ptp(mirror_image) > 1e-4
+    )
+
+
+def sphere(radius, thickness, glass):
+    return block("STANDARD", radius=radius, conic=0.0, thickness=thickness, glass=glass, diameter=3.0)
+
+
+def test_sides_of_a_cemented_lens_and_a_dummy(tmp_path):
+    lens = zmx(
+        tmp_path, sphere(50.0, 3.0, "N-BK7"), sphere(-40.0, 2.0, "SF5"), sphere(-90.0, 9.0, ""), sphere(0, 1.0, "")
+    )
+    with pytest.raises(tw.InputError, match="surface 2 has N-BK7 before and SF5 after it"):
+        lens.part(2)
+    before, after = lens.part(2, "before"), lens.part(2, "after")
+    assert (before.surface.radius, after.surface.radius) == (-40.0, 40.0)
+    assert (before.material_note, after.material_note) == ("N-BK7", "SF5")
+    with pytest.raises(tw.InputError, match="surface 4 has air on both sides"):
+        lens.part(4)
+    assert lens.part(4, "before").radius == 3.0
+
+
+def test_mirrors_turn_the_order_of_the_light(tmp_path):
+    """A Mangin mirror and what follows it: light runs toward -z, so the glass after a surface is toward -z."""
+    lens = zmx(
+        tmp_path, sphere(-100.0, 5.0, "N-BK7"), sphere(-120.0, -5.0, "MIRROR"), sphere(-100.0, -20.0, ""),
+        sphere(60.0, -2.0, "SF5"), sphere(30.0, -10.0, ""), sphere(-80.0, 10.0, "MIRROR"),
+    )  # fmt: skip
+    toward = {number: (lens.side(number).side, lens.side(number).toward) for number in range(1, 7)}
+    assert toward == {
+        1: ("after", 1), 2: ("before", -1), 3: ("before", 1), 4: ("after", -1), 5: ("before", 1), 6: ("after", -1),
+    }  # fmt: skip
+    assert lens.part(2).surface.radius == -120.0  # the glass of the mirror is convex behind
+    assert lens.part(6).surface.radius == -80.0
+    assert lens.part(2, "after").surface.radius == 120.0
+
+
+def test_a_right_angle_tilt_leaves_the_side_to_the_user(tmp_path):
+    tilt = ["TYPE COORDBRK", "CURV 0.0", "PARM 3 90", "PARM 6 0", "DISZ 0"]
+    lens = zmx(tmp_path, sphere(0, 5.0, ""), tilt, sphere(-120.0, 0.0, "MIRROR"))
+    with pytest.raises(tw.InputError, match="the direction of the light at surface 3 is not certain"):
+        lens.part(3)
+    assert lens.part(3, "+z").surface.radius == 120.0
+    assert lens.part(3, "-z").surface.radius == -120.0
+    with pytest.raises(tw.InputError, match="surface 2 is a coordinate break"):
+        lens.surface(2).surface  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("lines", "outline"),
+    [
+        (["CLAP 0 4"], None),
+        (["CLAP 1 4"], tw.Outline(annulus=(4.0, 1.0))),
+        (["CLAP 0 4", "OBDC 1.5 0.5"], tw.Outline(disc=4.0, centre=(-1.5, 0.5))),
+        (["SQAP 3 2", "OBDC 1.5 0.5"], tw.Outline(rectangle=(6.0, 4.0), centre=(-1.5, 0.5))),
+    ],
+)
+def test_aperture_of_a_front_is_turned_with_it(tmp_path, lines, outline):
+    part = zmx(tmp_path, [*block("STANDARD"), *lines]).part(1)
+    assert part.outline == outline
+    assert outline is not None or part.radius == 4.0
+
+
+def test_aperture_of_code_v_off_the_axis(tmp_path):
+    lens = seq(tmp_path, "S -200 -100 REFL", "CON; K -1", "CIR 12.7; ADY 60", "S 0 0", "CIR EDG 3")
+    assert lens.part(1).outline == tw.Outline(disc=12.7, centre=(0.0, 60.0))
+    assert lens.surface(1).semi_diameter == 12.7
+    assert lens.surface(2).semi_diameter == 3.0
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-le", "utf-16-be", "latin-1"])
+def test_encodings_of_zemax_give_the_same_lens(tmp_path, encoding):
+    lens = zmx(tmp_path, [*block("EVENASPH", EVEN), "COMM Ø 5 mm"], unit="CM", encoding=encoding)
+    one = lens.surface(1)
+    assert (lens.unit, lens.primary, lens.name, one.comment) == ("cm", 0.00055, "test lens", "Ø 5 mm")
+    assert (one.after, one.radius, one.semi_diameter) == ("N-BK7", 400.0, 50.0)
+    assert math.isinf(lens.surface(0).thickness)
+
+
+def test_indices_are_those_that_a_file_states(tmp_path):
+    lens = zmx(tmp_path, ["TYPE STANDARD", "CURV 0", "DISZ 1", "GLAS ___BLANK 1 0 1.489 57.4 0 0"], block("STANDARD"))
+    assert (lens.surface(1).index, lens.surface(2).index) == (1.489, None)
+    lens = seq(tmp_path, "S 40 3 517000.520000", "S 0 1 AIR", "S 10 1 1.5168:64.17", "S 0 2 REFL")
+    assert [lens.surface(number).index for number in (1, 2, 3)] == [1.517, None, 1.5168]
+    assert [one.is_mirror for one in lens.surfaces] == [False, False, False, False, True, False]
