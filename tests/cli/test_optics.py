@@ -128,6 +128,24 @@ def test_optics_needs_its_table():
     assert "optics" not in tomllib.loads(tw.Job.read(plain).to_toml())
 
 
+def test_optics_of_an_off_axis_mirror():
+    """A rectangle off the axis: its pupil is the circle around it, with heights on the rectangle only."""
+    outline = {"rectangle": ["6 mm", "3 mm"], "centre": ["7 mm", "0 mm"]}
+    surface = {"family": "conic", "radius": "80 mm", "conic": -1.0}
+    data = MIRROR | {"part": {"surface": surface, "outline": outline}, "simulation": {}}
+    tilted = data | {"actual": {"tool": {"offset": ["20 um", "0 mm", "0 mm"]}}}
+    light, off = (Pipeline(tw.Job.read(one)).optics.wavefront for one in (data, tilted))
+    assert light.centre == (7.0, 0.0)
+    assert light.radius == pytest.approx(math.hypot(3, 1.5), rel=0.02)
+    assert light.covered == pytest.approx(18 / (math.pi * light.radius**2), rel=0.05)
+    assert light.strehl > 0.999 * light.specular
+    # The error of a centring error, 20 um * r / 80, is a cone: without its tilt r - x, so y² / 2 r.
+    assert off.rms > 10 * light.rms
+    row = off.opd.z[:, 64] - light.opd.z[:, 64]
+    bend = np.polyfit(off.opd.y, row, 2)[0]
+    assert bend == pytest.approx(2 * 20e-3 / 80 / (2 * 7.0), rel=0.05)
+
+
 LENS = {
     **MIRROR,
     "strategy": {"kind": "slow tool servo", "feed": "5 um/rev", "chord": "5 nm"},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from turnwright.part import evenly
 if TYPE_CHECKING:
     from turnwright.job.schema import Job, OpticsTable
 
-__all__ = ["CuspLight", "cusp_light"]
+__all__ = ["CuspLight", "cusp_geometry", "cusp_light"]
 
 CUSP_POINTS = 200
 """Points of the part at which the height of the cusps is evaluated."""
@@ -56,8 +56,16 @@ class CuspLight:
         return max(self.efficiency)
 
 
-def cusp_light(job: Job, feed: float, stated: OpticsTable) -> CuspLight:
-    r"""Return the diffraction by the cusps of a feed over the part.
+class CuspGeometry(NamedTuple):
+    """Cusps at points of a part. Each (n,)."""
+
+    secant: Floats  # of the slope angle along the feed
+    period: Floats  # distance of neighbouring cusps along the surface [mm]
+    height: Floats  # along the normal [mm]
+
+
+def cusp_geometry(job: Job, feed: float, x: Floats, y: Floats) -> CuspGeometry:
+    r"""Return distance and height of the cusps of a feed at points of the part.
 
     With slope angle :math:`\alpha` and curvature :math:`\kappa` along the feed, neighbouring cusps are
     :math:`p = f / \cos \alpha` apart along the surface and :math:`p^2 (1/R - \kappa) / 8` high; a path placed along z
@@ -68,11 +76,9 @@ def cusp_light(job: Job, feed: float, stated: OpticsTable) -> CuspLight:
     InputError
         If the part is curved more than the nose.
     """
-    nose_radius = job.actual_tool.actual_radius
-    surface = job.part.design.surface
-    x, y = evenly(job.part, CUSP_POINTS)
-    radius = np.hypot(x, y)
-    cosine, sine = x / radius, y / radius
+    nose_radius, surface = job.actual_tool.actual_radius, job.part.design.surface
+    angle = np.arctan2(y, x)
+    cosine, sine = np.cos(angle), np.sin(angle)
     zx, zy = surface.gradient(x, y)
     zxx, zxy, zyy = surface.hessian(x, y)
     secant = np.sqrt(1 + (zx * cosine + zy * sine) ** 2)
@@ -83,12 +89,24 @@ def cusp_light(job: Job, feed: float, stated: OpticsTable) -> CuspLight:
             "1/mm, so that it leaves no cusps: use a smaller nose radius"
         )
     period = feed * secant / (1 - nose_radius * curvature if job.strategy.along == "z" else 1.0)
-    heights = period**2 * (1 / nose_radius - curvature) / 8
-    incidence = incidence_angles(surface, x, y, source=stated.source)
+    return CuspGeometry(secant, period, period**2 * (1 / nose_radius - curvature) / 8)
+
+
+def cusp_light(job: Job, feed: float, stated: OpticsTable) -> CuspLight:
+    """Return the diffraction by the cusps of a feed over the part.
+
+    Raises
+    ------
+    InputError
+        If the part is curved more than the nose.
+    """
+    x, y = evenly(job.part, CUSP_POINTS)
+    cusps = cusp_geometry(job, feed, x, y)
+    incidence = incidence_angles(job.part.design.surface, x, y, source=stated.source)
     gain, straight = (path_factor(index=stated.index, incidence=one, inside=stated.inside) for one in (incidence, 0.0))
     orders = np.arange(1, LISTED_ORDERS + 1)
-    shares = _shares(heights * gain / straight, stated, np.append(0, orders))
-    angles = order_angles(float(period.mean()), wavelength=stated.wavelength, orders=orders)
+    shares = _shares(cusps.height * gain / straight, stated, np.append(0, orders))
+    angles = order_angles(float(cusps.period.mean()), wavelength=stated.wavelength, orders=orders)
     return CuspLight(
         feed=feed, orders=tuple(orders.tolist()), angles=tuple(angles.tolist()),
         efficiency=tuple(shares[:, 1:].max(axis=0).tolist()), specular=float(np.sqrt(shares[:, 0]).mean() ** 2),

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from turnwright.generation import generate_polar
+from turnwright._arrays import Floats
+from turnwright.errors import InputError
+from turnwright.generation import generate_points, generate_polar
 from turnwright.heightmap import HeightMap
-from turnwright.job.cusps import CuspLight, cusp_light
+from turnwright.job.cusps import CuspLight, cusp_geometry, cusp_light
 from turnwright.job.predicting import follow_motion
 from turnwright.metrology import Form
 from turnwright.optics import (
@@ -40,7 +42,8 @@ RINGS, AZIMUTHS = 128, 128
 SAMPLES_PER_FEED = 8
 """Samples across a feed whose mean is the form without its cusps."""
 
-BORDER_POINTS = 720
+LEAST_COVERED = 0.95
+"""Share of a clear aperture that a map must cover."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -155,31 +158,57 @@ def light_of_patch(error: HeightMap, stated: OpticsTable, form: Form) -> Scatter
 
 
 def _wavefront(part: Part, surface: Surface, error: HeightMap, stated: OpticsTable, frame: Pose) -> Wavefront:
-    """Return the wavefront over the clear aperture, of an error and a design in another frame than that of the part."""
+    """Return the wavefront over the clear aperture, of an error and a design in another frame than that of the part.
+
+    The pupil is the circle around the aperture; what is outside an outline of another shape has no heights.
+    """
     x_low, x_high, low, high = part.border.box
     middle = ((x_low + x_high) / 2, (low + high) / 2)
-    x, y = part.border.border(BORDER_POINTS)
     centre = [float(one[0]) for one in frame.apply(*np.array([[middle[0]], [middle[1]], [0.0]]))]
-    return wavefront(
+    light = wavefront(
         error, wavelength=stated.wavelength, index=stated.index, design=surface, source=stated.source,
-        inside=stated.inside, radius=float(np.hypot(x - middle[0], y - middle[1]).max()), centre=(centre[0], centre[1]),
-        obscuration=stated.obscuration, remove=stated.remove,
+        inside=stated.inside, radius=part.radius, centre=(centre[0], centre[1]), obscuration=stated.obscuration,
+        remove=stated.remove,
     )  # fmt: skip
+    covered = light.covered * math.pi * light.radius**2 * (1 - stated.obscuration**2) / part.border.area
+    if part.radius is None and covered < LEAST_COVERED:
+        raise InputError(
+            f"the map covers {covered:.1%} of the clear aperture, at least {LEAST_COVERED:.0%} are needed: measure "
+            "all of it"
+        )
+    return light
 
 
 def _mean_form(job: Job, motion: Motion, update: Progress) -> HeightMap:
-    """Return the form error: the mean of the error across a feed, on a polar grid."""
-    part, feed = job.part, motion.feed
-    low, high = part.nearest, part.reach
-    width = min(feed, (high - low) / RINGS)
-    rings = np.linspace(low, high, RINGS)
-    middles = np.clip(rings, low + width / 2, high - width / 2)
+    """Return the form error: the mean of the error from cusp to cusp, on a polar grid or a rectangular one."""
+    part = job.part
     share = (np.arange(SAMPLES_PER_FEED) + 0.5) / SAMPLES_PER_FEED - 0.5
-    radius = np.unique(middles[:, None] + width * share)
+    settings: dict[str, Any] = {"machine": job.actual_machine, "progress": update}
+    if part.leaves_air:
+        x_low, x_high, low, high = part.border.box
+        columns, rows = np.linspace(x_low, x_high, RINGS), np.linspace(low, high, RINGS)
+        x, y = np.meshgrid(columns, rows)
+        on = part.covers(x, y)
+        radius, angle = np.hypot(x[on], y[on]), np.arctan2(y[on], x[on])
+        across = radius[:, None] + _periods(job, motion.feed, x[on], y[on])[:, None] * share
+        at_x, at_y = (across * turn(angle)[:, None] for turn in (np.cos, np.sin))
+        z = np.full(x.shape, np.nan)
+        made = generate_points(motion, job.actual_tool, x=at_x.ravel(), y=at_y.ravel(), **settings)
+        off = part.continuation.evaluate(at_x.ravel(), at_y.ravel(), 0)[0]
+        z[on] = (made - off).reshape(across.shape).mean(axis=1)
+        return HeightMap(x=columns, y=rows, z=z, name="form")
+    rings = np.linspace(part.nearest, part.reach, RINGS)
     angle = np.linspace(0, 2 * np.pi, AZIMUTHS, endpoint=False)
-    made = generate_polar(
-        motion, job.actual_tool, radius=radius, angle=angle, machine=job.actual_machine, progress=update
-    )  # fmt: skip
-    error = part.form_error(made)
-    z = error.z.reshape(AZIMUTHS, RINGS, SAMPLES_PER_FEED).mean(axis=2)
+    x, y = np.outer(np.cos(angle), rings), np.outer(np.sin(angle), rings)
+    width = np.minimum(_periods(job, motion.feed, x, y).mean(axis=0), part.reach - part.nearest)
+    middles = np.clip(rings, part.nearest + width / 2, part.reach - width / 2)
+    radius, place = np.unique(middles[:, None] + width[:, None] * share, return_inverse=True)
+    error = part.form_error(generate_polar(motion, job.actual_tool, radius=radius, angle=angle, **settings))
+    z = error.z[:, place.reshape(-1)].reshape(AZIMUTHS, RINGS, SAMPLES_PER_FEED).mean(axis=2)
     return HeightMap(radius=rings, angle=angle, z=z, name="form")
+
+
+def _periods(job: Job, feed: float, x: Floats, y: Floats) -> Floats:
+    """Return the distance of neighbouring cusps over the radius at points. Shape of the points [mm]."""
+    geometry = cusp_geometry(job, feed, x.ravel(), y.ravel())
+    return (geometry.period / geometry.secant).reshape(x.shape)
