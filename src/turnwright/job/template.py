@@ -44,7 +44,9 @@ _BY_KEY: dict[str, Any] = {
     "waviness_file": "edge.csv", "straightness_file": "straightness.csv", "correction": "correction.csv",
     "mask": "mask.csv", "instrument": {"name": "zygo-nexview-20x"}, "departure_from": "design",
     "placed": {"shift": ["0.1 mm", "0 mm", "0 mm"], "rotation": "5 deg"}, "free": ["x", "y", "z"],
-    "blank": {"radius": "6 mm"}, "form": "plane",
+    "blank": {"radius": "6 mm"}, "form": "plane", "wavelength": "633 nm", "index": 1.49, "focal_length": "100 mm",
+    "cusp_order": {"max": 0.001, "wavelength": "633 nm"}, "max": 0.001,
+    "drawing": ["3/ 0.5(0.2/0.1); λ = 546.07 nm", "Ra 0.02"],
 }  # fmt: skip
 """Examples of keys whose type gives no sensible one."""
 
