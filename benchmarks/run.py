@@ -48,6 +48,7 @@ from turnwright.metrology import (
     roughness,
 )
 from turnwright.motion import check_limits, drive
+from turnwright.optics import wavefront
 from turnwright.part import Part
 from turnwright.path import Motion, Spiral
 from turnwright.placing import place
@@ -427,6 +428,27 @@ def bench_analysis(table, scale):
             table.note(f"{name}: {seconds(median(ours))}, asked for is 0.3 s.")
 
 
+def bench_optics(table, scale):
+    """Wavefront, MTF along two directions at 33 frequencies, point spread and Zernike terms of a whole part."""
+    radius, angle = np.linspace(0, 7.25, 128), np.linspace(0, TURN, 128, endpoint=False)
+    x, y = np.outer(np.cos(angle), radius), np.outer(np.sin(angle), radius)
+    error = HeightMap(radius=radius, angle=angle, z=1e-7 * (x * x - y * y) + 1e-5 * np.sin(x))
+
+    def work():
+        light = wavefront(error, wavelength=10.6e-3, index=2.801)
+        return light.strehl, light.mtf(), light.psf(), light.zernike()
+
+    pupil = np.zeros((2048, 2048), dtype=complex)
+    pupil[:512, :512] = 1.0
+    spectrum = lambda: fft.ifft2(np.abs(fft.fft2(pupil, workers=cores())) ** 2, workers=cores())  # noqa: E731
+    ours, floor = timed(work, spectrum, times=3 if scale == 1 else 1)
+    table.add(
+        what="optics of a whole part", ours=ours, yardstick="FFTs of a pupil of 512 x 512 pixels, for an MTF to 1e-3",
+        theirs=floor,
+    )  # fmt: skip
+    table.note(f"optics of a whole part: {seconds(median(ours))}, asked for is 2 s.")
+
+
 def bench_doors(table, scale):
     command = str(Path(sys.executable).with_name("turnwright"))
 
@@ -544,6 +566,7 @@ BENCHES = {
     "planning": bench_planning,
     "tracking": bench_tracking,
     "metrology": bench_metrology,
+    "optics": bench_optics,
     "analysis": bench_analysis,
     "overhead": bench_execution,
     "workers": bench_workers,
