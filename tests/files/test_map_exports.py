@@ -291,7 +291,6 @@ def test_an_option_without_meaning_is_refused_without_a_file(tmp_path, options, 
 
 # --------------------------------------------------------------------- xarray
 def test_xarray_has_the_axes_and_units_of_every_kind_of_map():
-    pytest.importorskip("xarray")
     grid = MARK.to_xarray()
     assert (grid.dims, grid.name, grid.attrs["units"]) == (("y", "x"), "L", "mm")
     assert (
