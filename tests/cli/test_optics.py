@@ -154,6 +154,61 @@ def test_optics_of_an_off_axis_mirror():
     assert bend == pytest.approx(2 * 20e-3 / 80 / (2 * 7.0), rel=0.05)
 
 
+def brute_force(job, motion, radius_over_feed, azimuths=48):
+    """Return the Strehl ratio of a surface of revolution from its finely simulated rings."""
+    part, count = job.part, int(24 * radius_over_feed)
+    radius = part.nearest + (part.reach - part.nearest) * (np.arange(count) + 0.5) / count
+    angle = np.linspace(0, 2 * np.pi, azimuths, endpoint=False)
+    error = tw.generate_polar(motion, job.actual_tool, radius=radius, angle=angle).minus(part.surface).z
+    gain = tw.optics.path_per_height(part.surface, radius, 0 * radius)
+    phases = np.exp(2j * np.pi / job.optics.wavelength * gain * error)
+    return abs(np.average(phases, weights=np.broadcast_to(radius, phases.shape))) ** 2
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"part": {"surface": {"family": "conic", "radius": "80 mm", "conic": -1.0}, "radius": "1 mm"}},
+        {
+            "part": {"surface": {"family": "sphere", "radius": "6 mm"}, "radius": "2 mm"},
+            "strategy": MIRROR["strategy"] | {"along": "normal"},
+        },
+        {
+            "part": {"surface": {"family": "sphere", "radius": "-6 mm"}, "radius": "2 mm"},
+            "strategy": MIRROR["strategy"] | {"along": "normal"},
+        },
+        {"part": {"surface": {"family": "sphere", "radius": "6 mm"}, "radius": "2 mm"}},
+        {"part": {"surface": {"family": "sphere", "radius": "60 mm"}, "outline": {"annulus": ["3 mm", "1 mm"]}}},
+    ],
+    ids=["few revolutions", "concave, normal", "convex, normal", "concave, z", "annulus"],
+)
+def test_optics_of_a_finely_simulated_surface(changes):
+    """Form and cusps apart, against all points of the surface at once."""
+    pipeline = Pipeline(tw.Job.read(MIRROR | {"simulation": {}} | changes))
+    job, light = pipeline.job, pipeline.optics
+    expected = brute_force(job, pipeline.motion, (job.part.reach - job.part.nearest) / 0.02)
+    assert light.strehl == pytest.approx(expected, abs=4e-3)
+    assert light.form_strehl == pytest.approx(1.0, abs=4e-3)
+
+
+def test_brightest_order_of_deep_cusps_is_a_high_one():
+    """A nose of 0.2 mm and 50 um/rev at 500 nm: order 19 has more light than the first three."""
+    tool = {"nose_radius": "0.2 mm", "included": "60 deg", "clearance": "10 deg"}
+    strategy = MIRROR["strategy"] | {"feed": "50 um/rev"}
+    part = {"surface": {"family": "plane"}, "radius": "4 mm"}
+    data = MIRROR | {
+        "tool": tool,
+        "strategy": strategy,
+        "part": part,
+        "simulation": {},
+        "optics": {"wavelength": "500 nm"},
+    }
+    light = Pipeline(tw.Job.read(data)).optics
+    shares = tw.optics.cusp_orders(nose_radius=0.2, feed=0.05, wavelength=500e-6, orders=np.arange(1, 60))
+    assert light.cusp_order == pytest.approx(shares.max(), rel=1e-6)
+    assert shares.argmax() > 3
+
+
 LENS = {
     **MIRROR,
     "strategy": {"kind": "slow tool servo", "feed": "5 um/rev", "chord": "5 nm"},

@@ -54,3 +54,13 @@ def test_alvarez_pair_without_power_is_infinite():
     assert alvarez_focal_length(cubic, cubic, shear=0.7, index=1.5, radius=2.0) == pytest.approx(
         1 / (0.5 * 4 * 1e-3 * 0.7)
     )
+
+
+def test_alvarez_pair_needs_heights_where_it_is():
+    x = np.linspace(-6, 6, 61)
+    cubic = tw.XYPolynomial(terms={(3, 0): 1e-3 / 3, (1, 2): 1e-3})
+    made = tw.HeightMap(x=x, y=x, z=cubic.sag(*np.meshgrid(x, x)))
+    assert alvarez_focal_length(made, made, shear=3.0, index=1.5, radius=2.0) == pytest.approx(1 / 6e-3, rel=1e-6)
+    for shear, radius in ((7.0, None), (4.5, 2.0)):
+        with pytest.raises(tw.InputError, match="no height"):
+            alvarez_focal_length(made, made, shear=shear, index=1.5, radius=radius)

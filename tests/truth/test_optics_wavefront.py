@@ -71,6 +71,42 @@ def test_mtf_of_an_obscured_pupil():
     )
 
 
+@pytest.mark.parametrize("start", [0.0, -math.pi, 1.0, 3.0])
+def test_polar_map_may_begin_at_any_azimuth(start):
+    """Astigmatism of a mirror, 2 a / sqrt(6): a map that begins elsewhere is the same map."""
+    radius, angle = np.linspace(0, RADIUS, 101), start + np.linspace(0, 2 * np.pi, 90, endpoint=False)
+    z = 60e-6 * np.cos(2 * angle)[:, None] * (radius / RADIUS) ** 2
+    light = wavefront(tw.HeightMap(radius=radius, angle=angle, z=z), wavelength=RED, radius=RADIUS)
+    assert light.covered == pytest.approx(1.0)
+    assert light.rms == pytest.approx(120e-6 / math.sqrt(6), rel=1e-5)
+
+
+def annulus(u, v):
+    return 50e-6 * (u * u - v * v) + 30e-6 * u * (u * u + v * v)
+
+
+@pytest.mark.parametrize("azimuths", [96, 97])
+def test_hole_of_an_annular_map_stays_empty(azimuths):
+    """Against sums over a fine polar grid of the ring itself."""
+    radius, angle = np.linspace(1.5, 4, 101), np.linspace(0, 2 * np.pi, azimuths, endpoint=False)
+    u, v = np.outer(np.cos(angle), radius) / 4, np.outer(np.sin(angle), radius) / 4
+    ring = tw.HeightMap(radius=radius, angle=angle, z=annulus(u, v))
+    light = wavefront(ring, wavelength=RED, obscuration=0.375, remove="none")
+    node, weight = np.polynomial.legendre.leggauss(60)
+    r, turn = 2.75 + 1.25 * node, 2 * np.pi * np.arange(240) / 240
+    phase = 4 * np.pi / RED * annulus(np.outer(np.cos(turn), r) / 4, np.outer(np.sin(turn), r) / 4)
+    mean = np.average(np.exp(1j * phase), weights=np.broadcast_to(weight * r, phase.shape))
+    assert light.strehl == pytest.approx(abs(mean) ** 2, rel=1e-5)
+    assert light.covered == pytest.approx(1.0, abs=1e-9)
+    assert wavefront(ring, wavelength=RED).covered == pytest.approx(1 - 0.375**2, abs=0.01)
+
+
+def test_large_map_enters_thinned(monkeypatch):
+    monkeypatch.setattr("turnwright.optics.pupil.MOST_HEIGHTS", 60_000)
+    small, large = (wavefront(disc_map(aberrated, n), wavelength=RED, radius=RADIUS) for n in (251, 601))
+    assert large.strehl == pytest.approx(small.strehl, rel=2e-5)
+
+
 def test_psf_of_a_circular_pupil_is_airy():
     image = wavefront(polar_map(flat), wavelength=RED).psf(points=65, focal_length=100.0)
     r = np.hypot(image.x, image.y[:, None]) * np.pi * 2 * RADIUS / (RED * 100.0)
@@ -150,6 +186,21 @@ def test_rays_of_a_paraboloid_and_a_lens():
     t = np.arcsin(bump.radius / 30.0)
     gain = 1.5 * np.cos(t) - np.cos(np.arcsin(1.5 * np.sin(t)))
     assert lens.opd.z == pytest.approx(bump.z * gain * np.cos(t), rel=1e-10)
+
+
+def test_source_may_be_anywhere():
+    """A map, its design and its source moved together have the same wavefront; one on the surface is refused."""
+    x = np.linspace(-RADIUS, RADIUS, 81)
+    square = tw.HeightMap(x=x, y=x, z=50e-6 * (x / RADIUS) ** 2 * np.ones((81, 1)))
+    paraboloid = tw.Conic(radius=20.0, conic=-1.0)
+    still = wavefront(square, wavelength=RED, design=paraboloid, source=14.0)
+    moved = wavefront(
+        tw.HeightMap(x=x + 8, y=x - 3, z=square.z), wavelength=RED,
+        design=paraboloid.placed(shift=(8.0, -3.0, 1.5)), source=(8.0, -3.0, 15.5),
+    )  # fmt: skip
+    assert moved.opd.z == pytest.approx(still.opd.z, abs=1e-15)
+    with pytest.raises(InputError, match="source"):
+        wavefront(polar_map(flat), wavelength=RED, design=paraboloid, source=0.0)
 
 
 def test_scattered_light_lowers_the_image():

@@ -13,7 +13,7 @@ from turnwright._arrays import Floats
 from turnwright.errors import InputError
 from turnwright.generation import generate_points, generate_polar
 from turnwright.heightmap import HeightMap
-from turnwright.job.cusps import CuspLight, cusp_geometry, cusp_light
+from turnwright.job.cusps import CuspLight, Feeds, cusp_geometry, cusp_light
 from turnwright.job.predicting import follow_motion
 from turnwright.metrology import Form
 from turnwright.optics import (
@@ -119,15 +119,16 @@ def predict_optics(
     """
     stated = job.light
     followed, real = follow_motion(job, motion, job.simulation.tracking, nominal, watch)
+    feeds = Feeds.of_motion(motion)
     with watch.stage("optics") as update:
-        form = _mean_form(job, real or followed, update)
+        form = _mean_form(job, real or followed, feeds, update)
         patches = {
             one.name: light_of_patch(one.error, stated, job.roughness.form)
             for one in predictions
             if one.name in {patch.name for patch in job.simulation.patches}
         }
         light = _wavefront(job.part, job.part.design.surface, form, stated, Pose())
-        cusps = cusp_light(job, motion.feed, stated)
+        cusps = cusp_light(job, feeds, stated)
         return OpticalPerformance(
             wavefront=replace(light, specular=cusps.specular),
             cusps=cusps, marks=patches, focal_length=stated.focal_length,
@@ -164,13 +165,17 @@ def _wavefront(part: Part, surface: Surface, error: HeightMap, stated: OpticsTab
     """
     x_low, x_high, low, high = part.border.box
     middle = ((x_low + x_high) / 2, (low + high) / 2)
-    centre = [float(one[0]) for one in frame.apply(*np.array([[middle[0]], [middle[1]], [0.0]]))]
+    points = np.array([(*middle, 0.0), (0.0, 0.0, stated.source or 0.0)]).T
+    (x, x0), (y, y0), (_, z0) = (one.tolist() for one in frame.apply(*points))
+    obscuration = stated.obscuration
+    if part.outline is not None and part.outline.is_centred:
+        obscuration = max(obscuration, part.nearest / part.reach)
     light = wavefront(
-        error, wavelength=stated.wavelength, index=stated.index, design=surface, source=stated.source,
-        inside=stated.inside, radius=part.radius, centre=(centre[0], centre[1]), obscuration=stated.obscuration,
-        remove=stated.remove,
+        error, wavelength=stated.wavelength, index=stated.index, design=surface, inside=stated.inside,
+        source=None if stated.source is None else (x0, y0, z0), radius=part.radius, centre=(x, y),
+        obscuration=obscuration, remove=stated.remove,
     )  # fmt: skip
-    covered = light.covered * math.pi * light.radius**2 * (1 - stated.obscuration**2) / part.border.area
+    covered = light.covered * math.pi * light.radius**2 * (1 - obscuration**2) / part.border.area
     if part.radius is None and covered < LEAST_COVERED:
         raise InputError(
             f"the map covers {covered:.1%} of the clear aperture, at least {LEAST_COVERED:.0%} are needed: measure "
@@ -179,7 +184,7 @@ def _wavefront(part: Part, surface: Surface, error: HeightMap, stated: OpticsTab
     return light
 
 
-def _mean_form(job: Job, motion: Motion, update: Progress) -> HeightMap:
+def _mean_form(job: Job, motion: Motion, feeds: Feeds, update: Progress) -> HeightMap:
     """Return the form error: the mean of the error from cusp to cusp, on a polar grid or a rectangular one."""
     part = job.part
     share = (np.arange(SAMPLES_PER_FEED) + 0.5) / SAMPLES_PER_FEED - 0.5
@@ -190,7 +195,7 @@ def _mean_form(job: Job, motion: Motion, update: Progress) -> HeightMap:
         x, y = np.meshgrid(columns, rows)
         on = part.covers(x, y)
         radius, angle = np.hypot(x[on], y[on]), np.arctan2(y[on], x[on])
-        across = radius[:, None] + _periods(job, motion.feed, x[on], y[on])[:, None] * share
+        across = radius[:, None] + _periods(job, feeds, x[on], y[on])[:, None] * share
         at_x, at_y = (across * turn(angle)[:, None] for turn in (np.cos, np.sin))
         z = np.full(x.shape, np.nan)
         made = generate_points(motion, job.actual_tool, x=at_x.ravel(), y=at_y.ravel(), **settings)
@@ -200,7 +205,7 @@ def _mean_form(job: Job, motion: Motion, update: Progress) -> HeightMap:
     rings = np.linspace(part.nearest, part.reach, RINGS)
     angle = np.linspace(0, 2 * np.pi, AZIMUTHS, endpoint=False)
     x, y = np.outer(np.cos(angle), rings), np.outer(np.sin(angle), rings)
-    width = np.minimum(_periods(job, motion.feed, x, y).mean(axis=0), part.reach - part.nearest)
+    width = np.minimum(_periods(job, feeds, x, y).mean(axis=0), part.reach - part.nearest)
     middles = np.clip(rings, part.nearest + width / 2, part.reach - width / 2)
     radius, place = np.unique(middles[:, None] + width[:, None] * share, return_inverse=True)
     error = part.form_error(generate_polar(motion, job.actual_tool, radius=radius, angle=angle, **settings))
@@ -208,7 +213,7 @@ def _mean_form(job: Job, motion: Motion, update: Progress) -> HeightMap:
     return HeightMap(radius=rings, angle=angle, z=z, name="form")
 
 
-def _periods(job: Job, feed: float, x: Floats, y: Floats) -> Floats:
+def _periods(job: Job, feeds: Feeds, x: Floats, y: Floats) -> Floats:
     """Return the distance of neighbouring cusps over the radius at points. Shape of the points [mm]."""
-    geometry = cusp_geometry(job, feed, x.ravel(), y.ravel())
+    geometry = cusp_geometry(job, feeds, x.ravel(), y.ravel())
     return (geometry.period / geometry.secant).reshape(x.shape)

@@ -21,7 +21,7 @@ from turnwright.job.contributions import (
     max_difference_nm,
     without_servos,
 )
-from turnwright.job.cusps import cusp_light
+from turnwright.job.cusps import Feeds, cusp_light
 from turnwright.job.interpolation import interpolate_motion
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.predicting import predict
@@ -31,7 +31,7 @@ from turnwright.job.speed import NEAR, ROUNDS, Servos, at_speed, few_lines, gues
 from turnwright.job.tables import with_interpolation
 from turnwright.job.verdict import Verdict, any_missed, judge
 from turnwright.motion import Limits, check_limits, drive
-from turnwright.path import Motion
+from turnwright.path import Motion, Spiral
 from turnwright.progress import StageProgress
 from turnwright.speed_profile import SpeedProfile
 from turnwright.units import write
@@ -429,11 +429,14 @@ def _fill_in(job: Job, across: float, ways: Mapping[str, float], speed: float | 
     return replace(job, strategy=strategy, passes=passes, simulation=simulation)
 
 
-def _order_share(job: Job, feed: float) -> float:
+def _order_share(job: Job, spiral: Spiral) -> float:
     """Return the height of the cusps over that which keeps the tolerance of their diffraction orders."""
     limit = job.tolerances.cusp_order
+    if limit is None:
+        return 0.0
+    light = cusp_light(job, Feeds.of_spiral(job, spiral), limit.light)
     # On shallow cusps the light in an order is proportional to the square of their height.
-    return 0.0 if limit is None else math.sqrt(cusp_light(job, feed, limit.light).brightest / (MARGIN * limit.max))
+    return math.sqrt(light.brightest / (MARGIN * limit.max))
 
 
 def _largest_feed(job: Job, form: float, sq: float) -> tuple[float, float]:
@@ -449,7 +452,7 @@ def _largest_feed(job: Job, form: float, sq: float) -> tuple[float, float]:
         spiral = PassPlan(filled).spiral
         error, pv_nm = exact_cusps(spiral, part, tool, machine)
         pv, finish = pv_nm / NM, finish_nm(error, spiral.feed) / NM
-        share = max(pv / pv_limit, finish / sq_limit, _order_share(filled, spiral.feed))
+        share = max(pv / pv_limit, finish / sq_limit, _order_share(filled, spiral))
         if NEAR <= share <= 1:
             return round_down(across), pv
         # The cusp height is proportional to the square of the feed.

@@ -14,7 +14,7 @@ from turnwright.errors import InputError
 from turnwright.generation import generate, generate_polar
 from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import finish_nm, lines, require_servos, without_servos
-from turnwright.job.cusps import cusp_light
+from turnwright.job.cusps import Feeds, cusp_light
 from turnwright.job.extremes import find_extremes
 from turnwright.job.interpolation import chord_error, interpolate_motion
 from turnwright.job.pass_plan import Watch
@@ -161,7 +161,7 @@ def _with_extremes(job: Job, whole: Prediction, motion: Motion, watch: Watch) ->
                 with suppress(InputError):  # the verdict repeats it and states why
                     values = form_values(part, across.thinned(FORM_POINTS), form)
     limit = job.tolerances.cusp_order
-    order = None if limit is None else cusp_light(job, motion.feed, limit.light).brightest
+    order = None if limit is None else cusp_light(job, Feeds.of_motion(motion), limit.light).brightest
     return replace(whole, form=form, finish_nm=ring, form_values=values, cusp_order=order)
 
 

@@ -8,9 +8,11 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright._validate import finite, positive
+from turnwright.errors import DomainError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import fit_zernike
 from turnwright.optics.orders import path_factor
+from turnwright.optics.pupil import PathMap
 from turnwright.surface import Surface
 
 __all__ = ["alvarez_focal_length"]
@@ -70,13 +72,15 @@ def alvarez_focal_length(
     """
     power_of_height = float(path_factor(index=index))
     d = finite(shear, "shear")
-    one, other = (_surface(lens) for lens in (first, second))
+    reach = 0.0 if radius is None else positive(radius, "radius", "mm")
+    x, y, weight = _disc(reach)
+    one, other = (
+        _surface(lens, np.append(side * x - d, -d), np.append(y, 0.0)) for lens, side in ((first, 1), (second, -1))
+    )
     if radius is None:
         middle = np.array([-d])
         bend = float((one.hessian(middle, 0.0)[0] + other.hessian(middle, 0.0)[0])[0])
     else:
-        reach = positive(radius, "radius", "mm")
-        x, y, weight = _disc(reach)
         thickness = one.sag(x - d, y) + other.sag(-x - d, y)
         # The Zernike term 2 r² - 1 is orthogonal to piston and tilts.
         focus = 2 * (x * x + y * y) / reach**2 - 1
@@ -85,9 +89,18 @@ def alvarez_focal_length(
     return 1 / power if power else math.inf
 
 
-def _surface(lens: Surface | HeightMap) -> Surface:
-    """Return a surface, or the one fitted to a map."""
-    return fit_zernike(lens, terms=MAP_TERMS, indexing="ansi").surface if isinstance(lens, HeightMap) else lens
+def _surface(lens: Surface | HeightMap, x: Floats, y: Floats) -> Surface:
+    """Return a surface, or the one fitted to a map, which must have heights around the points."""
+    if isinstance(lens, Surface):
+        return lens
+    _, measured = PathMap(lens)(x, y)
+    if not measured.all():
+        at = int(measured.argmin())
+        raise DomainError(
+            f"the map {lens.name!r} has no height at x = {x[at]:.6g} mm, y = {y[at]:.6g} mm, where the pair needs it: "
+            "reduce the shear or the radius, or measure more of the lens"
+        )
+    return fit_zernike(lens, terms=MAP_TERMS, indexing="ansi").surface
 
 
 def _disc(radius: float) -> tuple[Floats, Floats, Floats]:

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from itertools import product
 from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from turnwright._arrays import Floats, frozen
-from turnwright._validate import between, check_numbers, check_wavelength, finite, finite_tuple, one_of, positive
+from turnwright._arrays import Bools, Floats, frozen
+from turnwright._validate import between, check_numbers, check_wavelength, finite_tuple, one_of, positive
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import ZernikeFit, fit_zernike
 from turnwright.optics.orders import path_factor
-from turnwright.optics.pupil import Modulation, Nodes, PathMap, disc_nodes, even_frequencies, overlap_nodes, phasors
+from turnwright.optics.pupil import Modulation, Nodes, PathMap, even_frequencies, phasors, pupil_nodes
 from turnwright.surface import Indexing, Plane, Surface
 
 __all__ = ["PointSpread", "Removed", "Wavefront", "incidence_angles", "path_per_height", "wavefront"]
 
 Removed: TypeAlias = Literal["none", "piston", "tilt", "focus"]
+Source: TypeAlias = float | tuple[float, float, float]
 REMOVED = ("none", "piston", "tilt", "focus")
 
 NODES = (96, 320)
@@ -99,18 +99,13 @@ class Wavefront:
     @property
     def strehl(self) -> float:
         """Intensity at the image point relative to that without errors, by the integral over the pupil."""
-        area = total = 0j
-        for sign, nodes in self._discs(NODES):
-            path, measured = self._at(nodes)
-            weight = sign * nodes.weight * measured
-            area += weight.sum()
-            total += (weight * phasors(path, self.wavelength)).sum()
-        return float(abs(total / area) ** 2) * self.specular
+        path, weight = self._samples
+        return float(abs((weight * phasors(path, self.wavelength)).sum() / weight.sum()) ** 2) * self.specular
 
     @property
     def rms(self) -> float:
         """Root mean square of the path differences over the pupil, about their mean. [mm]."""
-        path, weight = self._samples()
+        path, weight = self._samples
         mean = np.average(path, weights=weight)
         return float(np.sqrt(np.average((path - mean) ** 2, weights=weight)))
 
@@ -122,11 +117,7 @@ class Wavefront:
     @property
     def covered(self) -> float:
         """Share of the area of the pupil for which the map has heights."""
-        measured = total = 0.0
-        for sign, nodes in self._discs(NODES):
-            total += sign * float(nodes.weight.sum())
-            measured += sign * float((nodes.weight * self._at(nodes)[1]).sum())
-        return measured / total
+        return float(self._samples[1].sum() / self._nodes.weight.sum())
 
     def zernike(self, terms: int | tuple[int, ...] = 37, indexing: Indexing = "fringe") -> ZernikeFit:
         """Return the Zernike decomposition over the pupil. See `turnwright.metrology.fit_zernike`."""
@@ -152,17 +143,12 @@ class Wavefront:
         extent = IMAGE_WIDTH * self.wavelength / (2 * self.radius) * scale if width is None else width
         image = positive(extent, "width", "rad" if focal_length is None else "mm") * np.linspace(-0.5, 0.5, points)
         wave_number = 2 * math.pi / (self.wavelength * scale) * image
-        amplitude, area = np.zeros((points, points), dtype=np.complex128), 0.0
-        for sign, nodes in self._discs(NODES):
-            path, measured = self._at(nodes)
-            weight = sign * nodes.weight * measured
-            area += weight.sum()
-            field_at = weight * phasors(path, self.wavelength)
-            rows = np.array(
-                [values @ np.exp(-1j * np.outer(x, wave_number)) for x, values in zip(nodes.x, field_at, strict=True)]
-            )
-            amplitude += np.exp(-1j * np.outer(wave_number, nodes.y[:, 0])) @ rows
-        intensity = np.abs(amplitude / area) ** 2 * self.specular
+        nodes = self._nodes
+        path, weight = self._samples
+        light = weight * phasors(path, self.wavelength)
+        rows = np.array([one @ np.exp(-1j * np.outer(x, wave_number)) for x, one in zip(nodes.x, light, strict=True)])
+        amplitude = np.exp(-1j * np.outer(wave_number, nodes.y[:, 0])) @ rows
+        intensity = np.abs(amplitude / weight.sum()) ** 2 * self.specular
         return PointSpread(
             x=frozen(image, "x"), y=frozen(image, "y"), intensity=frozen(intensity, "intensity", ndim=2)
         )  # fmt: skip
@@ -200,45 +186,37 @@ class Wavefront:
 
     def _transfer(self, shift: float, way: tuple[float, float]) -> complex:
         """Return the autocorrelation of the pupil at a shift along a direction. [mm²]."""
-        total = 0j
-        for (sign, first), (other, second) in product(self._sizes, self._sizes):
-            nodes = overlap_nodes((first, second), shift, self._count(MTF_NODES, min(first, second)))
-            phases, weight = np.ones(nodes.x.shape, dtype=np.complex128), sign * other * nodes.weight
-            for side in (1, -1):
-                along = nodes.x + side * shift / 2
-                path, measured = self._at(
-                    Nodes(along * way[0] - nodes.y * way[1], along * way[1] + nodes.y * way[0], nodes.weight)
-                )
-                weight = weight * measured
-                phases *= phasors(side * path, self.wavelength)
-            total += complex((weight * phases).sum())
-        return total
-
-    def _discs(self, limits: tuple[int, int]) -> list[tuple[float, Nodes]]:
-        """Return the nodes of the pupil, and of its obscuration with a negative sign."""
-        return [(sign, disc_nodes(radius, self._count(limits, radius))) for sign, radius in self._sizes]
+        nodes = pupil_nodes(self._radii, shift, self._count(MTF_NODES))
+        phases, weight = np.ones(nodes.x.shape, dtype=np.complex128), nodes.weight
+        for side in (1, -1):
+            along = nodes.x + side * shift / 2
+            path, measured = self._at(along * way[0] - nodes.y * way[1], along * way[1] + nodes.y * way[0])
+            weight = weight * measured
+            phases *= phasors(side * path, self.wavelength)
+        return complex((weight * phases).sum())
 
     @property
-    def _sizes(self) -> list[tuple[float, float]]:
-        """Sign and radius of the pupil, and of its obscuration."""
-        sizes = [(1.0, self.radius), (-1.0, self.radius * self.obscuration)]
-        return sizes if self.obscuration else sizes[:1]
+    def _radii(self) -> tuple[float, float]:
+        """Radii of the pupil and of its obscuration. [mm]."""
+        return self.radius, self.radius * self.obscuration
 
-    def _count(self, limits: tuple[int, int], radius: float) -> int:
-        """Return the nodes along a chord of a disc."""
-        return int(np.clip(max(self.opd.z.shape) * radius / self.radius, *limits))
+    def _count(self, limits: tuple[int, int]) -> int:
+        """Return the nodes along a chord."""
+        return int(np.clip(max(self.opd.z.shape), *limits))
 
-    def _at(self, nodes: Nodes) -> tuple[Floats, np.ndarray[tuple[int, ...], np.dtype[np.bool_]]]:
-        return self._path(nodes.x + self.centre[0], nodes.y + self.centre[1])
+    @property
+    def _nodes(self) -> Nodes:
+        return pupil_nodes(self._radii, 0.0, self._count(NODES))
 
+    @property
     def _samples(self) -> tuple[Floats, Floats]:
-        """Return path differences and weights over the pupil. Each (n,) [mm, mm²]."""
-        paths, weights = [], []
-        for sign, nodes in self._discs(NODES):
-            path, measured = self._at(nodes)
-            paths.append(np.where(measured, path, 0.0).ravel())
-            weights.append((sign * nodes.weight * measured).ravel())
-        return np.concatenate(paths), np.concatenate(weights)
+        """Path differences and weights at the nodes of the pupil. Each (m, n) [mm, mm²]."""
+        nodes = self._nodes
+        path, measured = self._at(nodes.x, nodes.y)
+        return np.where(measured, path, 0.0), nodes.weight * measured
+
+    def _at(self, x: Floats, y: Floats) -> tuple[Floats, Bools]:
+        return self._path(x + self.centre[0], y + self.centre[1])
 
 
 def wavefront(
@@ -247,7 +225,7 @@ def wavefront(
     wavelength: float,
     index: float | None = None,
     design: Surface | None = None,
-    source: float | None = None,
+    source: Source | None = None,
     inside: bool = False,
     radius: float | None = None,
     centre: tuple[float, float] | None = None,
@@ -270,8 +248,8 @@ def wavefront(
     design
         The surface, for the angles of the rays; a plane if left out.
     source
-        Height of the point on the axis from which the light comes, or to which it converges; collimated along the axis
-        if left out. [mm]
+        Point (x, y, z) from which the light comes, or to which it converges, or its height if it is on the axis;
+        collimated along the axis if left out. [mm]
     inside
         Whether the light arrives through the material.
     radius, centre
@@ -322,7 +300,7 @@ def wavefront(
     return made if remove == "none" else _without(made, REMOVED.index(remove))
 
 
-def incidence_angles(design: Surface, x: Floats, y: Floats, *, source: float | None = None) -> Floats:
+def incidence_angles(design: Surface, x: Floats, y: Floats, *, source: Source | None = None) -> Floats:
     """Return the angles between rays and normals of a surface.
 
     Parameters
@@ -339,6 +317,11 @@ def incidence_angles(design: Surface, x: Floats, y: Floats, *, source: float | N
     ndarray
         Shape of the points. [rad]
 
+    Raises
+    ------
+    InputError
+        If the source is above the tangent planes of some points and below those of others.
+
     >>> from turnwright.surface import Conic
     >>> paraboloid = Conic(radius=10.0, conic=-1.0)   # light from its focus leaves along the axis
     >>> np.rad2deg(incidence_angles(paraboloid, np.array([10.0]), np.zeros(1), source=5.0)).round(9).tolist()
@@ -347,8 +330,18 @@ def incidence_angles(design: Surface, x: Floats, y: Floats, *, source: float | N
     zx, zy = design.gradient(x, y)
     cosine = 1 / np.sqrt(1 + zx * zx + zy * zy)
     if source is not None:
-        dz = finite(source, "source") - design.sag(x, y)
-        cosine = np.abs(dz + zx * x + zy * y) * cosine / np.sqrt(x * x + y * y + dz * dz)
+        at = source if isinstance(source, tuple) else (0.0, 0.0, source)
+        dx, dy, dz = (
+            coordinate - one
+            for coordinate, one in zip(finite_tuple(at, "source", 3), (x, y, design.sag(x, y)), strict=True)
+        )
+        height = dz - zx * dx - zy * dy  # above the tangent plane
+        if height.size and not (height > 0).all() and not (height < 0).all():
+            raise InputError(
+                f"source is at {at[2]:g} mm, within the sag of the surface, it must be above all tangent planes or "
+                "below them: correct its height or its sign"
+            )
+        cosine = np.abs(height) * cosine / np.sqrt(dx * dx + dy * dy + dz * dz)
     return np.asarray(np.arccos(np.minimum(cosine, 1.0)))
 
 
@@ -358,7 +351,7 @@ def path_per_height(
     y: Floats,
     *,
     index: float | None = None,
-    source: float | None = None,
+    source: Source | None = None,
     inside: bool = False,
 ) -> Floats:
     """Return the optical path that light gains for each length by which a surface is raised along z.
@@ -393,15 +386,10 @@ def path_per_height(
 def _without(made: Wavefront, degree: int) -> Wavefront:
     """Return a wavefront without piston (1), and tilts (2), and focus (3)."""
     columns = (1, 3, 4)[degree - 1]
-    paths, weights, terms = [], [], []
-    for sign, nodes in made._discs(NODES):  # noqa: SLF001 - of this module
-        path, measured = made._at(nodes)  # noqa: SLF001
-        paths.append(path[measured])
-        weights.append(sign * nodes.weight[measured])
-        terms.append(_low_terms(nodes.x[measured], nodes.y[measured], made.radius)[:, :columns])
-    term, weight = np.concatenate(terms), np.concatenate(weights)
-    normal = term.T @ (weight[:, None] * term)
-    low = np.linalg.solve(normal, term.T @ (weight * np.concatenate(paths)))
+    nodes, (path, weight) = made._nodes, made._samples  # noqa: SLF001 - of this module
+    term = _low_terms(nodes.x, nodes.y, made.radius)[..., :columns].reshape(-1, columns)
+    normal = term.T @ (weight.reshape(-1, 1) * term)
+    low = np.linalg.solve(normal, term.T @ (weight * path).ravel())
     x, y = (one - middle for one, middle in zip(made.opd.points(), made.centre, strict=True))
     return replace(made, opd=replace(made.opd, z=made.opd.z - _low_terms(x, y, made.radius)[..., :columns] @ low))
 

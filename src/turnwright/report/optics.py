@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -105,7 +106,8 @@ def _orders(performance: OpticalPerformance) -> list[tuple[str | None, int | Non
     """Return place, number, angle and share of the orders of the cusps, and of the peaks of each patch."""
     orders: list[tuple[str | None, int | None, float, float]] = []
     if (cusps := performance.cusps) is not None:
-        orders += [(None, *one) for one in zip(cusps.orders, cusps.angles, cusps.efficiency, strict=True)]
+        listed = zip(cusps.orders, cusps.angles, cusps.efficiency, strict=True)
+        orders += [(None, *one) for one in islice(listed, LISTED_ORDERS)]
     for name, marks in performance.marks.items():
         orders += [(name, None, one.angle, one.efficiency) for one in marks.orders(LISTED_ORDERS)]
     return orders

@@ -223,9 +223,14 @@ def _extrapolate(x: Floats, y: Floats, z: Floats) -> Floats:
             form += weight * along[:, i] * across[:, j, None]
     residual = z - form
     count = min(NEIGHBOURS, int(np.count_nonzero(source)))
-    residual[near] = RBFInterpolator(places(source), residual[source], neighbors=count, kernel="cubic", degree=1)(
-        places(near)
-    )
+    try:
+        residual[near] = RBFInterpolator(places(source), residual[source], neighbors=count, kernel="cubic", degree=1)(
+            places(near)
+        )
+    except np.linalg.LinAlgError:  # the neighbours of a point are on one line
+        residual[near] = RBFInterpolator(places(source), residual[source], neighbors=count, kernel="linear")(
+            places(near)
+        )
     missing = np.isnan(residual)
     if missing.any():
         row, column = distance_transform_edt(missing, return_distances=False, return_indices=True)
