@@ -68,3 +68,11 @@ def test_the_domain_is_the_grid():
         table.require_disc(3.0, "the radius of the clear aperture")
     table.require_disc(2.0, "the radius of the clear aperture")
     assert table.feature_size == 0.5
+
+
+def test_border_next_to_crowded_rows_is_extended():
+    """The 32 nearest heights of a point beyond the border are on one line: more of them are taken."""
+    y = np.concatenate([np.arange(30.0), 30 + 1e-3 * np.arange(80), np.arange(31.0, 100)])
+    x = np.arange(12.0)
+    table = Gridded(x=x, y=y, z=np.where(x < 6, 1e-3 * y[:, None] ** 2 + x, np.nan))
+    assert abs(float(table.sag(0.5, 50.0)) - 3.0) < table.fit_error

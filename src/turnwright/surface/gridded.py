@@ -222,15 +222,17 @@ def _extrapolate(x: Floats, y: Floats, z: Floats) -> Floats:
         for (i, j), weight in zip(powers, weights, strict=True):
             form += weight * along[:, i] * across[:, j, None]
     residual = z - form
-    count = min(NEIGHBOURS, int(np.count_nonzero(source)))
-    try:
-        residual[near] = RBFInterpolator(places(source), residual[source], neighbors=count, kernel="cubic", degree=1)(
-            places(near)
-        )
-    except np.linalg.LinAlgError:  # the neighbours of a point are on one line
-        residual[near] = RBFInterpolator(places(source), residual[source], neighbors=count, kernel="linear")(
-            places(near)
-        )
+    data, total = (places(source), residual[source]), int(np.count_nonzero(source))
+    for count in (NEIGHBOURS, 8 * NEIGHBOURS, total):
+        try:
+            extend = RBFInterpolator(*data, neighbors=min(count, total), kernel="cubic", degree=1)
+            residual[near] = extend(places(near))
+            break
+        except np.linalg.LinAlgError:  # the neighbours of a point are on one line
+            if count >= total:
+                raise InputError(
+                    f"z of a gridded surface has {np.count_nonzero(valid)} heights nearly on a line: complete it"
+                ) from None
     missing = np.isnan(residual)
     if missing.any():
         row, column = distance_transform_edt(missing, return_distances=False, return_indices=True)
