@@ -14,7 +14,7 @@ from turnwright.heightmap import HeightMap
 from turnwright.job.extremes import Extremes
 from turnwright.job.prediction import Prediction
 from turnwright.job.schema import Job
-from turnwright.metrology import CallOut, evaluate_call_out, form_components
+from turnwright.metrology import CallOut, evaluate_call_out, form_components, pv_doubt, require_covered
 from turnwright.part import Part
 
 __all__ = ["WHOLE", "Verdict", "any_missed", "form_values", "judge", "judge_form", "judge_measured", "not_evaluated"]
@@ -208,7 +208,8 @@ def judge_measured(job: Job, pv_nm: float, error: HeightMap, on_grid: HeightMap)
     """Return a verdict for each stated tolerance of a measured part.
 
     Expanded uncertainties come from the noise of a height and the calibration of the instrument, where the job states
-    them. The pose is the datum of the form error and adds nothing. Noise adds to texture and is not subtracted.
+    them. The pose is the datum of the form error and adds nothing. Stated noise is subtracted from the rms
+    of the form; it adds to texture and to slopes and is not subtracted there.
 
     Parameters
     ----------
@@ -222,26 +223,36 @@ def judge_measured(job: Job, pv_nm: float, error: HeightMap, on_grid: HeightMap)
         The same error on the grid of the map. [mm]
     """
     noise, calibration = job.measurement.height_noise, job.measurement.calibration
-    pv_doubt = _combine(None if noise is None else 2 * np.sqrt(2) * noise, calibration)
+    count = int(np.count_nonzero(np.isfinite(error.z)))
+    doubt_of_pv = _combine(None if noise is None else pv_doubt(noise, count), calibration)
 
     def form() -> Values:
         components = form_components(_along_normal(job.part, error), job.part.border, like=on_grid)
-        by_noise = {} if noise is None else components.uncertainties(noise)
+        values: Values = {symbol: (value, None) for symbol, value in components.values.items()}
+        if noise is not None:
+            values = components.measured(noise)
         is_true = job.measurement.reference == "true form"
         return {
-            symbol: (value, _combine(by_noise.get(symbol), calibration))
-            for symbol, value in components.values.items()
+            symbol: (value, _combine(doubt, calibration))
+            for symbol, (value, doubt) in values.items()
             if is_true or symbol not in ("A", "RMSt")
         }
 
     verdicts = [
-        one.judged(pv_nm, None if pv_doubt is None else pv_doubt * NM) if one.tolerance == "form_pv" else one
+        one.judged(pv_nm, None if doubt_of_pv is None else doubt_of_pv * NM) if one.tolerance == "form_pv" else one
         for one in _keys(job, "a form map does not resolve it, predict or measure the patches")
     ]
     for call_out in job.tolerances.call_outs:
         limits = _limits(call_out, MEASURED if call_out.is_texture else WHOLE, "")
         is_form, doubt = call_out.standard == "ISO 10110-5", calibration if call_out.unit == "nm" else None
         verdicts += _judge_values(limits, form if is_form else partial(_of_grid, call_out, on_grid, doubt))
+    try:
+        require_covered(error, job.part.border)
+    except InputError as short:  # a part of the surface can prove that a limit is missed, not that it is kept
+        return tuple(
+            replace(one, is_kept=None, reason=str(short)) if one.is_kept and one.place == WHOLE else one
+            for one in verdicts
+        )
     return tuple(verdicts)
 
 

@@ -20,7 +20,13 @@ from turnwright.metrology.registration import EDGE, DoubtKind, PoseCandidate, Re
 from turnwright.metrology.slope import Slopes, slope_error
 from turnwright.metrology.smoothing import Smooth, form_compensation, sum_tables
 from turnwright.metrology.spectrum import FEWEST, AreaSpectrum, Spectrum, Window, area_psd, line_psd
-from turnwright.metrology.tolerances import FormComponents, evaluate_call_out, form_components
+from turnwright.metrology.tolerances import (
+    FormComponents,
+    evaluate_call_out,
+    form_components,
+    pv_doubt,
+    require_covered,
+)
 from turnwright.metrology.tool_edge import EdgeFit, fit_edge, read_edge_trace
 from turnwright.metrology.turned_edge import TurnedEdge, edge_from_cusps
 from turnwright.metrology.turning import TurningCentre, turning_centre
@@ -84,12 +90,14 @@ __all__ = [
     "line_psd",
     "overview",
     "profile_roughness",
+    "pv_doubt",
     "read_call_out",
     "read_edge_trace",
     "register",
     "remove_form",
     "remove_outliers",
     "require_consistent",
+    "require_covered",
     "roughness",
     "separate_bands",
     "slope_error",

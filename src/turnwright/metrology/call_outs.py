@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 from turnwright.errors import InputError, UnitError, quote
 from turnwright.units import convert, parse, say_length
@@ -64,7 +64,7 @@ _FORM = re.compile(
 )
 _RMS = re.compile(rf"RMS\s*_?([tia])\s*<?\s*{_SIZE}")
 _WAVELENGTH = re.compile(rf"(?:λ|lambda)\s*=\s*{_NUMBER}\s*(\w*)")
-_AREA = re.compile(r"(?:all\s*)?(?:[øØ⌀]|dia).*", re.IGNORECASE)
+_AREA = re.compile(r"(?:all\s*)?(?:[øØ⌀∅]|dia).*", re.IGNORECASE)
 _BAND_RMS = re.compile(rf"(Sq|Rq)\s*<?\s*{_NUMBER}\s*([nuµμ]m)?\s*;\s*{_BAND}")
 _PSD = re.compile(rf"PSD\s*<?\s*{_NUMBER}\s*([^/;0-9][^/;]*?)?\s*/\s*([0-9](?:\.[0-9]+)?)\s*;\s*{_BAND}")
 _SLOPE = re.compile(rf"(rms\s+)?slope\s*<?\s*{_NUMBER}\s*([^;\s]*)\s*;\s*{_SIZE}(?:\s*;\s*{_SIZE})?", re.IGNORECASE)
@@ -218,7 +218,11 @@ def require_consistent(call_outs: Iterable[CallOut]) -> None:
     """Raise `InputError` if call-outs of one drawing contradict each other."""
     limits = [(one, limit) for one in call_outs for limit in one.limits]
     for (first, one), (second, other) in combinations(limits, 2):
-        if (first.standard, first.short, first.long) != (second.standard, second.short, second.long):
+        bands = [
+            (each.standard, each.band if each.standard == "ISO 21920" else (each.short, each.long))
+            for each in (first, second)
+        ]
+        if bands[0] != bands[1]:
             continue
         where = quote(first.text) if first is second else f"{quote(first.text)} and {quote(second.text)}"
         shown = [f"{limit.symbol} to {limit.value * first.scale:.4g} {first.unit}" for limit in (one, other)]
@@ -238,18 +242,12 @@ def _read_form(text: str, match: re.Match[str]) -> CallOut:
     stated = {"A": sizes[:2], "B": sizes[2:4], "C": sizes[4:]}
     if common and not any(unit for _, unit in stated.values()):
         stated = {symbol: [number, common] for symbol, (number, _) in stated.items()}
-    wavelength = None
-    for clause in re.findall(r"RMS[^R;λ]*|[^;\s][^;]*", clauses.replace("lambda", "λ")):
-        rms, wave = _RMS.fullmatch(clause.strip()), _WAVELENGTH.fullmatch(clause.strip())
-        if wave is not None:
-            wavelength = _read_wavelength(text, *wave.groups())
-        elif rms is not None and f"RMS{rms.group(1)}" not in stated:
-            stated[f"RMS{rms.group(1)}"] = [rms.group(2), rms.group(3)]
-        else:
-            cause = "after 3/A(B/C) it can have RMSt, RMSi, RMSa, each once, and λ"
-            if _AREA.fullmatch(clause.strip()):
-                cause = "a diameter of test areas, only the whole clear aperture can be judged"
-            raise InputError(f"the call-out {quote(text)} has {clause.strip()[:40]!r}, {cause}: correct it")
+    if len({bool(unit) for number, unit in stated.values() if number}) > 1:
+        raise InputError(
+            f"the call-out {quote(text)} states some of A, B and C with a unit and some without: write it after the "
+            "bracket for all, or after each number"
+        )
+    wavelength = _read_clauses(text, clauses, stated)
     limits = []
     for symbol, (number, unit) in stated.items():
         if number and not unit and wavelength is None:
@@ -263,6 +261,23 @@ def _read_form(text: str, match: re.Match[str]) -> CallOut:
     if not limits:
         raise InputError(f"the call-out {quote(text)} states 0 limits, it needs at least 1: leave it out")
     return CallOut(text=text, standard="ISO 10110-5", limits=tuple(limits), wavelength=wavelength)
+
+
+def _read_clauses(text: str, clauses: str, stated: dict[str, Any]) -> float | None:
+    """Add the rms limits after 3/A(B/C) to those stated, and return the wavelength. [mm]."""
+    wavelength = None
+    for clause in re.findall(r"RMS[^R;λ]*|[^;\s][^;]*", clauses.replace("lambda", "λ")):
+        rms, wave = _RMS.fullmatch(clause.strip()), _WAVELENGTH.fullmatch(clause.strip())
+        if wave is not None and wavelength is None:
+            wavelength = _read_wavelength(text, *wave.groups())
+        elif rms is not None and f"RMS{rms.group(1)}" not in stated:
+            stated[f"RMS{rms.group(1)}"] = [rms.group(2), rms.group(3)]
+        else:
+            cause = "after 3/A(B/C) it can have RMSt, RMSi, RMSa and λ, each once"
+            if _AREA.fullmatch(clause.strip()):
+                cause = "a diameter of test areas, only the whole clear aperture can be judged"
+            raise InputError(f"the call-out {quote(text)} has {clause.strip()[:40]!r}, {cause}: correct it")
+    return wavelength
 
 
 def _read_wavelength(text: str, number: str, unit: str) -> float:

@@ -29,8 +29,8 @@ DISC_TERMS, OTHER_TERMS = 37, 4
 """Fringe Zernike terms that are fitted together over a disc, and over any other clear aperture."""
 
 REACH_TOL, SPACING_TOL = 0.03, 1.5
-"""Largest distance of the border of the clear aperture from the map, relative to its half-width and to the mean spacing
-of the heights, whichever is larger; of a polar map the spacing along the rim."""
+"""Largest distance of the border of the clear aperture from the map: these shares of its half-width and of the mean
+spacing of the heights together; of a polar map the spacing along the rim."""
 
 BORDER_SAMPLES, CHECK_POINTS = 180, 50_000
 """Points of the border and of the map that are compared."""
@@ -42,6 +42,9 @@ MAX_LINES = 25
 """Profiles evaluated in each direction of a map."""
 
 BAND_TOL = 1e-9
+
+NOISE_TOL = 0.2
+"""Expanded uncertainty (k = 2) of a stated noise, relative."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,15 +90,36 @@ class FormComponents:
             "RMSi": self.rms_irregularity, "RMSa": self.rms_asymmetry,
         }  # fmt: skip
 
-    def uncertainties(self, noise: float) -> dict[str, float]:
-        r"""Return the expanded uncertainties (k = 2) by independent noise of each height [mm]. [mm].
+    def measured(self, noise: float) -> dict[str, tuple[float, float]]:
+        r"""Return the values without the noise of the heights, and their expanded uncertainties (k = 2). [mm].
 
-        A difference of two heights has :math:`\sqrt 2` of the noise, which the mean over a ring reduces; a mean over
-        all heights reduces it most.
+        Independent noise of each height adds to the mean squares, from which it is subtracted; it is taken to be known
+        to 20 %. It widens a peak to valley of n heights by up to :math:`2 \sigma \sqrt{2 \ln n}`, see `pv_doubt`, or of
+        the means over rings by less.
+
+        Parameters
+        ----------
+        noise
+            Standard deviation of a height. [mm]
         """
-        mean, pv = 2 * noise / np.sqrt(self.count), 2 * np.sqrt(2) * noise
-        by_symbol = dict.fromkeys(("RMSt", "RMSi", "RMSa"), mean)
-        return {"A": 2 * np.sqrt(3) * mean, "B": pv, "C": pv / np.sqrt(self.ring_count), **by_symbol}
+        mean = 2 * noise / np.sqrt(self.count)
+        by_symbol = {
+            "A": (self.power_pv, float(2 * np.sqrt(3) * mean)),
+            "B": (self.irregularity_pv, pv_doubt(noise, self.count)),
+            "C": (self.symmetric_pv, pv_doubt(noise / np.sqrt(self.ring_count), max(self.count // self.ring_count, 2))),
+        }
+        for symbol in ("RMSt", "RMSi", "RMSa"):
+            low, value, high = (
+                float(np.sqrt(max(self.values[symbol] ** 2 - (share * noise) ** 2, 0.0)))
+                for share in (1 + NOISE_TOL, 1.0, 1 - NOISE_TOL)
+            )
+            by_symbol[symbol] = value, float(np.hypot(max(high - value, value - low), mean))
+        return by_symbol
+
+
+def pv_doubt(noise: float, count: int) -> float:
+    """Return the expanded uncertainty of the peak to valley of so many heights by their independent noise. [mm]."""
+    return float(2 * noise * (np.sqrt(2 * np.log(max(count, 2))) + np.sqrt(0.5)))
 
 
 def form_components(error: HeightMap, outline: Outline, *, like: HeightMap | None = None) -> FormComponents:
@@ -112,7 +136,7 @@ def form_components(error: HeightMap, outline: Outline, *, like: HeightMap | Non
     error
         Measured minus nominal surface, along the normal or along z; on a grid, or scattered.
     outline
-        Clear aperture, whose border is nowhere farther from the map than 3 % of its half-width.
+        Clear aperture, whose border is nowhere farther from the map than 3 % of its half-width and 1.5 spacings.
     like
         Grid that scattered points were taken from, for their areas; see `area_rms`.
 
@@ -133,7 +157,7 @@ def form_components(error: HeightMap, outline: Outline, *, like: HeightMap | Non
     >>> round(parts.power_pv * 1e6, 6), round(abs(parts.irregularity_pv) * 1e6, 6)
     (250.0, 0.0)
     """
-    _require_covered(error, outline)
+    require_covered(error, outline)
     low_x, high_x, low_y, high_y = outline.box
     centre = (low_x + high_x) / 2, (low_y + high_y) / 2
     disc = outline.disc is not None and not outline.holes
@@ -186,8 +210,8 @@ def _pv(z: Floats) -> float:
     return float(np.nanmax(z) - np.nanmin(z))
 
 
-def _require_covered(error: HeightMap, outline: Outline) -> None:
-    """Raise unless a map reaches the border of the clear aperture everywhere."""
+def require_covered(error: HeightMap, outline: Outline) -> None:
+    """Raise `InputError` unless a map reaches the border of the clear aperture everywhere."""
     if outline.several is not None:
         raise InputError(
             f"the clear aperture has {len(outline.several)} parts, a form error is that of 1 part: judge each alone"
@@ -205,7 +229,7 @@ def _require_covered(error: HeightMap, outline: Outline) -> None:
     gap = SPACING_TOL * float(np.sqrt(outline.area / np.count_nonzero(valid)))
     if few.angle is not None:
         gap = float(np.diff(few.angle).max(initial=0.0)) * outline.reach
-    limit = max(REACH_TOL * float(np.ptp(at, axis=0).max()) / 2, gap)
+    limit = REACH_TOL * float(np.ptp(at, axis=0).max()) / 2 + gap
     if away[far] > limit:
         raise InputError(
             f"the map is smaller than the clear aperture: at its border at x = {at[far, 0]:.4g} mm, y = "

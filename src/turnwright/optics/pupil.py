@@ -142,9 +142,9 @@ def pupil_nodes(radii: tuple[float, float], shift: float, count: int) -> Nodes:
         node, weight = np.polynomial.legendre.leggauss(count if inner == 0 else max(count // 2, FEWEST_NODES))
         chord, gap = (np.sqrt(np.maximum(size * size - across * across, 0.0)) for size in radii)
         parts = [(-chord, chord)] if inner == 0 else [(-chord, -gap), (gap, chord)]
-        for (left, right), (other_left, other_right) in product(parts, parts):
-            start = np.maximum(left - shift / 2, other_left + shift / 2)
-            half = np.maximum(np.minimum(right - shift / 2, other_right + shift / 2) - start, 0.0) / 2
+        for (low_1, high_1), (low_2, high_2) in product(parts, parts):
+            start = np.maximum(low_1 - shift / 2, low_2 + shift / 2)
+            half = np.maximum(np.minimum(high_1 - shift / 2, high_2 + shift / 2) - start, 0.0) / 2
             if half.any():
                 x.append(start[:, None] + half[:, None] * (1 + node))
                 y.append(np.broadcast_to(across[:, None], x[-1].shape))
