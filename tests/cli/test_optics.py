@@ -129,6 +129,16 @@ def test_light_that_cannot_be_is_refused(optics, named):
     assert len(str(refused.value)) <= 400
 
 
+def test_run_is_written_where_light_cannot_be_told(tmp_path, capsys):
+    """A source on the vertex meets the surface at no angle: the program does not depend on it."""
+    job = tmp_path / "job.toml"
+    optics = {"wavelength": "633 nm", "source": "0 mm"}
+    job.write_text(tomli_w.dumps(MIRROR | {"simulation": {}, "optics": optics}))
+    assert main(["run", str(job), "--out", str(tmp_path / "run")]) == 0
+    assert "warning: optics: source is at 0 mm" in capsys.readouterr().err
+    assert (tmp_path / "run" / "part.nc").exists()
+
+
 def test_optics_needs_its_table():
     plain = {key: value for key, value in MIRROR.items() if key != "optics"}
     with pytest.raises(tw.InputError, match=r"\[optics\]"):

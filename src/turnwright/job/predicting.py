@@ -160,8 +160,10 @@ def _with_extremes(job: Job, whole: Prediction, motion: Motion, watch: Watch) ->
             if _needs_form(job):
                 with suppress(InputError):  # the verdict repeats it and states why
                     values = form_values(part, across.thinned(FORM_POINTS), form)
-    limit = job.tolerances.cusp_order
-    order = None if limit is None else cusp_light(job, Feeds.of_motion(motion), limit.light).brightest
+    limit, order = job.tolerances.cusp_order, None
+    if limit is not None:
+        with suppress(InputError):  # a part that is curved more than the nose has no cusps there
+            order = cusp_light(job, Feeds.of_motion(motion), limit.light).brightest
     return replace(whole, form=form, finish_nm=ring, form_values=values, cusp_order=order)
 
 

@@ -22,6 +22,7 @@ from turnwright.job.cut_range import cut_range
 from turnwright.job.cutting import PassChips, predicted_chips
 from turnwright.job.gouge import find_gouge
 from turnwright.job.links import find_wrong_move
+from turnwright.job.optics import OpticalPerformance
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.pipeline import Cut, Pipeline, describe_gouge
 from turnwright.job.programs import predicted_motion, rounding_effect
@@ -114,10 +115,21 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         actual_tool=job.actual_tool, actual_machine=job.actual_machine, access=line.access, findings=line.findings,
         passes=tuple(passes), path=plotted_path, motion=plotted_motion, revolutions=turns, least_clearance=least,
         program=program, predictions=predictions,
-        optics=None if job.optics is None else line.optics, rounding_nm=difference, rounding_limit_nm=limit,
+        optics=_optics(line, warnings), rounding_nm=difference, rounding_limit_nm=limit,
         chips=chips, entries=entries, warnings=tuple(dict.fromkeys(warnings)), timings=line.watch.timings,
         peak_memory_gb=_peak_memory(),
     )  # fmt: skip
+
+
+def _optics(line: Pipeline, warnings: list[str]) -> OpticalPerformance | None:
+    """Return the optical performance of a job that states its light; warn where it cannot be computed."""
+    if line.job.optics is None:
+        return None
+    try:
+        return line.optics
+    except InputError as error:
+        warnings.append(f"optics: {error}")
+        return None
 
 
 def _check_chips(cut: Cut, chips: dict[str, ChipMap], warnings: list[str]) -> PassChips | None:

@@ -134,7 +134,10 @@ def _judge_key(verdict: Verdict, prediction: Prediction | None) -> Verdict:
         "sq": prediction.finish_nm if verdict.place == WHOLE else prediction.roughness.sq_nm,
         "cusp_order": None if order is None else order * SCALES["%"],
     }[verdict.tolerance]
-    verdict = replace(verdict, reason=_missing(WHOLE, is_form=False)) if value is None else verdict.judged(value)
+    if value is None:
+        why = "the part has no regular cusps" if verdict.tolerance == "cusp_order" else _missing(WHOLE, is_form=False)
+        return replace(verdict, reason=why)
+    verdict = verdict.judged(value)
     return _uncut(verdict, prediction)
 
 
