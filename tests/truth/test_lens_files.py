@@ -368,3 +368,83 @@ def test_indices_are_those_that_a_file_states(tmp_path):
     lens = seq(tmp_path, "S 40 3 517000.520000", "S 0 1 AIR", "S 10 1 1.5168:64.17", "S 0 2 REFL")
     assert [lens.surface(number).index for number in (1, 2, 3)] == [1.517, None, 1.5168]
     assert [one.is_mirror for one in lens.surfaces] == [False, False, False, False, True, False]
+
+
+def coordinate_break(about_x=0.0, about_y=0.0, thickness=0.0, shift=0.0):
+    return ["TYPE COORDBRK", "CURV 0.0", f"PARM 2 {shift}", f"PARM 3 {about_x}", f"PARM 4 {about_y}",
+            f"DISZ {thickness}"]  # fmt: skip
+
+
+DUMMY, MIRROR, LENS = sphere(0, 5.0, ""), sphere(-120.0, 0.0, "MIRROR"), sphere(50.0, 3.0, "N-BK7")
+FOLD = sphere(0, 0.0, "MIRROR")
+
+
+@pytest.mark.parametrize(
+    ("surfaces", "toward"),
+    [
+        ([DUMMY, coordinate_break(60), coordinate_break(60), MIRROR], -1),  # 120 degrees to +z
+        ([DUMMY, coordinate_break(60), coordinate_break(-60), MIRROR], 1),
+        ([DUMMY, coordinate_break(80), coordinate_break(0, 0), coordinate_break(80), coordinate_break(-90), MIRROR], 1),
+        ([DUMMY, coordinate_break(180), MIRROR], -1),
+        ([DUMMY, coordinate_break(90), coordinate_break(90), MIRROR], -1),
+        ([DUMMY, coordinate_break(45), FOLD, coordinate_break(45), MIRROR], -1),
+        ([DUMMY, coordinate_break(45), FOLD, coordinate_break(-45), coordinate_break(-90), MIRROR], 1),
+        ([DUMMY, coordinate_break(0, 60), FOLD, coordinate_break(0, 60), coordinate_break(30), MIRROR], -1),
+        ([DUMMY, coordinate_break(88), MIRROR], 0),
+        # Beside curved surfaces the real ray is not the axial one, so that both ways of reckoning must agree.
+        ([LENS, sphere(-50.0, 9.0, ""), coordinate_break(45), FOLD, coordinate_break(45), MIRROR], -1),
+        ([LENS, sphere(-50.0, 9.0, ""), coordinate_break(60), coordinate_break(60), MIRROR], 0),
+        ([DUMMY, coordinate_break(shift=50), MIRROR, coordinate_break(90), coordinate_break(90), MIRROR], 0),
+        # What is not read may have turned the frame or the light.
+        ([DUMMY, [*DUMMY, "TWST 1"], MIRROR], 0),
+        ([DUMMY, ["TYPE NONSEQCO", *DUMMY[1:]], MIRROR], 0),
+        ([DUMMY, ["TYPE COORDBRK", "CURV 0.0", "PARM 3 a"], MIRROR], 0),
+    ],
+)
+def test_a_mirror_has_its_substrate_behind_the_light(tmp_path, surfaces, toward):
+    """Oracle: the light as a vector, reckoned by hand."""
+    lens = zmx(tmp_path, *surfaces)
+    number = len(surfaces)
+    if toward:
+        assert lens.side(number).toward == toward
+    else:
+        with pytest.raises(tw.InputError, match=r"direction of the light at surface \d is not certain"):
+            lens.side(number)
+        assert lens.side(number, "-z").toward == -1
+
+
+CODE_V_TURNS = {
+    "60 and 60 degrees": (["S 0 0; ADE 60", "S 0 0; ADE 60", "S -100 -50 REFL"], -1),
+    "right angles": (["S 0 0; ADE 90", "S 0 0; BDE 90", "S -100 -50 REFL"], 0),
+    "return": (["S 0 0; ADE 180", "S -100 -50 REFL; RET S1"], 1),
+    "return, with its own number": (["S 0 0; ADE 180", "S -100 -50 REFL", "RET S3 S1"], 1),
+    "return to a tilt": (["S 0 0; ADE 180", "S 0 0; ADE 30", "S -100 -50 REFL; RET S2"], 0),
+    "tilt and return": (["S 0 0; ADE 180; DAR", "S -100 -50 REFL"], 0),
+    "bend": (["S 0 -10 REFL; ADE 45; BEN", "S -100 -50 REFL"], -1),
+    "return of a fold": (["S 0 -10 REFL; ADE 45; DAR", "S -100 -50 REFL"], 0),
+    "reverse": (["S 0 10; ADE 30; REV", "S -100 -50 REFL"], 1),
+    "glass that reflects": (["S 0 10 NBK7", "S 0 -10 NBK7 TIR; ADE 45; BEN", "S 0 -10", "S -100 50 REFL"], -1),
+    "mode": (["S 0 10 NBK7", "S 0 -10 NBK7; RMD TIR; ADE 45; BEN", "S 0 -10", "S -100 50 REFL"], -1),
+    "refraction": (["S 0 10 NBK7", "S 0 10; RMD REFR", "S -100 50 REFL"], 1),
+    "an unknown mode": (["S 0 10 NBK7", "S 0 10 NBK7 DIF", "S -100 50 REFL"], 0),
+    "global place": (["S 0 10; GLB S1", "S -100 50 REFL"], 0),
+    "not sequential": (["S 0 10; NSS", "S 0 10", "END", "S -100 50 REFL"], 0),
+}
+
+
+@pytest.mark.parametrize("case", CODE_V_TURNS)
+def test_a_mirror_of_code_v_has_its_substrate_behind_it(tmp_path, case):
+    commands, toward = CODE_V_TURNS[case]
+    lens = seq(tmp_path, "S 0 10", *commands)
+    number = len(lens.surfaces) - 2
+    assert lens.surface(number).is_mirror
+    if toward:
+        assert lens.side(number).toward == toward
+    else:
+        with pytest.raises(tw.InputError, match=r"direction of the light at surface \d is not certain"):
+            lens.side(number)
+
+
+def test_a_face_that_reflects_in_glass_is_cut_into_it(tmp_path):
+    lens = seq(tmp_path, "S 0 10 NBK7", "S 0 -10 NBK7 TIR; ADE 45; BEN", "S 0 -10")
+    assert (lens.side(2).side, lens.side(2).toward, lens.side(2).material) == ("before", -1, "NBK7")

@@ -59,9 +59,8 @@ def import_lens(
             raise InputError("--surface is missing: state the number of the surface to cut")
         _list(session, lens)
         return
-    chosen = lens.side(surface, side)  # type: ignore[arg-type]
     part = lens.part(surface, side, radius=None if radius is None else parse(radius, "mm"))  # type: ignore[arg-type]
-    one = lens.surface(surface)
+    one, chosen = lens.surface(surface), lens.side(surface, side)  # type: ignore[arg-type]
     if plot is None and out is not None:
         plot = out.with_suffix(".png")
     if plot is not None:
@@ -101,7 +100,7 @@ def _list(session: Session, lens: LensFile) -> None:
                 chosen = lens.side(one.number)
                 cut = f"{chosen.side}, toward {'+z' if chosen.is_turned else '-z'}"
             except InputError:
-                cut = "state --side" if one.before else ""
+                cut = "state --side" if one.before or one.after else ""
         flat = math.isinf(one.radius)
         rows.append(
             (f"{one.number}{' stop' * one.is_stop}", one.type, "flat" if flat else f"{one.radius:.6g}",

@@ -10,6 +10,7 @@ Sources
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -17,17 +18,21 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from turnwright.errors import InputError, quote
 from turnwright.files.base import to_mm
 from turnwright.files.lens import (
     MAX_SURFACES,
     RIGHT_ANGLE_TOL,
+    UNKNOWN,
     LensFile,
     Row,
     finish,
     plain_text,
     polynomial_powers,
     radial,
+    rotation,
     to_integer,
     to_number,
 )
@@ -40,7 +45,7 @@ UNITS = {"M": "mm", "MM": "mm", "C": "cm", "CM": "cm", "I": "in", "IN": "in"}
 
 _SYSTEM = """
     LEN EPD FNO NA NAO WTW TEM PRE INI XAN YAN XIM YIM XOB YOB XRI YRI WTF VUX VLX VUY VLY DOR WID CWL PUI PUX PUY
-    AFI TEL RAY PFR PTP DDM SSI POL GO CAN RED NSS END CLS DER PIK
+    AFI TEL RAY PFR PTP DDM SSI POL GO CAN RED END CLS DER PIK
 """
 SYSTEM = frozenset(_SYSTEM.split())
 """Commands that change no surface: apertures, fields, weights."""
@@ -50,6 +55,18 @@ _HARMLESS = """
 """
 HARMLESS = frozenset(_HARMLESS.split())
 """Commands of a surface that change neither its shape nor its frame: coupling of variables, coatings, solves."""
+
+EDITS = frozenset(("SCA", "FLY", "INS", "DEL", "COP", "MOV", "RES"))
+"""Commands that change surfaces stated before."""
+
+TILTS = ("ADE", "BDE", "CDE")
+
+_SOLVES = "UMY UMX UCY UCX IMY IMX ICY ICX AMY AMX ACY ACX HMY HMX HCY HCX PIM PIK OAL"
+SOLVES = frozenset(_SOLVES.split())
+"""Solves of a radius or a thickness, which keep the stated one."""
+
+QUALIFIER = re.compile(r"(?i)s(?:\d|['\"]|[aois](?:$|\.\.|[-+]\d))")
+"""Beginning of a word that names surfaces: S3, S1..4, SA for all, SO, SI, SS for the stop, or S'label'."""
 
 MAX_COMMAND = 100_000
 """Characters of a command over all its lines."""
@@ -65,6 +82,7 @@ SPECIAL = {"SPS XYP": (2, 66, "NRADIUS"), "SPS ODD": (2, 31, "C33"), "SPS ZFR": 
 class _Words(Row):
     """One surface: its commands."""
 
+    label: str = ""
     unstated: bool = False  # whether its first value may be a radius or a curvature
     across: float | None = None  # radius in x
     powers: dict[int, float] = field(default_factory=dict)
@@ -79,7 +97,7 @@ def is_codev(text: str) -> bool:
     return all(re.search(rf"(?im)(?:^|;)[ \t]*{word}[ \t]+[-+.&\d]", text) for word in ("SO", "S"))
 
 
-def _commands(text: str) -> Iterator[list[str]]:
+def _commands(path: Path, text: str) -> Iterator[list[str]]:
     """Yield the words of each command, without comments; quoted text is one word."""
     joined = ""
     for line in text.splitlines():
@@ -88,12 +106,14 @@ def _commands(text: str) -> Iterator[list[str]]:
         if joined.endswith("&"):
             joined = joined[:-1] + " "
             if len(joined) > MAX_COMMAND:
-                raise InputError(f"a command has over {MAX_COMMAND:,} characters, the limit: correct the file")
+                raise InputError(f"{path} has a command of over {MAX_COMMAND:,} characters, the limit: correct it")
             continue
         for command in re.findall(r"(?:'[^']*'|\"[^\"]*\"|[^;])+", joined):
-            if words := re.findall(r"'[^']*'|\"[^\"]*\"|[^\s]+", command):
+            if words := re.findall(r"(?:'[^']*'|\"[^\"]*\"|\S)+", command):
                 yield words
         joined = ""
+    if joined:
+        raise InputError(f"{path} ends within a command, after &: it is cut short, export it again")
 
 
 @dataclass(slots=True)
@@ -107,6 +127,7 @@ class _Lens:
     waves: tuple[float, ...] = ()
     reference: int = 1
     is_private: bool = False
+    has_image: bool = False
     rows: list[_Words] = field(default_factory=list)
 
     def read(self, command: str, values: list[str]) -> None:
@@ -114,15 +135,24 @@ class _Lens:
         self.is_private = command == "PRV" or (self.is_private and command != "END")
         if self.is_private or command[:3] in SYSTEM:
             return
-        if re.fullmatch(r"S[OI]?|S\d+", command):
+        if command[:3] in EDITS:
+            raise InputError(
+                f"{self.path} has the command {quote(command)}, which changes surfaces: save the lens again"
+            )
+        if command in ("S", "SO", "SI", f"S{len(self.rows)}"):
+            self.has_image |= command == "SI"
             self.add(values)
+        elif QUALIFIER.match(command):
+            raise InputError(
+                f"{self.path} has {quote(command)}, the next surface is {len(self.rows)}: correct the file"
+            )
         elif command[:3] in LENS_COMMANDS:
             try:
                 LENS_COMMANDS[command[:3]](self, values or [""])
             except InputError as error:
                 raise InputError(f"{self.path}: {error}") from error
         elif self.rows:
-            _read_command(self.rows, command, values)
+            _read_command(self, command, values)
         else:
             raise InputError(f"{self.path} has the command {quote(command)}, which is not read: remove it")
 
@@ -132,7 +162,7 @@ class _Lens:
             raise InputError(f"{self.path} has over {MAX_SURFACES:,} surfaces, the limit: split the file")
         row = _Words(number=len(self.rows), type="SPH")
         self.rows.append(row)
-        first, thickness, glass, mode = (*values, "", "", "", "")[:4]
+        first, thickness, glass, mode, *more = (*values, *("" for _ in range(4 - len(values))))
         bend = to_number(first, f"{self.path}: the first value of surface {row.number}")
         row.unstated = bend != 0 and self.radii is None
         if bend and not row.unstated:
@@ -142,18 +172,45 @@ class _Lens:
         else:
             row.thickness = to_number(thickness or "0", f"{self.path}: the thickness of surface {row.number}")
         _glass(row, glass)
-        row.is_mirror = row.is_mirror or mode.upper() == "REFL"
+        if more:
+            row.doubt(f"has {len(values)} values, radius, thickness, glass and mode are read: remove the others")
+        elif mode:
+            _read_value(row, "RMD", [mode])
+
+    def named(self, word: str, command: str) -> list[_Words]:
+        """Return the surfaces that a qualifier names."""
+        if word.upper() == "SA":
+            return self.rows
+        labels = [f"'{row.label.upper()}'" for row in self.rows]
+        numbers = {str(row.number): row.number for row in self.rows}
+        numbers |= {label: place for place, label in enumerate(labels) if labels.count(label) == 1}
+        numbers |= {"O": 0} | ({"I": len(self.rows) - 1} if self.has_image else {})
+        stops = [row.number for row in self.rows if row.is_stop]
+        numbers |= {"S": stops[-1]} if stops else {}
+        ends = [re.sub("^S(?=.)", "", end).replace('"', "'") for end in word[1:].upper().split("..")]
+        first, last = numbers.get(ends[0]), numbers.get(ends[-1])
+        if first is None or last is None or len(ends) > 2 or first > last:
+            raise InputError(
+                f"{command} names the surface {quote(word)}, which does not stand above it: correct the file"
+            )
+        return self.rows[first : last + 1]
+
+    def qualified(self, command: str, values: list[str], keep: int = 0) -> tuple[list[list[_Words]], list[str]]:
+        """Return the surfaces that the qualifiers before the values name, and the values, at least ``keep`` of them."""
+        count = 0
+        while count < len(values) - keep and QUALIFIER.match(values[count]):
+            count += 1
+        return [self.named(word, command) for word in values[:count]], values[count:]
 
     def finish(self) -> LensFile:
         """Return the lens."""
+        if self.is_private:
+            raise InputError(f"{self.path} has no END after PRV: it is cut short, export it again")
         scale = to_mm(self.unit, f"{self.path} has the unit")
         for row in self.rows:
             row.scale = scale
             row.aperture = partial(_outline, row)
-            tilts = [math.cos(math.radians(row.tilts.get(word, 0.0))) for word in ("ADE", "BDE")]
-            is_turned = tilts[0] * tilts[1] < 0
-            is_open = min(map(abs, tilts)) < RIGHT_ANGLE_TOL or (is_turned and bool({"DAR", "BEN"} & row.tilts.keys()))
-            row.flips = None if is_open else is_turned
+            _place(row, self.rows)
             if row.unstated:
                 row.refuse(
                     "begins with a number that may be a radius or a curvature: add the line RDM Y (radii) or RDM N "
@@ -169,7 +226,7 @@ class _Lens:
 def read(path: Path, text: str, radii: bool | None = None) -> LensFile:
     """Read a CODE V lens file; ``radii`` where it does not state ``RDM``."""
     lens = _Lens(path=path, name=path.name, radii=radii)
-    for command, *values in _commands(text):
+    for command, *values in _commands(path, text):
         lens.read(command.upper(), values)
     return lens.finish()
 
@@ -198,9 +255,14 @@ def _reference(lens: _Lens, values: list[str]) -> None:
 
 def _zoom(lens: _Lens, values: list[str]) -> None:
     """Refuse a surface whose shape differs between zoom positions."""
-    for value in values[1:]:
-        if re.fullmatch(r"(?i)s\d{1,5}", value) and values[0].upper() != "THI" and int(value[1:]) < len(lens.rows):
-            lens.rows[int(value[1:])].refuse(f"differs between zoom positions (ZOO {values[0]}): save one of them")
+    word = values[0].upper()
+    if word == "THI" or word in HARMLESS:
+        return
+    groups, _ = lens.qualified("ZOO", values[1:])
+    if not groups and word in SURFACE_COMMANDS:
+        groups = [lens.rows[-1:]]
+    for row in itertools.chain(*groups):
+        row.doubt(f"differs between zoom positions (ZOO {values[0]}): save one of them")
 
 
 LENS_COMMANDS: Mapping[str, Callable[[_Lens, list[str]], None]] = {
@@ -209,25 +271,26 @@ LENS_COMMANDS: Mapping[str, Callable[[_Lens, list[str]], None]] = {
 """Commands of the whole lens that are read."""
 
 
-def _read_command(rows: list[_Words], command: str, values: list[str]) -> None:
-    """Read a command of a surface: the last one, or the one that a qualifier such as S3 names."""
-    row = rows[-1]
-    if values and (named := re.fullmatch(r"(?i)s(\d{1,5})", values[0])):
-        if int(named[1]) >= len(rows):
-            raise InputError(
-                f"{command} names the surface {values[0]}, which does not stand above it: correct the file"
-            )
-        row, values = rows[int(named[1])], values[1:]
+def _read_command(lens: _Lens, command: str, values: list[str]) -> None:
+    """Read a command of a surface: the last one, or those that qualifiers such as S3 name."""
     word = command if command in SURFACE_COMMANDS else command[:3]
     if word in HARMLESS:
         return
-    if word not in SURFACE_COMMANDS:
-        row.refuse(f"has the command {quote(command)}, which is not read: remove it if it does not change the shape")
-        return
+    groups, values = lens.qualified(command, values, keep=int(word == "GLA"))
+    if word == "RET" and groups:
+        values = [str(groups.pop()[0].number)]
+    for row in itertools.chain(*groups or [lens.rows[-1:]]):
+        if word not in SURFACE_COMMANDS:
+            row.doubt(f"has the command {quote(command)}, which is not read: remove it if it does not change the shape")
+            continue
+        _read_value(row, word, values or [""])
+
+
+def _read_value(row: _Words, word: str, values: list[str]) -> None:
     try:
-        SURFACE_COMMANDS[word](row, word, values or [""])
+        SURFACE_COMMANDS[word](row, word, values)
     except InputError as error:
-        row.refuse(f"cannot be read: {error}")
+        row.doubt(f"cannot be read: {error}")
 
 
 def _glass(row: _Words, word: str) -> None:
@@ -246,9 +309,13 @@ def _alone(word: str, values: list[str]) -> float:
     return to_number(values[0], word)
 
 
+def _is_solve(values: list[str]) -> bool:
+    return values[0].upper() in SOLVES
+
+
 def _bend(row: _Words, word: str, values: list[str]) -> None:
     """Read a radius or a curvature; a solve keeps the stated one."""
-    if values[0][:1].isalpha():
+    if _is_solve(values):
         return
     bend = _alone(word, values)
     radius = math.inf if not bend else bend if word.startswith("RD") else 1 / bend
@@ -259,25 +326,32 @@ def _bend(row: _Words, word: str, values: list[str]) -> None:
 
 
 def _thickness(row: _Words, word: str, values: list[str]) -> None:
-    row.thickness = row.thickness if values[0][:1].isalpha() else _alone(word, values)
+    row.thickness = row.thickness if _is_solve(values) else _alone(word, values)
 
 
 def _stop(row: _Words, _word: str, _values: list[str]) -> None:
     row.is_stop = True
 
 
-def _label(row: _Words, _word: str, values: list[str]) -> None:
+def _label(row: _Words, word: str, values: list[str]) -> None:
     row.comment = plain_text(" ".join(values))
+    row.label = row.comment if word == "SLB" else row.label
 
 
-def _shape(row: _Words, word: str, _values: list[str]) -> None:
+def _none(word: str, values: list[str]) -> None:
+    if values != [""]:
+        raise InputError(f"{word} has the value {quote(' '.join(values))}, it has none: correct the file")
+
+
+def _shape(row: _Words, word: str, values: list[str]) -> None:
+    _none(word, values)
     row.type = word
 
 
 def _special_shape(row: _Words, word: str, values: list[str]) -> None:
     """Read a special shape, and its normalisation radius where it follows."""
     row.type = plain_text(f"{word} {values[0].upper()}")
-    if len(values) > 1 and (norm := to_number(values[1], word)):
+    if len(values) > 1 and (norm := _alone(word, values[1:])):
         row.special["NRADIUS"] = norm
 
 
@@ -285,12 +359,14 @@ def _special_value(row: _Words, word: str, values: list[str]) -> None:
     row.special[values[0].upper()] = _alone(f"{word} {values[0]}", values[1:])
 
 
-def _glass_word(row: _Words, _word: str, values: list[str]) -> None:
-    _glass(row, values[0])
-
-
-def _mode(row: _Words, _word: str, values: list[str]) -> None:
-    row.is_mirror = values[0].upper() == "REFL"
+def _state(row: _Words, word: str, values: list[str]) -> None:
+    """Read a glass, or whether the surface reflects; total internal reflection is one."""
+    if len(values) != 1 or (word == "RMD" and values[0].upper() not in ("REFR", "REFL", "TIR")):
+        raise InputError(f"{word} has the values {quote(' '.join(values))}, which are not read: correct the file")
+    if word == "GLA":
+        _glass(row, values[0])
+    else:
+        row.is_mirror = values[0].upper() != "REFR"
 
 
 def _conic(row: _Words, word: str, values: list[str]) -> None:
@@ -310,8 +386,30 @@ def _tilt(row: _Words, word: str, values: list[str]) -> None:
     row.tilts[word] = _alone(word, values)
 
 
-def _order_of_tilts(row: _Words, word: str, _values: list[str]) -> None:
+def _order_of_tilts(row: _Words, word: str, values: list[str]) -> None:
+    """Read DAR, BEN or REV; RET has the surface to whose frame this one returns."""
+    if word == "RET":
+        row.returns = to_integer(values[0], word)
+        values = [""] if row.returns < row.number else values
+    _none(word, values)
     row.tilts[word] = 1.0
+
+
+def _place(row: _Words, rows: list[_Words]) -> None:
+    """Read decentres and tilts, which last unless DAR ends them, BEN repeats them or REV only undoes them behind."""
+    turned = rotation(*(row.tilts.get(word, 0.0) for word in TILTS))
+    kinds = {"DAR", "BEN", "REV", "RET"} & row.tilts.keys()
+    row.is_decentred = any(row.tilts.get(word) for word in ("XDE", "YDE"))
+    returning = [] if row.returns is None else [row, rows[row.returns]]
+    if (
+        len(kinds) > 1
+        or (kinds and turned[2, 2] < RIGHT_ANGLE_TOL)
+        or any(one.tilts.get(word) for one in returning for word in TILTS)
+    ):
+        row.enter, row.leave, row.returns = UNKNOWN, UNKNOWN, None
+    else:
+        row.enter = row.enter if "REV" in kinds else row.enter @ turned
+        row.leave = row.leave @ (turned if "BEN" in kinds else turned.T if kinds else np.eye(3))
 
 
 def _aperture(row: _Words, word: str, values: list[str]) -> None:
@@ -321,14 +419,16 @@ def _aperture(row: _Words, word: str, values: list[str]) -> None:
         return
     if unknown := set(kinds) - {"CLR", "EDG", "HOL"}:
         raise InputError(f"its aperture {word} has the word {quote(unknown.pop())}, which is not read: correct it")
-    row.clear[" ".join([*(kind for kind in kinds if kind != "CLR"), word])] = to_number(values[-1], word)
+    place, value = " ".join([*(kind for kind in kinds if kind != "CLR"), word]), to_number(values[-1], word)
+    if row.clear.setdefault(place, value) != value:
+        raise InputError(f"its aperture {place} is both {row.clear[place]:g} and {value:g}: state one")
 
 
 SURFACE_COMMANDS: Mapping[str, Callable[[_Words, str, list[str]], None]] = {
     **dict.fromkeys(("RDY", "CUY", "RDX", "CUX"), _bend), "THI": _thickness, "STO": _stop, "SLB": _label, "COM": _label,
     **dict.fromkeys(("SPH", "CON", "ASP", "XTO", "YTO"), _shape), "SPS": _special_shape, "SCO": _special_value,
-    "GLA": _glass_word, "RMD": _mode, "K": _conic, "CUF": _fresnel, **dict.fromkeys(POWERS, _power),
-    **dict.fromkeys(("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE"), _tilt),
+    "GLA": _state, "RMD": _state, "K": _conic, "CUF": _fresnel, **dict.fromkeys(POWERS, _power),
+    **dict.fromkeys(("XDE", "YDE", "ZDE", *TILTS), _tilt),
     **dict.fromkeys(("DAR", "BEN", "REV", "RET"), _order_of_tilts),
     **dict.fromkeys(("CIR", "REX", "REY", "ELX", "ELY", "ADX", "ADY", "ARO"), _aperture),
 }  # fmt: skip

@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -39,6 +40,7 @@ from turnwright.surface import (
 __all__ = [
     "MAX_SURFACES",
     "RIGHT_ANGLE_TOL",
+    "UNKNOWN",
     "LensFile",
     "LensPhase",
     "LensSide",
@@ -49,6 +51,7 @@ __all__ = [
     "plain_text",
     "polynomial_powers",
     "radial",
+    "rotation",
     "to_integer",
     "to_number",
     "turned_over",
@@ -61,8 +64,12 @@ Side: TypeAlias = Literal["before", "after", "+z", "-z"]
 """Side of a surface on which the material of the part is: in the order of the light, or in the lens file's frame."""
 
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
-RIGHT_ANGLE_TOL = 1e-9
-"""Cosine of a tilt below which the light may go on to either side."""
+RIGHT_ANGLE_TOL = 0.1
+"""Cosine of a tilt below which the light may go on to either side; glass and fields bend it by some degrees."""
+
+UNKNOWN = np.full((3, 3), math.nan)
+UNKNOWN.flags.writeable = False
+"""Rotation of a frame that is not known."""
 
 INFINITE_THICKNESS = 1e10
 """Thickness from which the programs mean an infinite distance, in their unit."""
@@ -120,7 +127,9 @@ class LensSurface(Compared):
     aperture
         Clear aperture of another shape, or off the axis, in the frame of the lens file.
     heading
-        Direction of the light that arrives: +1 toward +z, -1 toward -z, 0 where tilts leave it open.
+        Direction of the light that arrives: +1 toward +z, -1 toward -z, 0 where it is not certain.
+    toward_before, toward_after
+        Direction of the glass on either side by the sign of its thickness, +1 or -1; 0 where that says nothing.
     phase
         Phase of a diffractive surface, whose relief is not part of `surface`.
     fault
@@ -142,6 +151,8 @@ class LensSurface(Compared):
     semi_diameter: float | None = None
     aperture: Outline | None = None
     heading: int = 1
+    toward_before: int = 0
+    toward_after: int = 0
     phase: LensPhase | None = None
     fault: str = ""
     shape: Surface | None = None
@@ -293,7 +304,7 @@ class LensFile(Compared):
         if side not in named:
             raise InputError(f"side is {quote(side)}, it must be before, after, +z or -z: choose one")
         toward = one.heading if side == "after" else -one.heading
-        if (stated := self._stated_toward(number, side)) not in (0, toward):
+        if (stated := one.toward_before if side == "before" else one.toward_after) not in (0, toward):
             if toward:
                 raise InputError(
                     f"surface {number} has its {named[side]} toward {'+z' if stated > 0 else '-z'} by the sign of its "
@@ -303,19 +314,10 @@ class LensFile(Compared):
             toward = stated
         if toward == 0:
             raise InputError(
-                f"the direction of the light at surface {number} is not certain after a tilt of a right angle: state "
-                "side='+z' or side='-z', where the part is"
+                f"the direction of the light at surface {number} is not certain after tilts, or after words that "
+                "are not read: state side='+z' or side='-z', where the part is"
             )
         return LensSide(number=number, side=side, material=named[side], toward=toward)
-
-    def _stated_toward(self, number: int, side: str) -> int:
-        """Return the direction of a glass from a surface by the sign of its thickness; 0 where that says nothing."""
-        one = self.surfaces[number]
-        if side == "after":
-            thickness = 0.0 if one.is_mirror or not one.after else one.thickness
-            return int(np.sign(thickness))
-        previous = self.surfaces[number - 1] if number and one.before else None
-        return 0 if previous is None else -int(np.sign(previous.thickness))
 
     def part(self, number: int, side: Side | None = None, *, radius: float | None = None) -> Part:
         """Return a surface as a part: in the part frame, with the clear aperture of the file.
@@ -337,8 +339,8 @@ class LensFile(Compared):
             If the surface is not defined in its aperture.
         """
         one = self.surface(number)
-        chosen = self.side(number, side)
         surface, outline = one.surface, None if radius is not None else one.aperture
+        chosen = self.side(number, side)
         if radius is None and outline is None:
             radius = one.semi_diameter
             if not radius:
@@ -438,9 +440,24 @@ def to_number(word: str, where: str) -> float:
     raise InputError(f"{where} is {quote(word)}, it must be a number: correct the file")
 
 
+def rotation(*degrees: float) -> Floats:
+    """Return the rotation about x, then about the new y, then about the new z. (3, 3)."""
+    turned = np.eye(3)
+    for (i, j), angle in zip(((1, 2), (2, 0), (0, 1)), np.radians(degrees), strict=True):
+        one = np.eye(3)
+        one[[i, j], [i, j]] = np.cos(angle)
+        one[i, j], one[j, i] = -np.sin(angle), np.sin(angle)
+        turned = turned @ one
+    return turned
+
+
 @dataclass(slots=True)
 class Row:
-    """One surface while it is read: its words, by which `LensSurface` is made."""
+    """One surface while it is read: its words, by which `LensSurface` is made.
+
+    ``enter`` turns the frame of the surface before it into its own, unless it ``returns`` to an earlier one, and
+    ``leave`` its own into the one in which its thickness is stated.
+    """
 
     number: int
     type: str = ""
@@ -454,7 +471,11 @@ class Row:
     is_stop: bool = False
     semi_diameter: float | None = None
     aperture: Callable[[], Outline | None] | None = None
-    flips: bool | None = False
+    enter: Floats = field(default_factory=partial(np.eye, 3))
+    leave: Floats = field(default_factory=partial(np.eye, 3))
+    returns: int | None = None
+    is_decentred: bool = False
+    scatters: bool = False  # whether it is not known where the light goes on to
     passes: bool = False
     phase: LensPhase | None = None
     fault: str = ""
@@ -463,17 +484,66 @@ class Row:
         """Keep the first reason for which the surface cannot be cut."""
         self.fault = self.fault or f"surface {self.number} {reason}"
 
+    def doubt(self, reason: str) -> None:
+        """Refuse the surface for words that may also turn the frame or the light."""
+        self.refuse(reason)
+        self.enter, self.leave, self.returns = UNKNOWN, UNKNOWN, None
+
+
+def toward(along: Floats) -> int:
+    """Return the side of a surface to which a direction goes by its cosine to z; 0 near a right angle, or for nan."""
+    return int(np.sign(along)) if abs(along) >= RIGHT_ANGLE_TOL else 0
+
+
+@dataclass(slots=True)
+class _Light:
+    """The axial ray, and the frame of the surfaces that it meets, both in the frame of the file.
+
+    While the light meets flat mirrors only, the axial ray is exact. Where surfaces are tilted or decentred beside
+    curved ones or glass, the light leaves it; then it must agree with light that arrives along the axis at every tilt.
+    """
+
+    frame: Floats = field(default_factory=partial(np.eye, 3))
+    ray: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    heading: int = 1
+    is_tilted: bool = False
+    bends: bool = False
+    frames: list[Floats] = field(default_factory=list)
+
+    def arrive(self, row: Row) -> int:
+        """Return the direction at the next surface of something that goes to +z at the last one; set ``heading``."""
+        own = self.frame @ row.enter if row.returns is None else self.frames[row.returns]
+        kept = toward(self.frame[:, 2] @ own[:, 2])
+        self.is_tilted |= row.is_decentred or not np.array_equal(own, self.frame)
+        self.frame = own
+        self.frames.append(own)
+        along = toward(self.ray @ own[:, 2])
+        is_exact = not (self.is_tilted and self.bends)
+        self.heading = along if is_exact or along == kept * self.heading else 0
+        return kept
+
+    def leave(self, row: Row, *, bends: bool) -> int:
+        """Return the direction in the frame of the thickness of something that goes to +z at its surface."""
+        normal = self.frame[:, 2]
+        if row.is_mirror:
+            self.ray = self.ray - 2 * (self.ray @ normal) * normal
+            self.heading = -self.heading
+        if row.scatters:
+            self.ray = self.ray * math.nan
+        self.bends |= bends
+        self.frame = self.frame @ row.leave
+        kept = toward(normal @ self.frame[:, 2])
+        self.heading *= kept
+        self.is_tilted |= not np.array_equal(self.frame, self.frames[-1])
+        return kept
+
 
 def finish(rows: Iterable[Row], scale: float, build: Callable[[Row], Surface]) -> tuple[LensSurface, ...]:
     """Return the surfaces with the media on both sides and the direction of the light. ``scale`` is a unit in mm."""
     surfaces = []
-    medium, heading = "", 1
+    medium, light, before_toward = "", _Light(), 0
     for row in rows:
         before = medium
-        if row.flips is None:
-            heading = 0
-        elif row.flips:
-            heading = -heading
         aperture = shape = None
         if not row.fault:
             try:
@@ -483,19 +553,25 @@ def finish(rows: Iterable[Row], scale: float, build: Callable[[Row], Surface]) -
                 row.fault = f"surface {row.number}: {error}"
             except ArithmeticError:
                 row.refuse("has a number that is too large or too small to compute with: correct the file")
+        before_toward *= light.arrive(row)
+        heading = light.heading
+        if not (row.is_mirror or row.passes):
+            medium = row.glass
+        is_flat = isinstance(shape, Plane) and row.phase is None
+        kept = light.leave(row, bends=medium != before or (row.is_mirror and not is_flat))
+        onward = int(np.sign(row.thickness))
         surfaces.append(
             LensSurface(
                 number=row.number, type=row.type, comment=row.comment,
                 radius=row.radius * scale,
                 thickness=math.inf if abs(row.thickness) >= INFINITE_THICKNESS else row.thickness * scale,
-                before=before, after="mirror substrate" if row.is_mirror else before if row.passes else row.glass,
+                before=before, after="mirror substrate" if row.is_mirror else medium,
                 index=row.index, is_mirror=row.is_mirror, is_stop=row.is_stop, aperture=aperture, heading=heading,
+                toward_before=before_toward if before else 0,
+                toward_after=onward * kept if medium and not row.is_mirror else 0,
                 semi_diameter=None if row.semi_diameter is None else row.semi_diameter * scale,
                 phase=row.phase, fault=row.fault, shape=None if row.fault else shape,
             )
         )  # fmt: skip
-        if row.is_mirror:
-            heading = -heading
-        elif not row.passes:
-            medium = row.glass
+        before_toward = -onward
     return tuple(surfaces)

@@ -23,7 +23,6 @@ from turnwright.errors import InputError, quote
 from turnwright.files.base import to_mm
 from turnwright.files.lens import (
     MAX_SURFACES,
-    RIGHT_ANGLE_TOL,
     LensFile,
     LensPhase,
     Row,
@@ -31,6 +30,7 @@ from turnwright.files.lens import (
     plain_text,
     polynomial_powers,
     radial,
+    rotation,
     to_integer,
     to_number,
 )
@@ -291,8 +291,6 @@ TYPES: Mapping[str, Callable[[_Words], Surface]] = {
 
 def _build(row: Row) -> Surface:
     assert isinstance(row, _Words)  # noqa: S101 - for the type checker
-    if row.type not in TYPES:
-        raise InputError(f"its type is {quote(row.type)}, which is not read; known are {', '.join(TYPES)}")
     surface = TYPES[row.type](row)
     unused = [place for place, value in sorted(row.values.items()) if value and place not in row.read]
     if unused and row.type != "STANDARD":
@@ -377,6 +375,10 @@ class _Lens:
             row.aperture = partial(_outline, row)
             if row.type == "COORDBRK":
                 _break(row)
+            elif row.type not in TYPES:
+                row.scatters = True
+                refuse = row.doubt if row.type == "NONSEQCO" else row.refuse
+                refuse(f"has the type {quote(row.type)}, which is not read; known are {', '.join(TYPES)}")
         wavelengths = tuple(value for place, value in sorted(self.waves.items()) if place <= (self.count or place))
         return LensFile(
             name=self.name, program="Zemax", unit=self.unit, wavelengths=wavelengths,
@@ -446,12 +448,12 @@ def _read_word(row: _Words, word: str, values: list[str], line: str) -> None:
     if word in HARMLESS:
         return
     if word not in SURFACE_WORDS:
-        row.refuse(f"has the word {quote(word)}, which is not read: remove it if it does not change the shape")
+        row.doubt(f"has the word {quote(word)}, which is not read: remove it if it does not change the shape")
         return
     try:
         SURFACE_WORDS[word](row, values or [""], line)
     except InputError as error:
-        row.refuse(f"cannot be read: {error}")
+        row.doubt(f"cannot be read: {error}")
 
 
 def _number(name: str) -> Callable[[_Words, list[str], str], None]:
@@ -523,6 +525,8 @@ SURFACE_WORDS: Mapping[str, Callable[[_Words, list[str], str], None]] = {
 def _break(row: _Words) -> None:
     """Read a coordinate break: no surface, but a frame that may be turned against the light."""
     row.passes = True
-    ahead = math.cos(math.radians(row.parameter(3))) * math.cos(math.radians(row.parameter(4)))
-    row.flips = None if abs(ahead) < RIGHT_ANGLE_TOL else ahead < 0
+    row.is_decentred = bool(row.parameter(1) or row.parameter(2))
+    x, y, z = (row.parameter(place) for place in (3, 4, 5))
+    # With parameter 6 it is the inverse of a break with the opposite angles: about z first, then about y and x.
+    row.enter = row.enter @ (rotation(-x, -y, -z).T if row.parameter(6) else rotation(x, y, z))
     row.refuse("is a coordinate break, which has no shape: choose another surface")
