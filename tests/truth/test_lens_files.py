@@ -448,3 +448,51 @@ def test_a_mirror_of_code_v_has_its_substrate_behind_it(tmp_path, case):
 def test_a_face_that_reflects_in_glass_is_cut_into_it(tmp_path):
     lens = seq(tmp_path, "S 0 10 NBK7", "S 0 -10 NBK7 TIR; ADE 45; BEN", "S 0 -10")
     assert (lens.side(2).side, lens.side(2).toward, lens.side(2).material) == ("before", -1, "NBK7")
+
+
+QUALIFIED = ["S 50 5 NBK7; SLB 'lab'", "S 30 5"]
+
+
+@pytest.mark.parametrize(
+    ("command", "radii"),
+    [
+        ("RDY S1..2 70", (70.0, 70.0)), ("RDY SA 70", (70.0, 70.0)), ("RDY S'lab' 70", (70.0, 30.0)),
+        ('CUY S"LAB"..2 0.1', (10.0, 10.0)), ("RDY S1 S2 70", (70.0, 70.0)), ("RDY S2 70", (50.0, 70.0)),
+        ("RDY S1 UMY 0.1", (50.0, 30.0)),
+    ],
+)  # fmt: skip
+def test_a_qualifier_names_one_or_several_surfaces(tmp_path, command, radii):
+    lens = seq(tmp_path, *QUALIFIED, command)
+    assert tuple(one.surface.radius for one in lens.surfaces[1:3]) == pytest.approx(radii)
+
+
+def test_a_qualifier_serves_every_command_of_a_surface(tmp_path):
+    lens = seq(tmp_path, *QUALIFIED, "GLA S1..2 SI", "ASP S1..2; K SA -1; A S'lab' 1e-6", "THI S1..2 4")
+    one, two = lens.surfaces[1:3]
+    assert (one.after, two.after, one.thickness, two.thickness) == ("SI", "SI", 4.0, 4.0)
+    assert one.surface == tw.EvenAsphere(radius=50.0, conic=-1.0, terms={4: 1e-6})
+    assert two.surface == tw.Conic(radius=30.0, conic=-1.0)
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["REV S1..2 3", "ASP Z2", "GLA S1..2 NBK7 SF5", "RDY Z2 70", "RDY S1..2 WXY 70", "TWIST SA 2", "ZOO K S1..2 0 -1",
+     "ZOO GLA S2 SF5 SF6", "CIR S1..2 L'a' 9; CIR S1..2 L'b' 4", "RET S1..2 S7"],
+)  # fmt: skip
+def test_a_command_that_is_not_read_refuses_what_it_names(tmp_path, command):
+    with pytest.raises(tw.InputError):
+        seq(tmp_path, *QUALIFIED, "STO S1..2", command, "S 0 1").surface(2).surface  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("command", "named"),
+    [
+        ("SCA 2", "SCA"), ("FLY S1..2", "FLY"), ("K S1..7 1", "S1..7"), ("K S2..1 1", "S2..1"), ("K S'none' 1", "none"),
+        ("K SI 1", "SI"), ("K S1+1 1", "S1"), ("S7 1 2", "S7"), ("PRV", "PRV"), ("S 50 5 NBK7 &", "cut short"),
+    ],
+)  # fmt: skip
+def test_a_command_on_no_certain_surface_refuses_the_file(tmp_path, command, named):
+    path = tmp_path / "lens.seq"
+    path.write_text("\n".join(["RDM Y", "SO 0 1e13", *QUALIFIED, command]))
+    with pytest.raises(tw.InputError, match=named):
+        read_lens(path)
