@@ -496,3 +496,81 @@ def test_a_command_on_no_certain_surface_refuses_the_file(tmp_path, command, nam
     path.write_text("\n".join(["RDM Y", "SO 0 1e13", *QUALIFIED, command]))
     with pytest.raises(tw.InputError, match=named):
         read_lens(path)
+
+
+@pytest.mark.parametrize(
+    ("lines", "aperture"),
+    [
+        (["DIAM 9", "OBSC 0 1 0", "OBDC 5 2"], None),
+        (["DIAM 9", "SQOB 1 1", "OBDC 5 2"], None),
+        (["DIAM 9", "OBDC 5 2"], None),
+        (["DIAM 9", "CLAP 0 4", "OBDC 5 2"], tw.Outline(disc=4.0, centre=(5.0, 2.0))),
+        (["DIAM 9", "CLAP 0 4", "OBSC 0 1", "OBDC 5 2"], "OBSC"),
+        (["DIAM 9", "CLAP 0 4", "SQAP 3 2"], "SQAP"),
+        (["DIAM 9", "CLAP 0 4", "CLAP 0 5"], "CLAP"),
+    ],
+)
+def test_a_decentre_moves_only_a_clear_aperture(tmp_path, lines, aperture):
+    one = zmx(tmp_path, ["TYPE STANDARD", "CURV 0.01", "DISZ 1", *lines]).surface(1)
+    if isinstance(aperture, str):
+        assert aperture in one.fault
+    else:
+        assert (one.fault, one.aperture, one.semi_diameter) == ("", aperture, 4.0 if aperture else 9.0)
+
+
+ENDS_AT_6 = block("FZERNSAG", {0: 0.0}, ZERNIKE_DATA)
+OFF_THE_AXIS = block("SZERNSAG", {0: 0.0, 10: 2.0}, ZERNIKE_DATA)
+
+
+@pytest.mark.parametrize(
+    ("lines", "radius", "is_inside"),
+    [
+        (ENDS_AT_6, None, True), (ENDS_AT_6, 6.0, True), (ENDS_AT_6, 6.1, False), (ENDS_AT_6, 9.0, False),
+        ([*ENDS_AT_6, "CLAP 0 9 0"], None, False), ([*ENDS_AT_6, "SQAP 5 5"], None, False),
+        ([*ENDS_AT_6, "CLAP 0 4", "OBDC 3 0"], None, False), ([*ENDS_AT_6, "CLAP 0 9 0"], 5.0, True),
+        (block("FZERNSAG", {0: 1.0}, ZERNIKE_DATA), 9.0, True),
+        (OFF_THE_AXIS, 4.0, True), (OFF_THE_AXIS, 4.1, False),
+        (block("GRID_SAG", {0: 0.0}, ZERNIKE_DATA)[:-1] + grid_block()[0][11:], 6.1, False),
+        (block("TOROIDAL", {0: 0.0, 1: -55.0}, ZERNIKE_DATA), 6.1, False),
+    ],
+)  # fmt: skip
+def test_zernike_terms_end_at_their_radius_unless_they_go_on(tmp_path, lines, radius, is_inside):
+    lens = zmx(tmp_path, lines)
+    if is_inside:
+        assert lens.part(1, "+z", radius=radius).radius is not None
+    else:
+        with pytest.raises(tw.InputError, match="Zernike terms that end"):
+            lens.part(1, "+z", radius=radius)
+
+
+def test_fringe_zernike_terms_are_37(tmp_path):
+    extra = {1: 37, 2: 6.0} | {place + 2: 1e-4 for place in range(1, 38)}
+    assert not zmx(tmp_path, block("FZERNSAG", {0: 1.0}, extra)).surface(1).fault
+    assert "37" in zmx(tmp_path, block("FZERNSAG", {0: 1.0}, extra | {1: 45, 47: 1e-4})).surface(1).fault
+
+
+@pytest.mark.parametrize("kind", ["XASPHERE", "XPOLYNOM", "SZERNSAG", "BINARY_2"])
+def test_no_terms_need_no_normalisation_radius(tmp_path, kind):
+    assert zmx(tmp_path, block(kind, extra={1: 0, 2: 6.0, 3: 9.0})).surface(1).surface == tw.Conic(radius=R, conic=K)
+
+
+@pytest.mark.parametrize(
+    "operand",
+    ["CRVT 1 1 0.02", "APMX 1 1 4", "APDX 1 1 4", "CBDX 1 1 4", "CBTX 1 1 4", "GRDF 1 1 4", "PRXD 1 1 4", "SATP 1 1 0",
+     "NEWW 1 1 4", "  CRVT 1 1 0.02"],
+)  # fmt: skip
+@pytest.mark.parametrize("lead", ["", "    "])
+def test_an_operand_of_configurations_refuses_its_surface(tmp_path, operand, lead):
+    path = write_zmx(tmp_path / "lens.zmx", sphere(50.0, 3.0, ""), sphere(50.0, 3.0, ""))
+    path.write_text(path.read_text() + f"EFFL 1 2\n{lead}MNUM 2 1\nMOFF 1 1\nWAVE 1 1 0.5\nTHIC 2 1 3\n{operand}\n")
+    lens = read_lens(path)
+    assert "differs between the 2 configurations" in lens.surface(1).fault
+    assert not any(one.fault for one in lens.surfaces[2:])
+
+
+def test_an_unknown_word_that_is_not_indented_is_refused(tmp_path):
+    path = write_zmx(tmp_path / "lens.zmx", [*block("STANDARD"), "TWST 1"], block("STANDARD"))
+    path.write_text("\n".join(line.strip() for line in path.read_text().splitlines()) + "\nTOL TOFF 0 0\n")
+    lens = read_lens(path)
+    assert "'TWST'" in lens.surface(1).fault
+    assert not any(lens.surface(number).fault for number in (0, 2, 3))

@@ -130,6 +130,8 @@ class LensSurface(Compared):
         Direction of the light that arrives: +1 toward +z, -1 toward -z, 0 where it is not certain.
     toward_before, toward_after
         Direction of the glass on either side by the sign of its thickness, +1 or -1; 0 where that says nothing.
+    limit
+        Distance from the axis up to which its Zernike terms are stated, inf where they go on. [mm]
     phase
         Phase of a diffractive surface, whose relief is not part of `surface`.
     fault
@@ -153,6 +155,7 @@ class LensSurface(Compared):
     heading: int = 1
     toward_before: int = 0
     toward_after: int = 0
+    limit: float = math.inf
     phase: LensPhase | None = None
     fault: str = ""
     shape: Surface | None = None
@@ -345,6 +348,12 @@ class LensFile(Compared):
             radius = one.semi_diameter
             if not radius:
                 raise InputError(f"surface {number} states no semi-diameter: state the radius of the part")
+        reach = radius if outline is None else outline.reach
+        if reach is not None and reach > one.limit * (1 + 1e-9):
+            raise InputError(
+                f"surface {number} has Zernike terms that end {one.limit:g} mm from the axis (PARM 0 is 0), inside the "
+                f"aperture, which reaches {reach:g} mm: let them go on, or state a smaller radius"
+            )
         if chosen.is_turned:
             surface = turned_over(surface)
             if outline is not None:
@@ -477,6 +486,7 @@ class Row:
     is_decentred: bool = False
     scatters: bool = False  # whether it is not known where the light goes on to
     passes: bool = False
+    limit: float = math.inf
     phase: LensPhase | None = None
     fault: str = ""
 
@@ -570,7 +580,7 @@ def finish(rows: Iterable[Row], scale: float, build: Callable[[Row], Surface]) -
                 toward_before=before_toward if before else 0,
                 toward_after=onward * kept if medium and not row.is_mirror else 0,
                 semi_diameter=None if row.semi_diameter is None else row.semi_diameter * scale,
-                phase=row.phase, fault=row.fault, shape=None if row.fault else shape,
+                limit=row.limit, phase=row.phase, fault=row.fault, shape=None if row.fault else shape,
             )
         )  # fmt: skip
         before_toward = -onward

@@ -53,19 +53,27 @@ SYSTEM = frozenset(_SYSTEM.split())
 
 _HARMLESS = """
     SSID FIMP HIDE MIRR SLAB POPS MEMA OEMA COAT SCAT VDSZ VPAR PPAR VCON VCUR VGLS VXDT VXDA PXDT PZUP PKUP PCUR
-    PCON PGLS MAZH EDGE COMP FLAP OBSC SQOB ELOB TCED TOLE SCOL GLCZ BLNK
+    PCON PGLS MAZH EDGE COMP FLAP TCED TOLE SCOL GLCZ BLNK
 """
 HARMLESS = frozenset(_HARMLESS.split())
-"""Words of a surface that change neither its shape nor its frame: coatings, display, solves that keep their value,
-obscurations."""
+"""Words of a surface that change neither its shape nor its frame: coatings, display, solves that keep their value."""
 
-_CONFIGURED = """
-    CRVT CONN PRAM PAR1 PAR2 PAR3 PAR4 PAR5 PAR6 PAR7 PAR8 EDVA SDIA GLSS IGNR
+_OPERANDS = """
+    MOFF WAVE WLWT PRWV XFIE YFIE FLTP FLWT FVDX FVDY FVCX FVCY FVAN APER STPS TEMP PRES CWGT LTTL THIC
 """
-CONFIGURED = frozenset(_CONFIGURED.split())
-"""Operands of several configurations that change a surface; their first value is its number."""
+OPERANDS = frozenset(_OPERANDS.split())
+"""Operands of several configurations that change no surface; the first value of the others is its number."""
 
-OUTLINES = ("CLAP", "SQAP", "ELAP", "OBDC", "UDAP", "UDAD", "USAP")
+SHAPES = frozenset(("CRVT", "CONN", "SDIA", "APMN", "APMX", "APDX", "APDY"))
+"""Operands that change the shape or the aperture of a surface, but not the direction of the light."""
+
+FRINGE_TERMS = 37
+
+BELOW = frozenset(("TOL", "MNUM", "MOFF"))
+"""Words that begin what stands below the surfaces."""
+
+CLEAR = ("CLAP", "SQAP", "ELAP", "UDAP", "UDAD", "USAP")
+OBSCURED = ("OBSC", "SQOB", "ELOB")
 
 
 @dataclass(slots=True)
@@ -96,9 +104,9 @@ class _Words(Row):
         return int(terms)
 
     def terms(self, first: int = 3, count: int = 1) -> dict[int, float]:
-        """Return the coefficients of the extra data in mm, from 1, and read past the stated number."""
+        """Return the coefficients of the extra data in mm, from 1; what stands past their number is not in use."""
         stated = {place: self.entry(first - 1 + place) * self.scale for place in range(1, self.count(count) + 1)}
-        self.read |= {place for place in self.values if place >= 12 + first}
+        self.read |= {place for place in self.values if place > 12 + count}
         return {place: value for place, value in stated.items() if value}
 
     def norm_radius(self, place: int = 2) -> float:
@@ -172,10 +180,11 @@ def _with_zernike(row: _Words, base: Surface, indexing: str, decentre: tuple[flo
     if not terms:
         return base
     radius = row.norm_radius()
-    if not goes_on and (row.semi_diameter or 0.0) * row.scale + math.hypot(*decentre) > radius * (1 + 1e-9):
+    if not goes_on:
+        row.limit = radius - math.hypot(*decentre)
+    if indexing == "fringe" and max(terms) > FRINGE_TERMS:
         raise InputError(
-            f"its Zernike terms end at their normalisation radius, {radius:g} mm (PARM 0 is 0), inside the semi-"
-            f"diameter {(row.semi_diameter or 0.0) * row.scale:g} mm: let them go on, or reduce the semi-diameter"
+            f"it has the Zernike term {max(terms)}, fringe terms are 1 to {FRINGE_TERMS}: correct the file"
         )
     zernike: Surface = Zernike(terms=terms, radius=radius, indexing=indexing)  # type: ignore[arg-type]
     return base + (zernike.placed(shift=(*decentre, 0.0)) if any(decentre) else zernike)
@@ -301,9 +310,14 @@ def _build(row: Row) -> Surface:
 
 def _outline(row: _Words) -> Outline | None:
     """Return the clear aperture where it is no disc on the axis."""
+    shapes = row.clear.keys() - {"OBDC"}
+    if len(shapes) > 1:
+        raise InputError(f"its apertures are {' and '.join(sorted(shapes))}, one is read: remove the others")
+    if not shapes & set(CLEAR):  # a decentre is then that of an obscuration
+        return None
     x, y = (*row.clear.get("OBDC", ()), 0.0, 0.0)[:2]
     centre = x * row.scale, y * row.scale
-    if other := row.clear.keys() - {"CLAP", "SQAP", "OBDC"}:
+    if other := shapes - {"CLAP", "SQAP"}:
         raise InputError(f"its aperture is {other.pop()}, an outline is a disc, an annulus or a rectangle: change it")
     if any(row.clear.get("SQAP", ())[2:]):
         raise InputError(
@@ -312,14 +326,11 @@ def _outline(row: _Words) -> Outline | None:
     if "SQAP" in row.clear:
         across, along = (2 * value * row.scale for value in (*row.clear["SQAP"], 0.0)[:2])
         return Outline(rectangle=(across, along), centre=centre)
-    if "CLAP" in row.clear:
-        inner, outer = (value * row.scale for value in (*row.clear["CLAP"], 0.0)[:2])
-        row.semi_diameter = outer / row.scale
-        if inner:
-            return Outline(annulus=(outer, inner), centre=centre)
-    if any(centre) and row.semi_diameter:
-        return Outline(disc=row.semi_diameter * row.scale, centre=centre)
-    return None
+    inner, outer = (value * row.scale for value in (*row.clear["CLAP"], 0.0)[:2])
+    row.semi_diameter = outer / row.scale
+    if inner:
+        return Outline(annulus=(outer, inner), centre=centre)
+    return Outline(disc=outer, centre=centre) if any(centre) and outer else None
 
 
 @dataclass(slots=True)
@@ -333,6 +344,7 @@ class _Lens:
     count: int = 0
     primary: int = 1
     configurations: int = 1
+    stray: str = ""
     rows: list[_Words] = field(default_factory=list)
 
     def read(self, word: str, values: list[str], line: str) -> None:
@@ -352,16 +364,20 @@ class _Lens:
             raise InputError(f"{self.path} has SURF {quote(' '.join(values))}, next is {len(self.rows)}: correct it")
         if len(self.rows) == MAX_SURFACES:
             raise InputError(f"{self.path} has over {MAX_SURFACES:,} surfaces, the limit: split the file")
+        if self.stray:  # a merit function stands below the last surface only
+            _read_word(self.rows[-1], self.stray, [], "")
+            self.stray = ""
         self.rows.append(_Words(number=len(self.rows), type="STANDARD"))
 
     def read_below(self, word: str, values: list[str]) -> None:
         """Read a line below the surfaces: merit function, tolerances, and configurations that change a surface."""
         if word == "MNUM" and values:
             self.configurations = int(to_number(values[0], "MNUM"))
-        elif self.configurations > 1 and word in CONFIGURED and values and values[0] in map(str, range(len(self.rows))):
-            self.rows[int(values[0])].refuse(
-                f"differs between the {self.configurations} configurations ({word}): save one of them"
-            )
+        elif self.configurations > 1 and word not in OPERANDS:
+            for row in self.rows[1:]:
+                if values[:1] == [str(row.number)]:
+                    refuse = row.refuse if word in SHAPES else row.doubt
+                    refuse(f"differs between the {self.configurations} configurations ({word}): save one of them")
 
     def finish(self) -> LensFile:
         """Return the lens."""
@@ -389,16 +405,20 @@ class _Lens:
 def read(path: Path, text: str) -> LensFile:
     """Read a Zemax lens file."""
     lens = _Lens(path=path, name=path.name)
+    is_below = False
     for line in text.splitlines():
         word, *values = line.split() or [""]
+        is_below = word in BELOW or (is_below and word != "SURF")
         if word == "SURF":
             lens.add(values)
         elif word and not lens.rows:
             lens.read(word, values, line)
+        elif is_below:
+            lens.read_below(word, values)
         elif word and (line[0] in " \t" or word in SURFACE_WORDS or word in HARMLESS):
             _read_word(lens.rows[-1], word, values, line)
-        elif word:
-            lens.read_below(word, values)
+        else:
+            lens.stray = lens.stray or word
     return lens.finish()
 
 
@@ -503,7 +523,9 @@ def _glass(row: _Words, values: list[str], _line: str) -> None:
 
 def _clear(row: _Words, values: list[str], line: str) -> None:
     word = line.split(maxsplit=1)[0]
-    row.clear[word] = tuple(to_number(value, word) for value in values)
+    numbers = tuple(to_number(value, word) for value in values)
+    if row.clear.setdefault(word, numbers) != numbers and word in ("CLAP", "SQAP", "OBDC"):
+        row.refuse(f"has the aperture {word} twice, with different values: remove one")
 
 
 def _grid_size(row: _Words, values: list[str], _line: str) -> None:
@@ -517,7 +539,7 @@ def _grid_height(row: _Words, values: list[str], _line: str) -> None:
 SURFACE_WORDS: Mapping[str, Callable[[_Words, list[str], str], None]] = {
     "TYPE": _type, "CURV": _curvature, "CONI": _number("conic"), "DIAM": _number("semi_diameter"),
     "DISZ": _thickness, "PARM": _parameter, "XDAT": _parameter, "GLAS": _glass, "STOP": _stop, "COMM": _comment,
-    "GDAT": _grid_size, "GARR": _grid_height, **dict.fromkeys(OUTLINES, _clear),
+    "GDAT": _grid_size, "GARR": _grid_height, **dict.fromkeys((*CLEAR, *OBSCURED, "OBDC"), _clear),
 }  # fmt: skip
 """Words of a surface that are read."""
 
