@@ -247,7 +247,12 @@ class Surface(Family, Value, ABC):
         x, y = np.outer(rings, np.cos(angle)), np.outer(rings, np.sin(angle))
         inside = self.inside(x, y)
         if inside is not None and not inside.all():
-            reach = rings[np.argmin(inside.all(axis=1))]
+            first = int(np.argmin(inside.all(axis=1)))
+            reach, outside = rings[first] - rings[0], rings[first]
+            for _ in range(20):
+                middle = (reach + outside) / 2
+                is_inside = np.all(self.inside(middle * np.cos(angle), middle * np.sin(angle)))
+                reach, outside = (middle, outside) if is_inside else (reach, middle)
             raise DomainError(
                 f"{what} is {radius:g} mm but {type(self).__name__} is not defined beyond about {reach:.4g} mm "
                 f"somewhere around the axis, its domain is {self.domain}: reduce the radius or extend the surface"
