@@ -112,7 +112,7 @@ class HeightMap(Compared):
         if not self.calibrated:
             raise InputError(
                 f"the map {self.name!r} of {self.z.shape[-1]} columns has no pixel size, so its lengths are unknown: "
-                "give the pixel size (HeightMap.scaled, or pixel_size where the file is read)"
+                "give the pixel size where the file is read, pixel_size=..."
             )
 
     def scaled(self, pixel_size: float | tuple[float, float]) -> HeightMap:

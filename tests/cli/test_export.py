@@ -83,3 +83,9 @@ def test_bad_input_of_an_export_is_one_sentence(tmp_path, capsys, monkeypatch, m
     assert message in error
     assert error.count("\n") == 1
     assert sorted(tmp_path.iterdir()) == files
+
+
+def test_a_map_without_a_pixel_size_names_the_option(tmp_path, capsys):
+    (tmp_path / "a.int").write_text("one\nGRD 2 2 SUR WVL 0.5 SSZ 20000 NDA -32768\n20000 0 0 -32768\n")
+    assert main(["export", str(tmp_path / "a.int"), "--out", str(tmp_path / "b.int")]) == 2
+    assert "read it with --pixel-size ..., or write it as .npz" in capsys.readouterr().err

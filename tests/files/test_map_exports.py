@@ -309,3 +309,18 @@ def test_missing_xarray_is_one_sentence(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "xarray", None)
     with pytest.raises(InputError, match="pip install"):
         MARK.to_xarray()
+
+
+@pytest.mark.parametrize("name", ["a.npz", "a.x3p", "a.grd", "a.int"])
+def test_heights_that_no_reader_takes_are_not_written(tmp_path, name):
+    with pytest.raises(MapError, match=r"heights of up to 1e\+300 mm, the limit is 1e\+06 mm"):
+        write_map(tw.HeightMap(x=AXIS, y=AXIS, z=np.full_like(X, 1e300)), tmp_path / name)
+    with pytest.raises(MapError, match=r"heights of up to 2e\+06 mm"):
+        write_grid_sag(tw.Plane(slope=(2e6, 0.0)), tmp_path / name, x=np.linspace(0, 1, 9), y=np.linspace(0, 1, 9))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_map_that_is_no_grid_is_refused_by_format(tmp_path):
+    scattered = tw.HeightMap(x=np.arange(3.0), y=np.array([0.0, 1.0, 0.0]), z=np.zeros(3))
+    with pytest.raises(MapError, match="scattered points, grid phase files hold"):
+        write_map(scattered, tmp_path / "a.dat", format="grid phase", wavelength=500e-6)

@@ -35,6 +35,7 @@ __all__ = [
     "require_points",
     "square_pixel",
     "to_mm",
+    "too_high",
     "words",
     "write_file",
 ]
@@ -100,12 +101,15 @@ def require_points(path: Path, columns: int, rows: int) -> None:
 
 
 def require_heights(path: Path, heights: Floats) -> None:
-    """Raise if heights are too large for any part."""
+    """Raise if heights that were read are too large for any part."""
+    if fault := too_high(heights):
+        raise damaged(path, f"{fault} (check its unit)")
+
+
+def too_high(heights: Floats) -> str:
+    """Return what is wrong with heights that are too large for any part; empty if nothing is."""
     highest = float(np.nanmax(np.abs(heights), initial=0.0))
-    if highest > MAX_HEIGHT_MM:
-        raise damaged(
-            path, f"has heights of up to {highest:.3g} mm, the limit is {MAX_HEIGHT_MM:g} mm (check its unit)"
-        )
+    return f"has heights of up to {highest:.3g} mm, the limit is {MAX_HEIGHT_MM:g} mm" * (highest > MAX_HEIGHT_MM)
 
 
 def require_bytes(path: Path, needed: int, there: int) -> None:
@@ -187,8 +191,8 @@ def even_axes(heights: HeightMap, kind: str) -> tuple[tuple[float, float], tuple
         )
     if not heights.calibrated:
         raise MapError(
-            f"the map {heights.name!r} has no pixel size, {kind} files need one: give it with "
-            "HeightMap.scaled, or write it as .npz"
+            f"the map {heights.name!r} has no pixel size, {kind} files need one: read it with "
+            "pixel_size=..., or write it as .npz"
         )
     pixels = []
     for name, axis in (("x", heights.x), ("y", heights.y)):
@@ -231,18 +235,16 @@ def write_file(path: Path, data: bytes) -> None:
         raise MapError(f"{path} cannot be written ({error.strerror}): check its folder and permissions") from error
 
 
-def read_contents(path: Path) -> bytes:
+def read_contents(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
     """Return the bytes of a file, or raise if it is missing, empty or too large."""
     try:
         size = path.stat().st_size if path.is_file() or not path.exists() else -1
-        data = path.read_bytes() if 0 < size <= MAX_FILE_BYTES else b""
+        data = path.read_bytes() if 0 < size <= limit else b""
     except (OSError, MemoryError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise MapError(f"{path} cannot be read ({reason}): check its name and folder") from error
     if size < 0:
-        raise MapError(f"{path} is not a file: name the instrument's file")
+        raise MapError(f"{path} is not a file: name a file")
     if not data:
-        raise MapError(
-            f"{path} has {size:,} bytes, the limits are 1 and {MAX_FILE_BYTES:,}: export it again, or crop it"
-        )
+        raise MapError(f"{path} has {size:,} bytes, the limits are 1 and {limit:,}: export it again, or crop it")
     return data

@@ -81,17 +81,19 @@ def pack(heights: HeightMap, phase_per_height: float | None = None) -> bytes:
 
     With a phase per height it is a grid phase file. [rad/mm]
     """
-    _head(heights)
+    head = _head(heights, "grid sag" if phase_per_height is None else "grid phase")
     spline = Gridded(x=heights.x, y=heights.y, z=heights.z)  # type: ignore[arg-type] # _head requires a grid
     _, zx, zy, _, zxy, _ = spline.evaluate(*heights.points(), 2)
-    return pack_slopes(heights, (zx, zy, zxy), phase_per_height)
+    return _pack_nodes(head, (heights.z, zx, zy, zxy), phase_per_height)
 
 
-def pack_slopes(
-    heights: HeightMap, slopes: tuple[Floats, Floats, Floats], phase_per_height: float | None = None
-) -> bytes:
+def pack_slopes(heights: HeightMap, slopes: tuple[Floats, Floats, Floats]) -> bytes:
     """Return the bytes of the file of a map whose dz/dx, dz/dy and d2z/dxdy are known. Each (ny, nx)."""
-    lines, points = [_head(heights)], np.stack([heights.z, *slopes], axis=-1)[::-1]
+    return _pack_nodes(_head(heights, "grid sag"), (heights.z, *slopes), None)
+
+
+def _pack_nodes(head: str, nodes: tuple[Floats, ...], phase_per_height: float | None) -> bytes:
+    lines, points = [head], np.stack(nodes, axis=-1)[::-1]
     if phase_per_height is not None:
         lines, points = [PHASE_REMARK, *lines], phase_per_height * points
     lines += [
@@ -101,9 +103,9 @@ def pack_slopes(
     return ("\n".join(lines) + "\n").encode("ascii")
 
 
-def _head(heights: HeightMap) -> str:
+def _head(heights: HeightMap, kind: str) -> str:
     """Return the first line of the file of a map, in mm; raise if the format cannot hold the map."""
-    start, pixel = even_axes(heights, "grid sag")
+    start, pixel = even_axes(heights, kind)
     rows, columns = heights.z.shape
     if min(rows, columns) < MIN_ROWS:
         raise MapError(

@@ -39,9 +39,7 @@ def read_lens(path: str | PathLike[str], *, radii: bool | None = None) -> LensFi
     [Zemax]_ and [CODEV]_ give words, types of surfaces and their formulas.
     """
     file = Path(path)
-    if file.is_file() and (size := file.stat().st_size) > MAX_LENS_BYTES:
-        raise InputError(f"{file} has {size:,} bytes, the limit of a lens file is {MAX_LENS_BYTES:,}: export it again")
-    data = read_contents(file)
+    data = read_contents(file, MAX_LENS_BYTES)
     text = text_of(data)
     if text is None and b"\0" in data[:4]:  # UTF-16 without a byte order mark
         text = data.decode("utf-16-le" if data[1:2] == b"\0" else "utf-16-be", "replace")

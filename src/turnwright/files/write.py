@@ -13,7 +13,7 @@ from turnwright._arrays import Floats
 from turnwright._validate import check_index, check_wavelength, one_of
 from turnwright.errors import InputError, MapError
 from turnwright.files import arrays, codev, grid_sag, metropro, x3p
-from turnwright.files.base import is_front, write_file
+from turnwright.files.base import is_front, too_high, write_file
 from turnwright.heightmap import HeightMap
 from turnwright.surface import Surface
 
@@ -102,6 +102,7 @@ def write_map(
     if front:
         # The phase is a number at a point of the face, so that turning moves it but keeps its sign.
         heights, phase = heights.turned_over(), -phase
+    _require_heights(heights)
     write_file(path, grid_sag.pack(heights, phase) if kind == "grid phase" else WRITERS[kind](heights))
 
 
@@ -152,7 +153,14 @@ def write_grid_sag(
     if front:
         heights = heights.turned_over()
         slopes = (slopes[0][:, ::-1], -slopes[1][:, ::-1], slopes[2][:, ::-1])
+    _require_heights(heights)
     write_file(Path(file), grid_sag.pack_slopes(heights, slopes))
+
+
+def _require_heights(heights: HeightMap) -> None:
+    """Raise if `read_map` would refuse the heights."""
+    if fault := too_high(heights.z):
+        raise MapError(f"the map {heights.name!r} {fault}: check its unit")
 
 
 def _phase_per_height(kind: str, wavelength: float | None, index: float | None) -> float:
