@@ -3,6 +3,8 @@
 Oracle: the job that is read back has the part of `LensFile.part`, whose frame is proved in truth/test_lens_files.
 """
 
+import re
+
 import numpy as np
 import pytest
 
@@ -230,3 +232,47 @@ def test_the_drawn_l_is_that_of_the_lens_file(tmp_path, monkeypatch, number, tur
     top, corner, foot = np.stack(drawn[0].axes[1].lines[-1].get_data(), axis=1)
     assert top - corner == pytest.approx([0.0, 3.5])
     assert foot - corner == pytest.approx([-1.7 if turned else 1.7, 0.0])
+
+
+def test_heights_that_are_not_finite_write_nothing(tmp_path, capsys):
+    for parameters in ({1: 1e308}, {1: 1e308, 2: -1e308}, {3: 1e4}):
+        path = lens_file(tmp_path, block("EVENASPH", parameters))
+        code, out, err = run(capsys, path, "--surface", 1, "--out", tmp_path / "job.toml")
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert "surface 1 has heights of up to" in err
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_picture_that_fails_leaves_no_job(tmp_path, capsys, monkeypatch):
+    def fail(*_arguments):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("turnwright.report.write_lens_picture", fail)
+    path = lens_file(tmp_path, [*grid_block()[0], "CLAP 0 4"])
+    assert run(capsys, path, "--surface", 1, "--out", tmp_path / "job.toml")[0] != 0
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_printed_aperture_is_that_of_the_job(tmp_path, capsys):
+    path = lens_file(tmp_path, [*block("STANDARD"), "CLAP 0 4", "OBDC 1.5 0.5"])
+    _, out, _ = run(capsys, path, "--surface", 1, "--out", tmp_path / "job.toml")
+    assert "aperture: disc 4 mm at (-1.5, 0.5) mm" in out
+    assert Job.load(tmp_path / "job.toml").part.outline.centre == (-1.5, 0.5)
+
+
+def test_the_domain_is_named_to_its_edge(tmp_path, capsys):
+    path = lens_file(tmp_path, block("STANDARD"))
+    edge = 40.0 / 0.3**0.5  # of a conic of constant -0.7
+    assert f"not defined beyond about {edge:.4g} mm" in run(capsys, path, "--surface", 1, "--radius", "300 mm")[2]
+
+
+def test_what_is_no_file_is_named(tmp_path, capsys):
+    assert "is not a file: name a file" in run(capsys, tmp_path)[2]
+    (tmp_path / "empty.zmx").write_bytes(b"")
+    assert "the limits are 1 and 33,554,432" in run(capsys, tmp_path / "empty.zmx")[2]
+
+
+def test_a_job_of_a_turned_surface_has_no_negative_zero(tmp_path, capsys):
+    path = lens_file(tmp_path, block("FZERNSAG", {0: 1.0, 9: 0.3}, ZERNIKE_DATA))
+    assert run(capsys, path, "--surface", 1, "--out", tmp_path / "job.toml")[0] == 0
+    assert not re.search(r"-0(\.0)? (um|mm|deg)", (tmp_path / "job.toml").read_text())

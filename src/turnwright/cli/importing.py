@@ -14,7 +14,9 @@ from turnwright.cli.shared import Session, app, require_picture, require_unused,
 from turnwright.errors import InputError, quote
 
 if TYPE_CHECKING:
-    from turnwright.files import LensFile, LensSurface
+    from turnwright.files import LensFile
+    from turnwright.heightmap import HeightMap
+    from turnwright.outline import Outline
     from turnwright.part import Part
 
 __all__: list[str] = []
@@ -50,7 +52,7 @@ def import_lens(
 ) -> None:
     """Turn a lens surface into a job."""
     session: Session = context.obj
-    from turnwright.files import read_lens  # noqa: PLC0415 - costly
+    from turnwright.files import read_lens, write_map  # noqa: PLC0415 - costly
     from turnwright.units import parse  # noqa: PLC0415
 
     lens = read_lens(file, radii=radii)
@@ -65,23 +67,20 @@ def import_lens(
         plot = out.with_suffix(".png")
     if plot is not None:
         require_picture(plot)
-    if out is not None:
-        require_unused(out)
-        from turnwright.job import part_template  # noqa: PLC0415 - costly
-
-        notes = [
-            f"From {quote(file.name)} ({lens.program}).",
-            f"{chosen.sentence}.",
-            *(f"{remark}." for remark in one.remarks),
-        ]
-        part = _with_heights_in_file(part, out)
-        write_atomic(out, part_template(part, notes, strategy, folder=out.absolute().parent))
+    origin = f"From {quote(file.name)} ({lens.program})."
+    notes = [origin, f"{chosen.sentence}.", *(f"{remark}." for remark in one.remarks)]
+    job = None if out is None else _job(part, notes, strategy, out)
     if plot is not None:
         from turnwright.report import write_lens_picture  # noqa: PLC0415 - imports matplotlib
 
         write_lens_picture(part, one, chosen, plot)
+    if out is not None and job is not None:
+        text, tables = job
+        for path, heights in tables.items():
+            write_map(heights, path)
+        write_atomic(out, text)
     session.echo(chosen.sentence)
-    session.echo(f"aperture: {_aperture(one) if radius is None else radius}")
+    session.echo(f"aperture: {_aperture(part.outline, part.radius, ' mm')}")
     warn(one.remarks)
     for what, written in (("job", out), ("picture", plot)):
         if written is not None:
@@ -104,7 +103,7 @@ def _list(session: Session, lens: LensFile) -> None:
         flat = math.isinf(one.radius)
         rows.append(
             (f"{one.number}{' stop' * one.is_stop}", one.type, "flat" if flat else f"{one.radius:.6g}",
-             _aperture(one), one.before or "air", one.after or "air", cut)
+             _aperture(one.aperture, one.semi_diameter), one.before or "air", one.after or "air", cut)
         )  # fmt: skip
     widths = [max(map(len, column)) for column in list(zip(*rows, strict=True))[:-1]]
     for *cells, last in rows:
@@ -113,32 +112,31 @@ def _list(session: Session, lens: LensFile) -> None:
         )
 
 
-def _aperture(one: LensSurface) -> str:
-    if (outline := one.aperture) is None:
-        return f"{one.semi_diameter:.6g}" if one.semi_diameter else "-"
+def _aperture(outline: Outline | None, radius: float | None, unit: str = "") -> str:
+    if outline is None:
+        return f"{radius:.6g}{unit}" if radius else "-"
     shape = next(name for name in ("disc", "annulus", "rectangle") if getattr(outline, name) is not None)
     sizes = getattr(outline, shape)
     stated = " x ".join(f"{size:g}" for size in (sizes if isinstance(sizes, tuple) else (sizes,)))
-    place = f" at ({outline.centre[0]:g}, {outline.centre[1]:g})" if any(outline.centre) else ""
-    return f"{shape} {stated}{place}"
+    place = f" at ({outline.centre[0]:g}, {outline.centre[1]:g}){unit}" if any(outline.centre) else ""
+    return f"{shape} {stated}{unit}{place}"
 
 
-def _with_heights_in_file(part: Part, out: Path) -> Part:
-    """Write the table of heights of a part next to its job, and return the part that names it."""
-    from turnwright.files import write_map  # noqa: PLC0415 - costly
-    from turnwright.heightmap import HeightMap  # noqa: PLC0415
-    from turnwright.job import HeightFile  # noqa: PLC0415
+def _job(part: Part, notes: list[str], strategy: str, out: Path) -> tuple[str, dict[Path, HeightMap]]:
+    """Return the text of a job, and the table of heights of its part by the file next to it that the job names."""
+    from turnwright.heightmap import HeightMap  # noqa: PLC0415 - costly
+    from turnwright.job import HeightFile, part_template  # noqa: PLC0415
     from turnwright.surface import Gridded, Sum  # noqa: PLC0415
 
-    terms = part.surface.terms if isinstance(part.surface, Sum) else (part.surface,)
-    if not any(isinstance(term, Gridded) for term in terms):
-        return part
+    require_unused(out)
     file = out.absolute().with_name(f"{out.stem}-heights.npz")
-    require_unused(file)
-    named = []
-    for term in terms:
+    named, tables = [], {}
+    for term in part.surface.terms if isinstance(part.surface, Sum) else (part.surface,):
         if isinstance(term, Gridded):
-            write_map(HeightMap(x=term.x, y=term.y, z=term.z), file)
+            require_unused(file)
+            tables[file] = HeightMap(x=term.x, y=term.y, z=term.z)
             term = replace(term, source=HeightFile(file=file))  # noqa: PLW2901
         named.append(term)
-    return replace(part, surface=Sum(terms=tuple(named)) if len(named) > 1 else named[0])
+    if tables:
+        part = replace(part, surface=Sum(terms=tuple(named)) if len(named) > 1 else named[0])
+    return part_template(part, notes, strategy, folder=out.absolute().parent), tables

@@ -19,9 +19,10 @@ import numpy as np
 
 from turnwright._arrays import Compared, Floats
 from turnwright.errors import InputError, quote
+from turnwright.files.base import too_high
 from turnwright.material import Material
 from turnwright.outline import Outline
-from turnwright.part import Part
+from turnwright.part import Part, evenly
 from turnwright.surface import (
     Conic,
     EvenAsphere,
@@ -70,6 +71,9 @@ RIGHT_ANGLE_TOL = 0.1
 UNKNOWN = np.full((3, 3), math.nan)
 UNKNOWN.flags.writeable = False
 """Rotation of a frame that is not known."""
+
+CHECKED_POINTS = 2000
+"""Points of a part at which its heights are checked."""
 
 INFINITE_THICKNESS = 1e10
 """Thickness from which the programs mean an infinite distance, in their unit."""
@@ -337,7 +341,7 @@ class LensFile(Compared):
         Raises
         ------
         InputError
-            If the surface cannot be cut, its side is not certain, or it has no aperture.
+            If the surface cannot be cut or its side is not certain, or it has no aperture or too large heights.
         DomainError
             If the surface is not defined in its aperture.
         """
@@ -361,11 +365,16 @@ class LensFile(Compared):
                 outline = replace(outline, centre=(0.0 - x, y), angle=0.0 - outline.angle)
         glass = "" if one.is_mirror and chosen.side == "after" else chosen.material
         is_listed = Material.named(glass) is not None
-        return Part(
-            surface=surface, radius=None if outline is not None else radius, outline=outline,
-            material=glass if is_listed else "", material_note="" if is_listed else glass,
-            name=f"{self.name} surface {number}",
-        )  # fmt: skip
+        with np.errstate(over="ignore", invalid="ignore"):
+            part = Part(
+                surface=surface, radius=None if outline is not None else radius, outline=outline,
+                material=glass if is_listed else "", material_note="" if is_listed else glass,
+                name=f"{self.name} surface {number}",
+            )  # fmt: skip
+            heights = surface.sag(*evenly(part, CHECKED_POINTS))
+        if fault := too_high(np.where(np.isnan(heights), np.inf, heights)):
+            raise InputError(f"surface {number} {fault}: check its coefficients and the unit of the file")
+        return part
 
 
 def turned_over(surface: Surface) -> Surface:
@@ -376,12 +385,12 @@ def turned_over(surface: Surface) -> Surface:
         (x, y, z), (about_x, about_y) = surface.shift, surface.tilt
         return Placed(
             surface=turned_over(surface.surface),
-            shift=(-x, y, -z),
-            rotation=-surface.rotation,
-            tilt=(-about_x, about_y),
+            shift=(0.0 - x, y, 0.0 - z),
+            rotation=0.0 - surface.rotation,
+            tilt=(0.0 - about_x, about_y),
         )
     if isinstance(surface, Plane):
-        return Plane(slope=(surface.slope[0], -surface.slope[1]))
+        return Plane(slope=(surface.slope[0], 0.0 - surface.slope[1]))
     if isinstance(surface, Gridded):
         return Gridded(x=-surface.x[::-1], y=surface.y, z=-surface.z[:, ::-1])
     if isinstance(surface, Expression):  # in the distance from the axis

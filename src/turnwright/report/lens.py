@@ -22,6 +22,9 @@ __all__ = ["write_lens_picture"]
 
 MATERIAL, LIGHT, TOOL = "0.75", "tab:orange", "tab:blue"
 
+PLAIN = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
+"""Ground of a word that may stand on the hatching."""
+
 MARK = np.array([(-0.12, 0.42), (-0.12, -0.28), (0.22, -0.28)])
 """The letter L in the frame of the lens file: its long leg along +y, its foot along +x, in fractions of the part."""
 
@@ -72,7 +75,7 @@ def _draw_section(axes: Axes, part: Part, surface: LensSurface, side: LensSide) 
         above = level + 0.32 * (high - low)
         start = middle - surface.heading * 0.75 * abs(depth)
         _arrow(axes, (start, above), (start + surface.heading * 0.5 * abs(depth), above), LIGHT)
-        axes.text(start, above + 0.03 * (high - low), "light", color=LIGHT, ha="center", va="bottom")
+        axes.text(start, above + 0.03 * (high - low), "light", color=LIGHT, ha="center", va="bottom", bbox=PLAIN)
     ends = sorted((middle - 1.1 * depth, base + 1.1 * depth))
     axes.set(xlim=ends, ylim=(low - 0.06 * (high - low), high + 0.06 * (high - low)))
     axes.set_aspect("equal")
