@@ -399,6 +399,8 @@ FOLD = sphere(0, 0.0, "MIRROR")
         ([DUMMY, [*DUMMY, "TWST 1"], MIRROR], 0),
         ([DUMMY, ["TYPE NONSEQCO", *DUMMY[1:]], MIRROR], 0),
         ([DUMMY, ["TYPE COORDBRK", "CURV 0.0", "PARM 3 a"], MIRROR], 0),
+        ([DUMMY, ["TYPE USERSURF", *DUMMY[1:]], MIRROR], 0),
+        ([DUMMY, [*DUMMY, "CONI a"], MIRROR], 1),
     ],
 )
 def test_a_mirror_has_its_substrate_behind_the_light(tmp_path, surfaces, toward):
@@ -428,6 +430,8 @@ CODE_V_TURNS = {
     "refraction": (["S 0 10 NBK7", "S 0 10; RMD REFR", "S -100 50 REFL"], 1),
     "an unknown mode": (["S 0 10 NBK7", "S 0 10 NBK7 DIF", "S -100 50 REFL"], 0),
     "global place": (["S 0 10; GLB S1", "S -100 50 REFL"], 0),
+    "no number of a shape": (["S 0 10; K a", "S -100 50 REFL"], 1),
+    "no number of a tilt": (["S 0 10; ADE a", "S -100 50 REFL"], 0),
     "not sequential": (["S 0 10; NSS", "S 0 10", "END", "S -100 50 REFL"], 0),
 }
 

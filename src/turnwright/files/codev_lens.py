@@ -262,7 +262,8 @@ def _zoom(lens: _Lens, values: list[str]) -> None:
     if not groups and word in SURFACE_COMMANDS:
         groups = [lens.rows[-1:]]
     for row in itertools.chain(*groups):
-        row.doubt(f"differs between zoom positions (ZOO {values[0]}): save one of them")
+        refuse = row.refuse if word in SHAPES else row.doubt
+        refuse(f"differs between zoom positions (ZOO {values[0]}): save one of them")
 
 
 LENS_COMMANDS: Mapping[str, Callable[[_Lens, list[str]], None]] = {
@@ -290,7 +291,8 @@ def _read_value(row: _Words, word: str, values: list[str]) -> None:
     try:
         SURFACE_COMMANDS[word](row, word, values)
     except InputError as error:
-        row.doubt(f"cannot be read: {error}")
+        refuse = row.refuse if word in SHAPES else row.doubt
+        refuse(f"cannot be read: {error}")
 
 
 def _glass(row: _Words, word: str) -> None:
@@ -433,6 +435,10 @@ SURFACE_COMMANDS: Mapping[str, Callable[[_Words, str, list[str]], None]] = {
     **dict.fromkeys(("CIR", "REX", "REY", "ELX", "ELY", "ADX", "ADY", "ARO"), _aperture),
 }  # fmt: skip
 """Commands of a surface that are read."""
+
+
+SHAPES = SURFACE_COMMANDS.keys() - {"THI", "GLA", "RMD", "XDE", "YDE", "ZDE", *TILTS, "DAR", "BEN", "REV", "RET"}
+"""Commands of a surface that do not turn the light."""
 
 
 def _build(row: Row) -> Surface:

@@ -446,14 +446,14 @@ def plain_text(text: str) -> str:
 
 def to_integer(word: str, where: str) -> int:
     """Return the whole number that a word of a lens file states."""
-    if re.fullmatch(r"\d{1,6}", word):
+    if word.isascii() and word.isdigit() and len(word) <= 6:
         return int(word)
     raise InputError(f"{where} is {quote(word)}, it must be a whole number: correct the file")
 
 
 def to_number(word: str, where: str) -> float:
     """Return the number that a word of a lens file states."""
-    if NUMBER.fullmatch(word) and math.isfinite(value := float(re.sub("[dD]", "e", word))):
+    if NUMBER.fullmatch(word) and math.isfinite(value := float(word.upper().replace("D", "E"))):
         return value
     raise InputError(f"{where} is {quote(word)}, it must be a number: correct the file")
 

@@ -473,7 +473,8 @@ def _read_word(row: _Words, word: str, values: list[str], line: str) -> None:
     try:
         SURFACE_WORDS[word](row, values or [""], line)
     except InputError as error:
-        row.doubt(f"cannot be read: {error}")
+        refuse = row.doubt if word in ("TYPE", "PARM", "DISZ", "GLAS") else row.refuse
+        refuse(f"cannot be read: {error}")
 
 
 def _number(name: str) -> Callable[[_Words, list[str], str], None]:
@@ -533,7 +534,8 @@ def _grid_size(row: _Words, values: list[str], _line: str) -> None:
 
 
 def _grid_height(row: _Words, values: list[str], _line: str) -> None:
-    row.heights[to_integer(values[0], "GARR")] = tuple(to_number(value, "GARR") for value in values[1:])
+    if not row.fault:
+        row.heights[to_integer(values[0], "GARR")] = tuple(to_number(value, "GARR") for value in values[1:])
 
 
 SURFACE_WORDS: Mapping[str, Callable[[_Words, list[str], str], None]] = {
