@@ -11,6 +11,7 @@ import math
 import mpmath
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import turnwright as tw
 from lens_files import EVEN, ODD, Q_DATA, ZERNIKE_DATA, ZERNIKES, K, R, block, grid_block, write_zmx
@@ -578,3 +579,27 @@ def test_an_unknown_word_that_is_not_indented_is_refused(tmp_path):
     lens = read_lens(path)
     assert "'TWST'" in lens.surface(1).fault
     assert not any(lens.surface(number).fault for number in (0, 2, 3))
+
+
+def test_light_through_flat_mirrors_goes_where_scipy_says(tmp_path):
+    """Oracle: rotations of SciPy and the law of reflection."""
+    rng = np.random.default_rng(0)
+    certain = 0
+    for _ in range(40):
+        surfaces, frame, ray, cosines = [DUMMY], Rotation.identity(), np.array([0.0, 0.0, 1.0]), {}
+        for _ in range(6):
+            if rng.random() < 0.6:
+                x, y, z = rng.uniform(-180, 180, 3)
+                order = int(rng.integers(2))
+                surfaces.append([*coordinate_break(x, y), f"PARM 5 {z}", f"PARM 6 {order}"])
+                frame *= Rotation.from_euler(*(("ZYX", (z, y, x)) if order else ("XYZ", (x, y, z))), degrees=True)
+            else:
+                surfaces.append(FOLD)
+                normal = frame.as_matrix()[:, 2]
+                cosines[len(surfaces)] = ray @ normal
+                ray = ray - 2 * (ray @ normal) * normal
+        lens = zmx(tmp_path, *surfaces)
+        for number, cosine in cosines.items():
+            assert lens.surface(number).heading == (np.sign(cosine) if abs(cosine) >= 0.1 else 0)
+            certain += abs(cosine) >= 0.1
+    assert certain > 50

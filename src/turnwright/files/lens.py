@@ -518,8 +518,8 @@ def toward(along: Floats) -> int:
 class _Light:
     """The axial ray, and the frame of the surfaces that it meets, both in the frame of the file.
 
-    While the light meets flat mirrors only, the axial ray is exact. Where surfaces are tilted or decentred beside
-    curved ones or glass, the light leaves it; then it must agree with light that arrives along the axis at every tilt.
+    While the light meets flat mirrors only, the axial ray is exact. Where a lens has tilts or decentres and
+    curved surfaces or glass, the light leaves it; then it must agree with light that arrives along the axis at every tilt.
     """
 
     frame: Floats = field(default_factory=partial(np.eye, 3))
@@ -531,15 +531,15 @@ class _Light:
 
     def arrive(self, row: Row) -> int:
         """Return the direction at the next surface of something that goes to +z at the last one; set ``heading``."""
-        own = self.frame @ row.enter if row.returns is None else self.frames[row.returns]
-        kept = toward(self.frame[:, 2] @ own[:, 2])
-        self.is_tilted |= row.is_decentred or not np.array_equal(own, self.frame)
-        self.frame = own
-        self.frames.append(own)
-        along = toward(self.ray @ own[:, 2])
+        frame = self.frame @ row.enter if row.returns is None else self.frames[row.returns]
+        direction = toward(self.frame[:, 2] @ frame[:, 2])
+        self.is_tilted |= row.is_decentred or not np.array_equal(frame, self.frame)
+        self.frame = frame
+        self.frames.append(frame)
+        along = toward(self.ray @ frame[:, 2])
         is_exact = not (self.is_tilted and self.bends)
-        self.heading = along if is_exact or along == kept * self.heading else 0
-        return kept
+        self.heading = along if is_exact or along == direction * self.heading else 0
+        return direction
 
     def leave(self, row: Row, *, bends: bool) -> int:
         """Return the direction in the frame of the thickness of something that goes to +z at its surface."""
@@ -551,10 +551,10 @@ class _Light:
             self.ray = self.ray * math.nan
         self.bends |= bends
         self.frame = self.frame @ row.leave
-        kept = toward(normal @ self.frame[:, 2])
-        self.heading *= kept
+        direction = toward(normal @ self.frame[:, 2])
+        self.heading *= direction
         self.is_tilted |= not np.array_equal(self.frame, self.frames[-1])
-        return kept
+        return direction
 
 
 def finish(rows: Iterable[Row], scale: float, build: Callable[[Row], Surface]) -> tuple[LensSurface, ...]:
@@ -577,7 +577,7 @@ def finish(rows: Iterable[Row], scale: float, build: Callable[[Row], Surface]) -
         if not (row.is_mirror or row.passes):
             medium = row.glass
         is_flat = isinstance(shape, Plane) and row.phase is None
-        kept = light.leave(row, bends=medium != before or (row.is_mirror and not is_flat))
+        direction = light.leave(row, bends=medium != before or (row.is_mirror and not is_flat))
         onward = int(np.sign(row.thickness))
         surfaces.append(
             LensSurface(
@@ -587,7 +587,7 @@ def finish(rows: Iterable[Row], scale: float, build: Callable[[Row], Surface]) -
                 before=before, after="mirror substrate" if row.is_mirror else medium,
                 index=row.index, is_mirror=row.is_mirror, is_stop=row.is_stop, aperture=aperture, heading=heading,
                 toward_before=before_toward if before else 0,
-                toward_after=onward * kept if medium and not row.is_mirror else 0,
+                toward_after=onward * direction if medium and not row.is_mirror else 0,
                 semi_diameter=None if row.semi_diameter is None else row.semi_diameter * scale,
                 limit=row.limit, phase=row.phase, fault=row.fault, shape=None if row.fault else shape,
             )
