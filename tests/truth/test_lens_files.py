@@ -603,3 +603,10 @@ def test_light_through_flat_mirrors_goes_where_scipy_says(tmp_path):
             assert lens.surface(number).heading == (np.sign(cosine) if abs(cosine) >= 0.1 else 0)
             certain += abs(cosine) >= 0.1
     assert certain > 50
+
+
+def test_a_glass_has_its_side_by_its_thickness(tmp_path):
+    lens = zmx(tmp_path, LENS, [*sphere(-50.0, 20.0, ""), "TWST 1"], LENS, sphere(-50.0, 20.0, ""), MIRROR)
+    assert [(lens.side(number).side, lens.side(number).toward) for number in (3, 4)] == [("after", 1), ("before", -1)]
+    with pytest.raises(tw.InputError, match="not certain"):
+        lens.side(5)

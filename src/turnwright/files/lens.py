@@ -518,8 +518,8 @@ def toward(along: Floats) -> int:
 class _Light:
     """The axial ray, and the frame of the surfaces that it meets, both in the frame of the file.
 
-    While the light meets flat mirrors only, the axial ray is exact. Where a lens has tilts or decentres and
-    curved surfaces or glass, the light leaves it; then it must agree with light that arrives along the axis at every tilt.
+    While the light meets flat mirrors only, the axial ray is exact. Where a lens has tilts or decentres and curved
+    surfaces or glass, the light leaves it; then it must agree with light that arrives along the axis at every tilt.
     """
 
     frame: Floats = field(default_factory=partial(np.eye, 3))
@@ -532,7 +532,7 @@ class _Light:
     def arrive(self, row: Row) -> int:
         """Return the direction at the next surface of something that goes to +z at the last one; set ``heading``."""
         frame = self.frame @ row.enter if row.returns is None else self.frames[row.returns]
-        direction = toward(self.frame[:, 2] @ frame[:, 2])
+        direction = toward(row.enter[2, 2] if row.returns is None else self.frame[:, 2] @ frame[:, 2])
         self.is_tilted |= row.is_decentred or not np.array_equal(frame, self.frame)
         self.frame = frame
         self.frames.append(frame)
@@ -551,7 +551,7 @@ class _Light:
             self.ray = self.ray * math.nan
         self.bends |= bends
         self.frame = self.frame @ row.leave
-        direction = toward(normal @ self.frame[:, 2])
+        direction = toward(row.leave[2, 2])
         self.heading *= direction
         self.is_tilted |= not np.array_equal(self.frame, self.frames[-1])
         return direction
@@ -592,5 +592,5 @@ def finish(rows: Iterable[Row], scale: float, build: Callable[[Row], Surface]) -
                 limit=row.limit, phase=row.phase, fault=row.fault, shape=None if row.fault else shape,
             )
         )  # fmt: skip
-        before_toward = -onward
+        before_toward = -onward * abs(direction)
     return tuple(surfaces)
