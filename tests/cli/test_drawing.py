@@ -83,6 +83,16 @@ def test_uncertainty_of_a_noisy_form_covers_the_truth():
     assert noisy(6)["RMSi"].value == pytest.approx(truth["RMSi"], rel=0.05)
 
 
+@pytest.mark.parametrize("call_out", ["Sq 1 nm; 0.2/1", "slope < 0.05 mrad; 0.5", "PSD 1e-3 nm² mm/1; 0.2/1"])
+def test_noise_alone_is_no_nonconformity_of_texture(call_out):
+    """A perfect flat with 5 nm of stated noise."""
+    x = np.linspace(-2, 2, 161)
+    z = np.where(np.hypot(x, x[:, None]) <= 2, 5e-6 * np.random.default_rng(2).normal(size=(161, 161)), np.nan)
+    (verdict,) = judged([call_out], tw.HeightMap(x=x, y=x, z=z), noise="5 nm")
+    assert verdict.value > verdict.limit
+    assert verdict.is_kept is None
+
+
 def test_a_limit_within_the_uncertainty_is_not_decided():
     """ISO 14253-1: B is 46.67 nm, its limit 54.61."""
     within, beyond = (

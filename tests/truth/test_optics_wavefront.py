@@ -188,6 +188,18 @@ def test_rays_of_a_paraboloid_and_a_lens():
     assert lens.opd.z == pytest.approx(bump.z * gain * np.cos(t), rel=1e-10)
 
 
+@pytest.mark.parametrize(("count", "pixels", "way"), [(301, 6, 0), (301, 6.3, 1), (801, 9, 0), (801, 5, 1)])
+def test_strehl_of_a_fine_ripple_is_bessel(count, pixels, way):
+    """A mirror with a ripple of amplitude a: J0(2 k a)², on maps that enter by nodes, and by their own points."""
+    from scipy.special import j0
+
+    amplitude, period = 50e-6, pixels * 2 * RADIUS / (count - 1) / RADIUS
+    made = disc_map(lambda u, v: amplitude * np.sin(2 * np.pi * (v if way else u) / period + 0.3), count)
+    light = wavefront(made, wavelength=RED, radius=RADIUS)
+    assert light.strehl == pytest.approx(j0(4 * np.pi * amplitude / RED) ** 2, rel=0.01)
+    assert light.rms == pytest.approx(2 * amplitude / math.sqrt(2), rel=0.005)
+
+
 def test_source_may_be_anywhere():
     """A map, its design and its source moved together have the same wavefront; one on the surface is refused."""
     x = np.linspace(-RADIUS, RADIUS, 81)

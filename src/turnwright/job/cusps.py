@@ -85,9 +85,9 @@ class Feeds(NamedTuple):
     def _of_tip(cls, angle: Floats, radius: Floats) -> Feeds:
         """Return the feed of every revolution of the tip; revolutions that stand still do not count."""
         turned = np.abs(angle - angle[0])
-        marks = np.append(np.arange(0.0, turned[-1], 2 * math.pi), turned[-1])[-MOST_TURNS:]
+        marks = np.arange(turned[-1], 0.0, -2 * math.pi)[:MOST_TURNS] if turned[-1] > 2 * math.pi else turned[[-1, 0]]
         at = np.abs(np.interp(marks, turned, radius))
-        feed = np.abs(np.diff(at)) * 2 * math.pi / np.diff(marks)
+        feed = np.abs(np.diff(at) / np.diff(marks)) * 2 * math.pi
         middle = (at[1:] + at[:-1]) / 2
         moves = feed > feed.max() / 10
         order = np.argsort(middle[moves])

@@ -15,10 +15,10 @@ from turnwright.generation import generate_points, generate_polar
 from turnwright.heightmap import HeightMap
 from turnwright.job.cusps import CuspLight, Feeds, cusp_geometry, cusp_light
 from turnwright.job.predicting import follow_motion
-from turnwright.metrology import Form
 from turnwright.optics import (
     Scatter,
     Wavefront,
+    path_per_height,
     scatter,
     wavefront,
 )
@@ -36,8 +36,12 @@ if TYPE_CHECKING:
 
 __all__ = ["OpticalPerformance", "measured_optics", "predict_optics"]
 
-RINGS, AZIMUTHS = 128, 128
-"""Grid of the form in the pupil: errors with up to 64 lobes."""
+RINGS, AZIMUTHS = 128, 134
+"""Grid of the form in the pupil, for errors with up to 67 lobes. Points per revolution hardly ever have the factor
+67, so that all phases of their chords are sampled."""
+
+FEWEST_PERIODS = 8
+"""Cusps along a patch that separate its diffraction orders."""
 
 SAMPLES_PER_FEED = 8
 """Samples across a feed whose mean is the form without its cusps."""
@@ -57,7 +61,7 @@ class OpticalPerformance:
     cusps
         Diffraction by the cusps; ``None`` where the feed is not known.
     marks
-        Diffraction and scatter of each patch, by name.
+        Diffraction and scatter of each patch that is several feeds wide, by name.
     focal_length
         Focal length for positions and frequencies in the image. [mm]
     """
@@ -123,9 +127,10 @@ def predict_optics(
     with watch.stage("optics") as update:
         form = _mean_form(job, real or followed, feeds, update)
         patches = {
-            one.name: light_of_patch(one.error, stated, job.roughness.form)
+            patch.name: _light_of_patch(job, one.error)
+            for patch in job.simulation.patches
             for one in predictions
-            if one.name in {patch.name for patch in job.simulation.patches}
+            if one.name == patch.name and max(patch.size) > FEWEST_PERIODS * motion.feed
         }
         light = _wavefront(job.part, job.part.design.surface, form, stated, Pose())
         cusps = cusp_light(job, feeds, stated)
@@ -153,9 +158,14 @@ def measured_optics(measured: Measured) -> OpticalPerformance:
     )
 
 
-def light_of_patch(error: HeightMap, stated: OpticsTable, form: Form) -> Scatter:
-    """Return the diffraction and the scatter of a patch, at normal incidence."""
-    return scatter(error, wavelength=stated.wavelength, index=stated.index, form=form)
+def _light_of_patch(job: Job, error: HeightMap) -> Scatter:
+    """Return the diffraction and the scatter of a patch, for the ray that meets its middle."""
+    stated, (x, y) = job.light, (np.array([float(one.mean())]) for one in error.points())
+    made = scatter(error, wavelength=stated.wavelength, index=stated.index, form=job.roughness.form)
+    gain = path_per_height(
+        job.part.design.surface, x, y, index=stated.index, source=stated.source, inside=stated.inside
+    )  # fmt: skip
+    return replace(made, gain=float(gain[0]))
 
 
 def _wavefront(part: Part, surface: Surface, error: HeightMap, stated: OpticsTable, frame: Pose) -> Wavefront:

@@ -217,11 +217,12 @@ def _plan_interpolation(job: Job, form: float, sq: float, report: StageProgress)
     def update(share: float) -> None:
         report(stage, round(share * PROGRESS_STEPS), PROGRESS_STEPS)
 
-    target = {"form_pv": form, "sq": sq}
+    order = job.tolerances.cusp_order
+    target = {"form_pv": form, "sq": sq, "cusp_order": math.inf if order is None else order.max}
     update(0.0)
     for number in range(MAX_TARGETS):
         span = 1 - RETRY_FRACTION**number, 1 - RETRY_FRACTION ** (number + 1)
-        best = _plan_target(job, target["form_pv"], target["sq"], _report_range(update, *span))
+        best = _plan_target(job, target, _report_range(update, *span))
         if not any_missed(best.verdicts):
             update(1.0)
             return best
@@ -240,9 +241,10 @@ def _report_range(update: ReportFraction, first: float, last: float) -> ReportFr
     return lambda share: update(first + (last - first) * share)
 
 
-def _plan_target(job: Job, form: float, sq: float, update: ReportFraction) -> Plan:
-    """Return the fastest plan for a target of form error and finish [mm]; it may miss the tolerances."""
-    across, cusp = _largest_feed(job, form, sq)
+def _plan_target(job: Job, target: Mapping[str, float], update: ReportFraction) -> Plan:
+    """Return the fastest plan for targets of the tolerances [mm, 1]; it may miss the tolerances."""
+    form, sq = target["form_pv"], target["sq"]
+    across, cusp = _largest_feed(job, form, sq, target["cusp_order"])
     update(CUSP_FRACTION)
     # Errors of points and servos have both signs.
     residual = (MARGIN * form - cusp - DECIMALS_MM) / 2
@@ -429,17 +431,17 @@ def _fill_in(job: Job, across: float, ways: Mapping[str, float], speed: float | 
     return replace(job, strategy=strategy, passes=passes, simulation=simulation)
 
 
-def _order_share(job: Job, spiral: Spiral) -> float:
+def _order_share(job: Job, spiral: Spiral, most: float) -> float:
     """Return the height of the cusps over that which keeps the tolerance of their diffraction orders."""
     limit = job.tolerances.cusp_order
     if limit is None:
         return 0.0
     light = cusp_light(job, Feeds.of_spiral(job, spiral), limit.light)
     # On shallow cusps the light in an order is proportional to the square of their height.
-    return math.sqrt(light.brightest / (MARGIN * limit.max))
+    return math.sqrt(light.brightest / (MARGIN * most))
 
 
-def _largest_feed(job: Job, form: float, sq: float) -> tuple[float, float]:
+def _largest_feed(job: Job, form: float, sq: float, order: float) -> tuple[float, float]:
     """Return the largest feed or scallop whose cusps keep their share of both tolerances, and their height [mm]."""
     part, tool, machine = job.part.aimed, job.tool, job.machine
     pv_limit, sq_limit = CUSP_SHARE * MARGIN * form, SQ_SHARE * MARGIN * sq
@@ -452,14 +454,16 @@ def _largest_feed(job: Job, form: float, sq: float) -> tuple[float, float]:
         spiral = PassPlan(filled).spiral
         error, pv_nm = exact_cusps(spiral, part, tool, machine)
         pv, finish = pv_nm / NM, finish_nm(error, spiral.feed) / NM
-        share = max(pv / pv_limit, finish / sq_limit, _order_share(filled, spiral))
+        share = max(pv / pv_limit, finish / sq_limit, _order_share(filled, spiral, order))
         if NEAR <= share <= 1:
             return round_down(across), pv
         # The cusp height is proportional to the square of the feed.
         across *= ((1 + NEAR) / 2 / share) ** (1.0 if scallop else 0.5)
     name, unit = _key(job)
+    also = f" and cusp_order {order:.3g}" if math.isfinite(order) else ""
     raise LimitError(
-        f"no {name} meets form_pv {form * NM:.3g} nm and sq {sq * NM:.3g} nm: at {write(round_down(across), unit)} the "
-        f"exact path leaves {pv * NM:.3g} nm and {finish * NM:.3g} nm, which are not from cusps: use a smaller "
+        f"no {name} meets form_pv {form * NM:.3g} nm and sq {sq * NM:.3g} nm{also}: at "
+        f"{write(round_down(across), unit)} the exact path leaves {pv * NM:.3g} nm and {finish * NM:.3g} nm, which are "
+        "not from cusps: use a smaller "
         "nose_radius"
     )

@@ -14,7 +14,7 @@ from turnwright.heightmap import HeightMap
 from turnwright.job.extremes import Extremes
 from turnwright.job.prediction import Prediction
 from turnwright.job.schema import Job
-from turnwright.metrology import CallOut, evaluate_call_out, form_components, pv_doubt, require_covered
+from turnwright.metrology import CallOut, evaluate_call_out, form_components, noise_doubt, pv_doubt, require_covered
 from turnwright.part import Part
 
 __all__ = ["WHOLE", "Verdict", "any_missed", "form_values", "judge", "judge_form", "judge_measured", "not_evaluated"]
@@ -178,9 +178,13 @@ def form_values(part: Part, error: HeightMap, form: Extremes | None) -> dict[str
     return values
 
 
-def _of_grid(call_out: CallOut, error: HeightMap, doubt: float | None = None) -> Values:
+def _of_grid(
+    call_out: CallOut, error: HeightMap, noise: float | None = None, calibration: float | None = None
+) -> Values:
     """Return the value of a map for a call-out of texture, density or slope."""
-    return {call_out.limits[0].symbol: (evaluate_call_out(call_out, error), doubt)}
+    value = evaluate_call_out(call_out, error)
+    by_noise = None if noise is None else noise_doubt(call_out, error, value, noise)
+    return {call_out.limits[0].symbol: (value, _combine(by_noise, calibration if call_out.unit == "nm" else None))}
 
 
 def _along_normal(part: Part, error: HeightMap) -> HeightMap:
@@ -212,7 +216,7 @@ def judge_measured(job: Job, pv_nm: float, error: HeightMap, on_grid: HeightMap)
 
     Expanded uncertainties come from the noise of a height and the calibration of the instrument, where the job states
     them. The pose is the datum of the form error and adds nothing. Stated noise is subtracted from the rms
-    of the form; it adds to texture and to slopes and is not subtracted there.
+    of the form; of texture and slopes it is part of the uncertainty.
 
     Parameters
     ----------
@@ -247,8 +251,8 @@ def judge_measured(job: Job, pv_nm: float, error: HeightMap, on_grid: HeightMap)
     ]
     for call_out in job.tolerances.call_outs:
         limits = _limits(call_out, MEASURED if call_out.is_texture else WHOLE, "")
-        is_form, doubt = call_out.standard == "ISO 10110-5", calibration if call_out.unit == "nm" else None
-        verdicts += _judge_values(limits, form if is_form else partial(_of_grid, call_out, on_grid, doubt))
+        of_grid = partial(_of_grid, call_out, on_grid, noise, calibration)
+        verdicts += _judge_values(limits, form if call_out.standard == "ISO 10110-5" else of_grid)
     try:
         require_covered(error, job.part.border)
     except InputError as short:  # a part of the surface can prove that a limit is missed, not that it is kept

@@ -24,6 +24,7 @@ from turnwright.metrology.tolerances import (
     FormComponents,
     evaluate_call_out,
     form_components,
+    noise_doubt,
     pv_doubt,
     require_covered,
 )
@@ -88,6 +89,7 @@ __all__ = [
     "level",
     "line_profile",
     "line_psd",
+    "noise_doubt",
     "overview",
     "profile_roughness",
     "pv_doubt",

@@ -41,6 +41,8 @@ S_FILTERS = {2.5: 0.008, 8.0: 0.025}
 MAX_CHARACTERS = 200
 """Characters in a call-out; longer numbers have no meaning."""
 
+MOST = 1e3
+
 WAVELENGTHS = (1e-4, 2e-2)
 """Least and greatest wavelength of an interferometer. [mm]"""
 
@@ -190,6 +192,8 @@ def read_call_out(text: str) -> CallOut:
         raise InputError(
             f"the call-out {quote(text)} has {len(text)} characters, the limit is {MAX_CHARACTERS}: write one call-out"
         )
+    if not text.isprintable():
+        raise InputError(f"the call-out {quote(text)} has a line end or a control character: write it in one line")
     plain = re.sub(r"(?<=\d),(?=\d)", ".", text.strip())
     for signs, sign in (("≤|<=", "<"), ("[−–—]", "-")):
         plain = re.sub(signs, sign, plain)
@@ -203,6 +207,8 @@ def read_call_out(text: str) -> CallOut:
     zeros = [limit.symbol for limit in call_out.limits if limit.value == 0]
     if zeros:
         raise InputError(f"the call-out {quote(text)} limits {zeros[0]} to 0, it must be above 0: use - for no limit")
+    if any(limit.value > MOST for limit in call_out.limits):
+        raise InputError(f"the call-out {quote(text)} has a limit above {MOST:g} mm, rad or mm³: check its unit")
     if 0.0 in (call_out.short, call_out.long):
         raise InputError(f"the call-out {quote(text)} states a length of 0 mm, it must be above 0 mm: correct it")
     if call_out.short is not None and call_out.long is not None and call_out.short >= call_out.long:

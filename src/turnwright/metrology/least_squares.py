@@ -127,11 +127,19 @@ class Sums:
 
         Weights are areas, not inverse variances, so the covariance is A⁻¹ B A⁻¹ with A = X'WX and B = X'W²X.
         """
-        scale = 1 / np.sqrt(np.diag(self.normal))
-        inverse = np.linalg.inv(self.normal * scale * scale[:, None]) * scale * scale[:, None]
+        inverse = self._inverse
         freedom = self.weight - np.trace(inverse @ self.spread)
         noise = self.square / freedom if self.count > self.normal.shape[0] and freedom > 0 else np.nan
-        return np.asarray(inverse @ self.spread @ inverse * noise)
+        return self.noise_gain() * noise
+
+    def noise_gain(self) -> Floats:
+        """Covariance of the parameters for independent noise of variance 1 at all points."""
+        return np.asarray(self._inverse @ self.spread @ self._inverse)
+
+    @property
+    def _inverse(self) -> Floats:
+        scale = 1 / np.sqrt(np.diag(self.normal))
+        return np.asarray(np.linalg.inv(self.normal * scale * scale[:, None]) * scale * scale[:, None])
 
 
 def sums_over(

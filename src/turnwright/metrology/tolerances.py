@@ -55,6 +55,8 @@ class FormComponents:
     ----------
     power_pv
         Sagitta error A: peak to valley of the best-fit sphere. [mm]
+    power_std
+        Its standard uncertainty for independent noise of 1 of each height.
     irregularity_pv
         Irregularity B: peak to valley without piston, tilt and this sphere. [mm]
     symmetric_pv
@@ -71,6 +73,7 @@ class FormComponents:
     """
 
     power_pv: float
+    power_std: float
     irregularity_pv: float
     symmetric_pv: float
     rms_total: float
@@ -104,7 +107,7 @@ class FormComponents:
         """
         mean = 2 * noise / np.sqrt(self.count)
         by_symbol = {
-            "A": (self.power_pv, float(2 * np.sqrt(3) * mean)),
+            "A": (self.power_pv, 2 * self.power_std * noise),
             "B": (self.irregularity_pv, pv_doubt(noise, self.count)),
             "C": (self.symmetric_pv, pv_doubt(noise / np.sqrt(self.ring_count), max(self.count // self.ring_count, 2))),
         }
@@ -189,8 +192,10 @@ def form_components(error: HeightMap, outline: Outline, *, like: HeightMap | Non
     asymmetry_rms = area_rms(replace(residual, z=residual.z - rings), like=like)
     irregular = sum(square for j, square in squares.items() if j > OTHER_TERMS) + residual_rms**2
     low, high = (0.0, 1.0) if disc else (float(one(distance[used])) / radius for one in (np.min, np.max))
+    height = 2 * float(np.sqrt(3)) * (high**2 - low**2)
     return FormComponents(
-        power_pv=2 * float(np.sqrt(3)) * abs(terms[4]) * (high**2 - low**2),
+        power_pv=height * abs(terms[4]),
+        power_std=height * fit.noise_gain[list(fit.indices).index(4)],
         irregularity_pv=_pv(irregularity),
         symmetric_pv=_pv(symmetric),
         rms_total=float(np.sqrt(squares[4] + irregular)),
@@ -231,9 +236,10 @@ def require_covered(error: HeightMap, outline: Outline) -> None:
         gap = float(np.diff(few.angle).max(initial=0.0)) * outline.reach
     limit = REACH_TOL * float(np.ptp(at, axis=0).max()) / 2 + gap
     if away[far] > limit:
+        x_far, y_far = (round(float(one), 6) + 0.0 for one in at[far])
         raise InputError(
-            f"the map is smaller than the clear aperture: at its border at x = {at[far, 0]:.4g} mm, y = "
-            f"{at[far, 1]:.4g} mm the nearest height is {away[far]:.3g} mm away, the limit is {limit:.2g} mm: "
+            f"the map is smaller than the clear aperture: at its border at x = {x_far:.4g} mm, y = {y_far:.4g} mm the "
+            f"nearest height is {away[far]:.3g} mm away, the limit is {limit:.2g} mm: "
             "measure the whole clear aperture"
         )
 
@@ -253,6 +259,42 @@ def _ring_means(residual: HeightMap, distance: Floats) -> tuple[Floats, int]:
     for ring in rings:
         means.flat[ring] = z.flat[ring].mean()
     return means, min(ring.size for ring in rings)
+
+
+def noise_doubt(call_out: CallOut, error: HeightMap, value: float, noise: float) -> float:
+    r"""Return the expanded uncertainty (k = 2) of a value of texture, density or slope by the noise of the heights.
+
+    Independent noise of standard deviation :math:`\sigma` adds to a mean square what is in its band, to a slope over a
+    length L :math:`\sqrt 2 \sigma / L`, and to a largest slope, a largest height or a density at most several times
+    that. It is not subtracted from the value, which it can only have raised.
+
+    Parameters
+    ----------
+    call_out, error
+        See `evaluate_call_out`.
+    value
+        What that function returned. [mm, rad, or mm³ of a density]
+    noise
+        Standard deviation of a height. [mm]
+    """
+    symbol, (short, long) = call_out.limits[0].symbol, call_out.band
+    if call_out.standard == "ISO 10110-12":
+        each = float(np.sqrt(2)) * noise / long
+        return _removed(value, each) if symbol == "rms slope" else pv_doubt(each, error.z.size) / 2
+    steps = [
+        even_step(axis, "the map", "texture") for _, axis in _axes(error, ("radius",) if error.polar else ("x", "y"))
+    ]
+    low, high = 1 / long, 1 / (short or 2 * max(steps))
+    if symbol == "PSD":
+        return min(value, 6 * noise**2 * max(steps) * float(high**call_out.exponent))
+    share = np.pi * (high**2 - low**2) * float(np.prod(steps)) if symbol == "Sq" else 2 * (high - low) * max(steps)
+    inside = noise * float(np.sqrt(min(share, 1.0)))
+    return pv_doubt(inside, error.z.shape[-1]) if symbol == "Rz" else _removed(value, inside)
+
+
+def _removed(value: float, noise: float) -> float:
+    """Return how much of a root mean square is noise that is known to 20 %."""
+    return value - float(np.sqrt(max(value**2 - ((1 + NOISE_TOL) * noise) ** 2, 0.0)))
 
 
 def evaluate_call_out(call_out: CallOut, error: HeightMap) -> float:
@@ -349,7 +391,7 @@ def _profile_value(call_out: CallOut, error: HeightMap, along: Literal["x", "y",
         profile_roughness(one, cutoff=long, short=short, sections=DEFAULT_SECTIONS),
         f"{call_out.limits[0].symbol.lower()}_nm",
     )
-    values, refusal = [], None
+    values, refusal, longest = [], None, 0
     for number in np.unique(np.linspace(0, len(lines) - 1, MAX_LINES).round().astype(np.int64)):
         valid = np.flatnonzero(np.isfinite(lines[number]))
         if valid.size < 2:
@@ -358,7 +400,8 @@ def _profile_value(call_out: CallOut, error: HeightMap, along: Literal["x", "y",
         try:
             values.append(field(Profile(distance=axis[part], z=lines[number, part], x=axis[part], y=0.0 * axis[part])))
         except InputError as error_of_line:
-            refusal = error_of_line
+            if valid.size > longest:  # the longest line tells why best
+                refusal, longest = error_of_line, valid.size
     if not values:
         raise refusal or InputError(f"the map has 0 profiles along {along}, texture needs 1: measure more of the part")
     return max(values) / NM

@@ -47,6 +47,8 @@ class ZernikeFit:
         See `turnwright.Zernike`.
     radius, centre
         Of the aperture. [mm]
+    noise_gain
+        Standard uncertainty of each coefficient for independent noise of 1 of each height. (k,)
     residual
         Residual of the fit; nan outside the aperture.
     condition
@@ -59,6 +61,7 @@ class ZernikeFit:
     coefficients: Floats
     uncertainty: Floats
     covariance: Floats
+    noise_gain: Floats
     orthonormal: Floats
     orthonormal_uncertainty: Floats
     indexing: Indexing
@@ -162,6 +165,7 @@ def fit_zernike(
         indices=indices,
         coefficients=frozen(solution * factor, "coefficients"),
         uncertainty=frozen(np.sqrt(np.diag(covariance)) * factor, "uncertainty", finite=False),
+        noise_gain=frozen(np.sqrt(np.diag(sums.noise_gain())) * factor, "noise gain"),
         covariance=frozen(covariance * factor * factor[:, None], "covariance", ndim=2, finite=False),
         orthonormal=frozen(lower.T @ solution, "coefficients"),
         orthonormal_uncertainty=frozen(np.sqrt(np.diag(lower.T @ covariance @ lower)), "uncertainty", finite=False),

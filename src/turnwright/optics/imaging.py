@@ -15,7 +15,7 @@ from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import ZernikeFit, fit_zernike
 from turnwright.optics.orders import path_factor
-from turnwright.optics.pupil import Modulation, Nodes, PathMap, even_frequencies, phasors, pupil_nodes
+from turnwright.optics.pupil import Modulation, PathMap, even_frequencies, phasors, pupil_nodes
 from turnwright.surface import Indexing, Plane, Surface
 
 __all__ = ["PointSpread", "Removed", "Wavefront", "incidence_angles", "path_per_height", "wavefront"]
@@ -24,11 +24,12 @@ Removed: TypeAlias = Literal["none", "piston", "tilt", "focus"]
 Source: TypeAlias = float | tuple[float, float, float]
 REMOVED = ("none", "piston", "tilt", "focus")
 
-NODES = (96, 320)
-"""Least and most nodes along a chord of the pupil; in between one for each step of the map."""
+NODES, PSF_NODES, MTF_NODES = (96, 1200), (96, 320), (64, 192)
+"""Least and most nodes along a chord of the pupil, for a point spread, and for each frequency of an MTF; in between two
+for each step of the map, or one in an image."""
 
-MTF_NODES = (64, 192)
-"""The same for each frequency of an MTF."""
+FINE_MAP = 600
+"""Points along a side of a rectangular map above which its own points are the nodes, so that no ripple is lost."""
 
 LEAST_COVERED = 0.95
 """Share of a stated pupil for which the map must have heights; holes in it are no part of the pupil."""
@@ -99,13 +100,13 @@ class Wavefront:
     @property
     def strehl(self) -> float:
         """Intensity at the image point relative to that without errors, by the integral over the pupil."""
-        path, weight = self._samples
+        _, _, path, weight = self._samples
         return float(abs((weight * phasors(path, self.wavelength)).sum() / weight.sum()) ** 2) * self.specular
 
     @property
     def rms(self) -> float:
         """Root mean square of the path differences over the pupil, about their mean. [mm]."""
-        path, weight = self._samples
+        _, _, path, weight = self._samples
         mean = np.average(path, weights=weight)
         return float(np.sqrt(np.average((path - mean) ** 2, weights=weight)))
 
@@ -117,7 +118,8 @@ class Wavefront:
     @property
     def covered(self) -> float:
         """Share of the area of the pupil for which the map has heights."""
-        return float(self._samples[1].sum() / self._nodes.weight.sum())
+        outer, inner = self._radii
+        return float(self._samples[3].sum() / (math.pi * (outer * outer - inner * inner)))
 
     def zernike(self, terms: int | tuple[int, ...] = 37, indexing: Indexing = "fringe") -> ZernikeFit:
         """Return the Zernike decomposition over the pupil. See `turnwright.metrology.fit_zernike`."""
@@ -143,8 +145,9 @@ class Wavefront:
         extent = IMAGE_WIDTH * self.wavelength / (2 * self.radius) * scale if width is None else width
         image = positive(extent, "width", "rad" if focal_length is None else "mm") * np.linspace(-0.5, 0.5, points)
         wave_number = 2 * math.pi / (self.wavelength * scale) * image
-        nodes = self._nodes
-        path, weight = self._samples
+        nodes = pupil_nodes(self._radii, 0.0, self._count(PSF_NODES))
+        path, measured = self._at(nodes.x, nodes.y)
+        weight = nodes.weight * measured
         light = weight * phasors(path, self.wavelength)
         rows = np.array([one @ np.exp(-1j * np.outer(x, wave_number)) for x, one in zip(nodes.x, light, strict=True)])
         amplitude = np.exp(-1j * np.outer(wave_number, nodes.y[:, 0])) @ rows
@@ -200,20 +203,24 @@ class Wavefront:
         """Radii of the pupil and of its obscuration. [mm]."""
         return self.radius, self.radius * self.obscuration
 
-    def _count(self, limits: tuple[int, int]) -> int:
+    def _count(self, limits: tuple[int, int], per_step: int = 1) -> int:
         """Return the nodes along a chord."""
-        return int(np.clip(max(self.opd.z.shape), *limits))
+        return int(np.clip(per_step * max(self.opd.z.shape), *limits))
 
     @property
-    def _nodes(self) -> Nodes:
-        return pupil_nodes(self._radii, 0.0, self._count(NODES))
-
-    @property
-    def _samples(self) -> tuple[Floats, Floats]:
-        """Path differences and weights at the nodes of the pupil. Each (m, n) [mm, mm²]."""
-        nodes = self._nodes
+    def _samples(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Points from the centre, path differences and weights over the pupil. Each (n,) [mm, mm, mm, mm²]."""
+        if self.opd.x is not None and self.opd.y is not None and max(self.opd.z.shape) > FINE_MAP:
+            outer, inner = self._radii
+            x, y = (one - middle for one, middle in zip(self.opd.points(), self.centre, strict=True))
+            radius = np.hypot(x, y)
+            on = np.isfinite(self.opd.z) & (radius <= outer) & (radius >= inner)
+            weight = np.outer(np.gradient(self.opd.y), np.gradient(self.opd.x))
+            return x[on], y[on], self.opd.z[on], weight[on]
+        nodes = pupil_nodes(self._radii, 0.0, self._count(NODES, 2))
         path, measured = self._at(nodes.x, nodes.y)
-        return np.where(measured, path, 0.0), nodes.weight * measured
+        on = measured.ravel()
+        return tuple(one.ravel()[on] for one in (nodes.x, nodes.y, path, nodes.weight))  # type: ignore[return-value]
 
     def _at(self, x: Floats, y: Floats) -> tuple[Floats, Bools]:
         return self._path(x + self.centre[0], y + self.centre[1])
@@ -295,7 +302,7 @@ def wavefront(
     if radius is not None and made.covered < LEAST_COVERED:
         raise InputError(
             f"the map covers {made.covered:.1%} of the pupil of radius {radius:g} mm, at least {LEAST_COVERED:.0%} are "
-            "needed: reduce the radius, state the obscuration, or complete the map"
+            "needed: measure all of it, or state a smaller pupil or its obscuration"
         )
     return made if remove == "none" else _without(made, REMOVED.index(remove))
 
@@ -386,10 +393,10 @@ def path_per_height(
 def _without(made: Wavefront, degree: int) -> Wavefront:
     """Return a wavefront without piston (1), and tilts (2), and focus (3)."""
     columns = (1, 3, 4)[degree - 1]
-    nodes, (path, weight) = made._nodes, made._samples  # noqa: SLF001 - of this module
-    term = _low_terms(nodes.x, nodes.y, made.radius)[..., :columns].reshape(-1, columns)
-    normal = term.T @ (weight.reshape(-1, 1) * term)
-    low = np.linalg.solve(normal, term.T @ (weight * path).ravel())
+    at_x, at_y, path, weight = made._samples  # noqa: SLF001 - of this module
+    term = _low_terms(at_x, at_y, made.radius)[:, :columns]
+    normal = term.T @ (weight[:, None] * term)
+    low = np.linalg.solve(normal, term.T @ (weight * path))
     x, y = (one - middle for one, middle in zip(made.opd.points(), made.centre, strict=True))
     return replace(made, opd=replace(made.opd, z=made.opd.z - _low_terms(x, y, made.radius)[..., :columns] @ low))
 

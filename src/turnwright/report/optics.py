@@ -26,7 +26,8 @@ NM = 1e6
 MARKS_TEXT = (
     "Form and marks are two scales: the wavefront is that of the surface without its cusps, and the light that cusps "
     "diffract is lost to the image, so that they lower the Strehl ratio, and the modulation beyond the lowest "
-    "frequencies, by the specular share. Patches are evaluated at normal incidence."
+    "frequencies, by the specular share. A patch is evaluated for the ray of the design that meets its middle; angles "
+    "are those at normal incidence."
 )
 
 LISTED_ORDERS = 6

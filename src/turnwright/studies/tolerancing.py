@@ -184,8 +184,13 @@ class ToleranceStudy:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Tolerances of the job that the cases do not tell."""
-        count = len(self.job.tolerances.drawing)
-        return (f"{count} call-outs of the drawing are not evaluated: run the job",) if count else ()
+        stated = self.job.tolerances
+        remarks = []
+        if stated.drawing:
+            remarks.append(f"{len(stated.drawing)} call-outs of the drawing are not evaluated: run the job")
+        if stated.cusp_order is not None:
+            remarks.append("cusp_order is not evaluated, it hardly varies: run the job")
+        return tuple(remarks)
 
     @property
     def count(self) -> int:
