@@ -90,6 +90,25 @@ def test_optics_of_a_measured_map(tmp_path):
     assert not (tmp_path / "none").exists()
 
 
+def test_optics_of_a_map_without_a_job(tmp_path, capsys):
+    """Astigmatism of a flat mirror, and a ripple whose first orders are J1(2 k a)²."""
+    from scipy.special import j0, jv
+
+    x = np.linspace(-2, 2, 401)
+    u, v = np.meshgrid(x, x)
+    z = np.where(np.hypot(u, v) <= 2, 20e-6 * np.sin(2 * np.pi * u / 0.1), np.nan)
+    tw.write_map(tw.HeightMap(x=x, y=x, z=z), tmp_path / "map.npz")
+    command = ["optics", str(tmp_path / "map.npz"), "--out", str(tmp_path / "light")]
+    assert main(command) == 2
+    assert "--wavelength" in capsys.readouterr().err
+    assert main([*command, "--wavelength", "633 nm"]) == 0
+    numbers = json.loads((tmp_path / "light" / "result.json").read_text())["optics"]
+    depth = 4 * math.pi * 20e-6 / 633e-6
+    assert numbers["strehl"] == pytest.approx(j0(depth) ** 2, rel=2e-3)
+    assert numbers["orders"][0]["efficiency"] == pytest.approx(jv(1, depth) ** 2, rel=2e-3)
+    assert main([*command, "--job", str(tmp_path / "no.toml"), "--wavelength", "633 nm", "--force"]) == 2
+
+
 def test_optics_in_a_run_and_its_tolerance(tmp_path, capsys):
     """20 um/rev leaves 13 % in an order, far above 0.1 %."""
     job = tmp_path / "job.toml"

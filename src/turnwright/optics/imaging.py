@@ -83,6 +83,7 @@ class Wavefront:
     obscuration: float = 0.0
     specular: float = 1.0
     _path: PathMap = field(init=False, repr=False, compare=False)
+    _samples: tuple[Floats, Floats, Floats, Floats] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -96,6 +97,7 @@ class Wavefront:
         between(self.specular, "specular", 0.0, 1.0, "of the light")
         self.opd.require_calibrated()
         object.__setattr__(self, "_path", PathMap(self.opd))
+        object.__setattr__(self, "_samples", self._sample())
 
     @property
     def strehl(self) -> float:
@@ -207,8 +209,7 @@ class Wavefront:
         """Return the nodes along a chord."""
         return int(np.clip(per_step * max(self.opd.z.shape), *limits))
 
-    @property
-    def _samples(self) -> tuple[Floats, Floats, Floats, Floats]:
+    def _sample(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Points from the centre, path differences and weights over the pupil. Each (n,) [mm, mm, mm, mm²]."""
         if self.opd.x is not None and self.opd.y is not None and max(self.opd.z.shape) > FINE_MAP:
             outer, inner = self._radii
