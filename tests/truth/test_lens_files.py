@@ -610,3 +610,17 @@ def test_a_glass_has_its_side_by_its_thickness(tmp_path):
     assert [(lens.side(number).side, lens.side(number).toward) for number in (3, 4)] == [("after", 1), ("before", -1)]
     with pytest.raises(tw.InputError, match="not certain"):
         lens.side(5)
+
+
+@pytest.mark.parametrize(
+    "commands",
+    [
+        ["S 0 20 NBK7", "S 0 -2 REFL; ADE 45; DAR", "S 0 -20 REFL; YDE -20; ADE -45; DAR", "S 0 -10"],
+        ["S 0 20 NBK7", "S 0 -2 REFL; ADE 45; DAR", "S 0 -10"],
+        ["S 0 20 NBK7", "S -90 -20 REFL; ADE 10; BDE -60", "S 0 -10 REFL; ADE -45; BDE 60; BEN"],
+    ],
+)
+def test_a_thickness_across_the_light_tells_no_side(tmp_path, commands):
+    lens = seq(tmp_path, *commands)
+    with pytest.raises(tw.InputError, match="not certain"):
+        lens.side(3)

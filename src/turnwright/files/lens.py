@@ -68,6 +68,9 @@ NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
 RIGHT_ANGLE_TOL = 0.1
 """Cosine of a tilt below which the light may go on to either side; glass and fields bend it by some degrees."""
 
+SMALL_TURN = math.cos(math.radians(30.0))
+"""Cosine of the largest turn of a frame through which the sign of a thickness still tells where the glass is."""
+
 UNKNOWN = np.full((3, 3), math.nan)
 UNKNOWN.flags.writeable = False
 """Rotation of a frame that is not known."""
@@ -509,9 +512,9 @@ class Row:
         self.enter, self.leave, self.returns = UNKNOWN, UNKNOWN, None
 
 
-def toward(along: Floats) -> int:
-    """Return the side of a surface to which a direction goes by its cosine to z; 0 near a right angle, or for nan."""
-    return int(np.sign(along)) if abs(along) >= RIGHT_ANGLE_TOL else 0
+def toward(along: Floats, least: float = RIGHT_ANGLE_TOL) -> int:
+    """Return the side of a surface to which a direction goes by its cosine to z; 0 below the ``least``, or for nan."""
+    return int(np.sign(along)) if abs(along) >= least else 0
 
 
 @dataclass(slots=True)
@@ -529,20 +532,26 @@ class _Light:
     bends: bool = False
     frames: list[Floats] = field(default_factory=list)
 
+    @property
+    def runs_across(self) -> bool:
+        """Whether the axial ray is known to be near a right angle to z, where the sign of a thickness tells nothing."""
+        return bool(abs(self.ray @ self.frame[:, 2]) < RIGHT_ANGLE_TOL)
+
     def arrive(self, row: Row) -> int:
-        """Return the direction at the next surface of something that goes to +z at the last one; set ``heading``."""
+        """Return the sign at the next surface of a direction that is along z at the last one; set ``heading``."""
         frame = self.frame @ row.enter if row.returns is None else self.frames[row.returns]
-        direction = toward(row.enter[2, 2] if row.returns is None else self.frame[:, 2] @ frame[:, 2])
+        cosine = row.enter[2, 2] if row.returns is None else self.frame[:, 2] @ frame[:, 2]
+        direction = toward(cosine)
         self.is_tilted |= row.is_decentred or not np.array_equal(frame, self.frame)
         self.frame = frame
         self.frames.append(frame)
         along = toward(self.ray @ frame[:, 2])
         is_exact = not (self.is_tilted and self.bends)
         self.heading = along if is_exact or along == direction * self.heading else 0
-        return direction
+        return toward(cosine, SMALL_TURN)
 
-    def leave(self, row: Row, *, bends: bool) -> int:
-        """Return the direction in the frame of the thickness of something that goes to +z at its surface."""
+    def leave(self, row: Row, *, bends: bool) -> None:
+        """Go on from a surface, in the frame of its thickness."""
         normal = self.frame[:, 2]
         if row.is_mirror:
             self.ray = self.ray - 2 * (self.ray @ normal) * normal
@@ -551,10 +560,8 @@ class _Light:
             self.ray = self.ray * math.nan
         self.bends |= bends
         self.frame = self.frame @ row.leave
-        direction = toward(row.leave[2, 2])
-        self.heading *= direction
+        self.heading *= toward(row.leave[2, 2])
         self.is_tilted |= not np.array_equal(self.frame, self.frames[-1])
-        return direction
 
 
 def finish(rows: Iterable[Row], scale: float, build: Callable[[Row], Surface]) -> tuple[LensSurface, ...]:
@@ -573,12 +580,13 @@ def finish(rows: Iterable[Row], scale: float, build: Callable[[Row], Surface]) -
             except ArithmeticError:
                 row.refuse("has a number that is too large or too small to compute with: correct the file")
         before_toward *= light.arrive(row)
-        heading = light.heading
+        heading, runs_across = light.heading, light.runs_across
         if not (row.is_mirror or row.passes):
             medium = row.glass
         is_flat = isinstance(shape, Plane) and row.phase is None
-        direction = light.leave(row, bends=medium != before or (row.is_mirror and not is_flat))
-        onward = int(np.sign(row.thickness))
+        light.leave(row, bends=medium != before or (row.is_mirror and not is_flat))
+        onward = int(np.sign(row.thickness)) * (not light.runs_across)
+        toward_after = onward * toward(row.leave[2, 2], SMALL_TURN)
         surfaces.append(
             LensSurface(
                 number=row.number, type=row.type, comment=row.comment,
@@ -586,11 +594,11 @@ def finish(rows: Iterable[Row], scale: float, build: Callable[[Row], Surface]) -
                 thickness=math.inf if abs(row.thickness) >= INFINITE_THICKNESS else row.thickness * scale,
                 before=before, after="mirror substrate" if row.is_mirror else medium,
                 index=row.index, is_mirror=row.is_mirror, is_stop=row.is_stop, aperture=aperture, heading=heading,
-                toward_before=before_toward if before else 0,
-                toward_after=onward * direction if medium and not row.is_mirror else 0,
+                toward_before=before_toward if before and not runs_across else 0,
+                toward_after=toward_after if medium and not (row.is_mirror or runs_across) else 0,
                 semi_diameter=None if row.semi_diameter is None else row.semi_diameter * scale,
                 limit=row.limit, phase=row.phase, fault=row.fault, shape=None if row.fault else shape,
             )
         )  # fmt: skip
-        before_toward = -onward * abs(direction)
+        before_toward = -onward if np.isfinite(row.leave).all() else 0
     return tuple(surfaces)
