@@ -147,7 +147,7 @@ CODE_V_WORDS = {
     "K on a sphere": ("K -1", "SPH"),
     "CUF": ("ASP; CUF 0.1", "CUF"),
     "two values": ("CON; K 1 2", "'1 2'"),
-    "ellipse": ("ELX 3; ELY 2", "ellipse"),
+    "ellipse": ("ELX 3; ELY 2", "ELX, ELY"),
     "zoom": ("ZOO 2; ZOO CUY S1 1 2", "ZOO"),
 }
 

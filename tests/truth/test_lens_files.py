@@ -354,6 +354,36 @@ def test_aperture_of_code_v_off_the_axis(tmp_path):
     assert lens.surface(2).semi_diameter == 3.0
 
 
+@pytest.mark.parametrize(
+    ("commands", "outline"),
+    [
+        ("CIR L'a' 9; CIR OBS L'b' 2; ADY L'b' 3", None),
+        ("CIR L'a' 9; ADY L'a' 3", tw.Outline(disc=9.0, centre=(0.0, 3.0))),
+        ("CIR 9; CIR EDG 12; ADX EDG 1; CIR OBS 2; ADX 0", None),
+        ("CIR 9; CIR HOL 2", tw.Outline(annulus=(9.0, 2.0))),
+        ("CIR 9; CIR HOL 2; ADX 1; ADX HOL 1", tw.Outline(annulus=(9.0, 2.0), centre=(1.0, 0.0))),
+        ("REX EDG 5; REY EDG 4; ADX EDG 1", tw.Outline(rectangle=(10.0, 8.0), centre=(1.0, 0.0))),
+    ],
+)
+def test_an_aperture_of_code_v_has_its_own_words(tmp_path, commands, outline):
+    one = seq(tmp_path, "S 50 5 NBK7", *commands.split(";")).surface(1)
+    assert (one.fault, one.aperture) == ("", outline)
+    assert outline is None or outline.disc is None or one.semi_diameter == 9.0
+
+
+@pytest.mark.parametrize(
+    "commands",
+    [
+        "CIR 9; CIR HOL 2; ADX HOL 1", "CIR 9; CIR HOL 2; ADX 1", "CIR 9; REX HOL 2; REY HOL 2",
+        "CIR 9; ELX HOL 2; ELY HOL 2", "REX 5; REY 4; CIR HOL 1", "REX EDG 5; REY EDG 4; ARO EDG 30", "CIR HOL 1",
+        "CIR L'a' 9; CIR L'b' 4", "CIR L'a' 9; ADX L'b' 1", "CIR L'a' 9; ADX 1", "CIR EDG 9; ADX 1", "REX 5", "ADX 1",
+        "CIR 9; REX 5; REY 4", "CIR 9; CIR HOL L'a' 1; CIR HOL L'b' 2",
+    ],
+)  # fmt: skip
+def test_an_aperture_of_several_words_is_refused(tmp_path, commands):
+    assert "its aperture of" in seq(tmp_path, "S 50 5 NBK7", *commands.split(";")).surface(1).fault
+
+
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-le", "utf-16-be", "latin-1"])
 def test_encodings_of_zemax_give_the_same_lens(tmp_path, encoding):
     lens = zmx(tmp_path, [*block("EVENASPH", EVEN), "COMM Ø 5 mm"], unit="CM", encoding=encoding)

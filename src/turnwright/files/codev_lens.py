@@ -68,6 +68,9 @@ SOLVES = frozenset(_SOLVES.split())
 QUALIFIER = re.compile(r"(?i)s(?:\d|['\"]|[aois](?:$|\.\.|[-+]\d))")
 """Beginning of a word that names surfaces: S3, S1..4, SA for all, SO, SI, SS for the stop, or S'label'."""
 
+LABEL = re.compile("L['\"]")
+"""Beginning of the label of one of several apertures, in capitals."""
+
 MAX_COMMAND = 100_000
 """Characters of a command over all its lines."""
 
@@ -88,7 +91,7 @@ class _Words(Row):
     powers: dict[int, float] = field(default_factory=dict)
     special: dict[str, float] = field(default_factory=dict)
     tilts: dict[str, float] = field(default_factory=dict)
-    clear: dict[str, float] = field(default_factory=dict)
+    clear: dict[frozenset[str], dict[str, float]] = field(default_factory=dict)  # words of each aperture
     scale: float = 1.0
 
 
@@ -415,15 +418,15 @@ def _place(row: _Words, rows: list[_Words]) -> None:
 
 
 def _aperture(row: _Words, word: str, values: list[str]) -> None:
-    """Read an aperture: EDG is the edge of the lens, OBS an obscuration, HOL a hole; a label is ignored."""
-    kinds = [value.upper() for value in values[:-1] if not re.match("(?i)l['\"]", value)]
+    """Read a word of an aperture: EDG is the edge of the lens, OBS an obscuration, HOL a hole; labels name others."""
+    kinds = frozenset(value.upper() for value in values[:-1]) - {"CLR"}
+    words = row.clear.setdefault(kinds, {})
     if "OBS" in kinds:
         return
-    if unknown := set(kinds) - {"CLR", "EDG", "HOL"}:
+    if unknown := {kind for kind in kinds if not LABEL.match(kind)} - {"EDG", "HOL"}:
         raise InputError(f"its aperture {word} has the word {quote(unknown.pop())}, which is not read: correct it")
-    place, value = " ".join([*(kind for kind in kinds if kind != "CLR"), word]), to_number(values[-1], word)
-    if row.clear.setdefault(place, value) != value:
-        raise InputError(f"its aperture {place} is both {row.clear[place]:g} and {value:g}: state one")
+    if words.setdefault(word, value := to_number(values[-1], word)) != value:
+        raise InputError(f"its aperture {' '.join([word, *kinds])} is both {words[word]:g} and {value:g}: state one")
 
 
 SURFACE_COMMANDS: Mapping[str, Callable[[_Words, str, list[str]], None]] = {
@@ -505,22 +508,25 @@ def _one_of(named: dict[str, float], *names: str) -> float:
 
 def _outline(row: _Words) -> Outline | None:
     """Return the clear aperture where it is no disc on the axis; the edge of the lens where no other is stated."""
-    clear = {key: value * row.scale for key, value in row.clear.items()}
-    edge = "" if {"CIR", "REX", "REY", "ELX", "ELY"} & clear.keys() else "EDG "
-    if {f"{edge}ELX", f"{edge}ELY"} & clear.keys():
-        raise InputError("its aperture is an ellipse, an outline is a disc, an annulus or a rectangle: state another")
-    centre = clear.get(f"{edge}ADX", clear.get("ADX", 0.0)), clear.get(f"{edge}ADY", clear.get("ADY", 0.0))
-    disc = clear.get(f"{edge}CIR")
-    sides = [clear[key] for key in (f"{edge}REX", f"{edge}REY") if key in clear]
-    if sides:
-        if len(sides) != 2 or disc is not None:
-            raise InputError("its aperture combines a rectangle with another shape (CIR, REX, REY): state one")
-        if row.clear.get("ARO"):
-            raise InputError("its aperture is rotated (ARO), which is not read: state an outline in the job")
-        return Outline(rectangle=(2 * sides[0], 2 * sides[1]), centre=centre)
-    if disc is None:
+    obscured = {"OBS"}.union(*(kinds for kinds in row.clear if "OBS" in kinds))
+    stated = [
+        (kinds & {"EDG", "HOL"}, {word: value * row.scale for word, value in words.items() if value})
+        for kinds, words in row.clear.items()
+        if any(words.values()) and not kinds & obscured
+    ]
+    holes = [words for kinds, words in stated if "HOL" in kinds]
+    shapes = [words for kinds, words in stated if not kinds] or [words for kinds, words in stated if kinds == {"EDG"}]
+    if not shapes and not holes:
         return None
+    places = [(words.pop("ADX", 0.0), words.pop("ADY", 0.0)) for words in (*shapes, *holes)]
+    kinds = [words.keys() for words in (*shapes, *holes)]
+    if shapes and kinds == [{"REX", "REY"}]:
+        return Outline(rectangle=(2 * shapes[0]["REX"], 2 * shapes[0]["REY"]), centre=places[0])
+    if len(shapes) != 1 or kinds not in ([{"CIR"}], [{"CIR"}, {"CIR"}]) or places != places[:1] * len(places):
+        named = ", ".join(sorted({word for words in row.clear.values() for word in words}))
+        raise InputError(f"its aperture of {named} is no disc, annulus or upright rectangle, which are read: change it")
+    disc = shapes[0]["CIR"]
     row.semi_diameter = disc / row.scale
-    if "HOL CIR" in clear:
-        return Outline(annulus=(disc, clear["HOL CIR"]), centre=centre)
-    return Outline(disc=disc, centre=centre) if any(centre) else None
+    if holes:
+        return Outline(annulus=(disc, holes[0]["CIR"]), centre=places[0])
+    return Outline(disc=disc, centre=places[0]) if any(places[0]) else None
