@@ -654,3 +654,46 @@ def test_a_thickness_across_the_light_tells_no_side(tmp_path, commands):
     lens = seq(tmp_path, *commands)
     with pytest.raises(tw.InputError, match="not certain"):
         lens.side(3)
+
+
+@pytest.mark.parametrize("line", ["CURV 0.1", "CONI 1", "DIAM 4", "TYPE EVENASPH", "GLAS MIRROR", "DISZ 9", "SQAP 1 2"])
+def test_a_word_that_stands_twice_is_refused(tmp_path, line):
+    lines = [*block("STANDARD"), "SQAP 2 2", line]
+    assert f"{line[:4]} is stated twice" in zmx(tmp_path, lines).surface(1).fault
+
+
+def test_mirrors_are_known_in_either_case_and_program(tmp_path):
+    assert zmx(tmp_path, sphere(-50.0, -5.0, "Mirror")).surface(1).is_mirror
+    lens = seq(tmp_path, "S -50 -5 MIRROR", "S 50 5; RMD REFL; GLA NBK7", "S 50 5 REFL; RMD REFR")
+    assert lens.surface(1).is_mirror
+    assert "reflect" in lens.surface(2).fault
+    assert "reflect" in lens.surface(3).fault
+
+
+def test_a_qualifier_may_follow_another_word(tmp_path):
+    lens = seq(tmp_path, *QUALIFIED, "CIR EDG S1 4")
+    assert [one.semi_diameter for one in lens.surfaces[1:3]] == [4.0, None]
+    for command in ("ZOO CIR EDG S1 3 4", "ZOO CIR L'a' S1 5 6", "ZOO THI S1 4 -4"):
+        lens = seq(tmp_path, *QUALIFIED, command)
+        assert [bool(one.fault) for one in lens.surfaces[1:3]] == [True, False]
+    assert not seq(tmp_path, *QUALIFIED, "ZOO THI S1 4 3").surface(1).fault
+
+
+def test_two_names_of_one_coefficient_must_agree(tmp_path):
+    lens = seq(tmp_path, "S 50 5 NBK7", "SPS ODD; SCO AR3 1e-3; SCO C4 2e-3")
+    assert "'C4' has another value" in lens.surface(1).fault
+
+
+def test_an_unknown_word_below_the_last_surface_is_refused(tmp_path):
+    path = write_zmx(tmp_path / "lens.zmx", block("STANDARD"))
+    text = path.read_text()
+    path.write_text("\n".join(line.strip() for line in text.splitlines()) + "\nTWST 1\n")
+    assert "'TWST'" in read_lens(path).surface(2).fault
+    path.write_text(text + "EFFL 1\n")
+    assert "'EFFL'" not in read_lens(path).surface(2).fault
+
+
+def test_a_thickness_that_changes_its_sign_is_refused(tmp_path):
+    path = write_zmx(tmp_path / "lens.zmx", sphere(50.0, 3.0, "N-BK7"), sphere(50.0, 3.0, ""))
+    path.write_text(path.read_text() + "MNUM 2 1\nTHIC 1 1 3 0\nTHIC 1 2 -3 0\n")
+    assert [bool(one.fault) for one in read_lens(path).surfaces] == [False, True, False, False]

@@ -199,11 +199,10 @@ class _Lens:
         return self.rows[first : last + 1]
 
     def qualified(self, command: str, values: list[str], keep: int = 0) -> tuple[list[list[_Words]], list[str]]:
-        """Return the surfaces that the qualifiers before the values name, and the values, at least ``keep`` of them."""
-        count = 0
-        while count < len(values) - keep and QUALIFIER.match(values[count]):
-            count += 1
-        return [self.named(word, command) for word in values[:count]], values[count:]
+        """Return the surfaces that qualifiers name, and the other values, of which the last ``keep`` are none."""
+        words, kept = values[: len(values) - keep], values[len(values) - keep :]
+        names = [word for word in words if QUALIFIER.match(word)]
+        return [self.named(word, command) for word in names], [word for word in words if word not in names] + kept
 
     def finish(self) -> LensFile:
         """Return the lens."""
@@ -259,14 +258,16 @@ def _reference(lens: _Lens, values: list[str]) -> None:
 def _zoom(lens: _Lens, values: list[str]) -> None:
     """Refuse a surface whose shape differs between zoom positions."""
     word = values[0].upper()
-    if word == "THI" or word in HARMLESS:
+    if word in HARMLESS:
         return
-    groups, _ = lens.qualified("ZOO", values[1:])
+    groups, values = lens.qualified("ZOO", values)
+    if word == "THI" and len({value.startswith("-") for value in values[1:]}) < 2:
+        return
     if not groups and word in SURFACE_COMMANDS:
         groups = [lens.rows[-1:]]
     for row in itertools.chain(*groups):
         refuse = row.refuse if word in SHAPES else row.doubt
-        refuse(f"differs between zoom positions (ZOO {values[0]}): save one of them")
+        refuse(f"differs between zoom positions (ZOO {word}): save one of them")
 
 
 LENS_COMMANDS: Mapping[str, Callable[[_Lens, list[str]], None]] = {
@@ -301,7 +302,7 @@ def _read_value(row: _Words, word: str, values: list[str]) -> None:
 def _glass(row: _Words, word: str) -> None:
     """Read a glass: a name, REFL, AIR, or a number such as 517000.520000 for n = 1.517 and V = 52."""
     word = plain_text(word)
-    row.is_mirror = word.upper() == "REFL"
+    row.is_mirror = word.upper() in ("REFL", "MIRROR")
     if model := re.fullmatch(r"(\d{3,})\.(\d+)|(\d\.\d+)(?::[\d.]+)?", word):
         row.index = float(model[3] or f"1.{model[1]}")
     row.glass = "" if row.is_mirror or word.upper() == "AIR" else word
@@ -368,10 +369,13 @@ def _state(row: _Words, word: str, values: list[str]) -> None:
     """Read a glass, or whether the surface reflects; total internal reflection is one."""
     if len(values) != 1 or (word == "RMD" and values[0].upper() not in ("REFR", "REFL", "TIR")):
         raise InputError(f"{word} has the values {quote(' '.join(values))}, which are not read: correct the file")
+    reflects = row.is_mirror
     if word == "GLA":
         _glass(row, values[0])
     else:
         row.is_mirror = values[0].upper() != "REFR"
+    if reflects and not row.is_mirror:
+        raise InputError(f"{word} is {quote(values[0])} after words that make it reflect: state the glass, then RMD")
 
 
 def _conic(row: _Words, word: str, values: list[str]) -> None:
@@ -477,14 +481,15 @@ def _special(row: _Words, radius: float) -> Surface:
     norm = (_one_of(named, "NRADIUS", norm_name) or 1.0) * row.scale
     if norm <= 0:
         raise InputError(f"its normalisation radius is {norm:g} mm, it must be above 0: correct the file")
-    terms: dict[int, float] = {}
+    stated: dict[int, float] = {}
     for name, value in named.items():
         match = re.fullmatch(r"(C|AR)(\d{1,2})", name)
         place = int(match[2]) + (match[1] == "AR") if match and (match[1] == "C" or row.type == "SPS ODD") else 0
         if not least <= place <= most and value:
             raise InputError(f"its coefficient {quote(name)} is not read, known are C{least} to C{most}: remove it")
-        if value:
-            terms[place] = value * row.scale
+        if stated.setdefault(place, value) != value:
+            raise InputError(f"its coefficient {quote(name)} has another value under its other name: remove one")
+    terms = {place: value * row.scale for place, value in stated.items() if value}
     if row.type == "SPS ODD":
         return radial(radius, conic, {place - 1: value / norm ** (place - 1) for place, value in terms.items()})
     base = radial(radius, conic, {})

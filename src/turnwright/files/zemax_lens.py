@@ -73,6 +73,9 @@ BELOW = frozenset(("TOL", "MNUM", "MOFF"))
 """Words that begin what stands below the surfaces."""
 
 CLEAR = ("CLAP", "SQAP", "ELAP", "UDAP", "UDAD", "USAP")
+ONCE = frozenset(("TYPE", "CURV", "CONI", "DIAM", "DISZ", "GLAS", "GDAT", "OBDC", *CLEAR))
+"""Words that a surface states once."""
+
 OBSCURED = ("OBSC", "SQOB", "ELOB")
 
 
@@ -83,6 +86,7 @@ class _Words(Row):
     values: dict[int, float] = field(default_factory=dict)
     read: set[int] = field(default_factory=set)
     clear: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    stated: dict[str, list[str]] = field(default_factory=dict)  # values of words that stand once
     grid: list[float] = field(default_factory=list)
     heights: dict[int, tuple[float, ...]] = field(default_factory=dict)
     scale: float = 1.0
@@ -345,6 +349,7 @@ class _Lens:
     primary: int = 1
     configurations: int = 1
     stray: str = ""
+    is_flat: bool = False  # whether the words of a surface are not indented
     rows: list[_Words] = field(default_factory=list)
 
     def read(self, word: str, values: list[str], line: str) -> None:
@@ -373,9 +378,10 @@ class _Lens:
         """Read a line below the surfaces: merit function, tolerances, and configurations that change a surface."""
         if word == "MNUM" and values:
             self.configurations = int(to_number(values[0], "MNUM"))
-        elif self.configurations > 1 and word not in OPERANDS:
+        elif self.configurations > 1:
             for row in self.rows[1:]:
-                if values[:1] == [str(row.number)]:
+                is_turned = word == "THIC" and row.thickness * to_number((*values, "", "", "")[2], word) < 0
+                if values[:1] == [str(row.number)] and (is_turned or word not in OPERANDS):
                     refuse = row.refuse if word in SHAPES else row.doubt
                     refuse(f"differs between the {self.configurations} configurations ({word}): save one of them")
 
@@ -385,6 +391,8 @@ class _Lens:
             raise InputError(f"{self.path} has no surface (SURF): it is not a Zemax lens file")
         if not self.unit:
             raise InputError(f"{self.path} states no UNIT, known are {', '.join(UNITS)}: add the line")
+        if self.stray and self.is_flat:
+            _read_word(self.rows[-1], self.stray, [], "")
         scale = to_mm(self.unit, f"{self.path} has the unit")
         for row in self.rows:
             row.scale = scale
@@ -416,6 +424,7 @@ def read(path: Path, text: str) -> LensFile:
         elif is_below:
             lens.read_below(word, values)
         elif word and (line[0] in " \t" or word in SURFACE_WORDS or word in HARMLESS):
+            lens.is_flat |= word in SURFACE_WORDS and line[0] not in " \t"
             _read_word(lens.rows[-1], word, values, line)
         else:
             lens.stray = lens.stray or word
@@ -470,11 +479,13 @@ def _read_word(row: _Words, word: str, values: list[str], line: str) -> None:
     if word not in SURFACE_WORDS:
         row.doubt(f"has the word {quote(word)}, which is not read: remove it if it does not change the shape")
         return
+    refuse = row.doubt if word in ("TYPE", "PARM", "DISZ", "GLAS") else row.refuse
     try:
         SURFACE_WORDS[word](row, values or [""], line)
     except InputError as error:
-        refuse = row.doubt if word in ("TYPE", "PARM", "DISZ", "GLAS") else row.refuse
         refuse(f"cannot be read: {error}")
+    if word in ONCE and row.stated.setdefault(word, values) != values:
+        refuse(f"cannot be read: {word} is stated twice with different values: remove one")
 
 
 def _number(name: str) -> Callable[[_Words, list[str], str], None]:
@@ -516,7 +527,7 @@ def _parameter(row: _Words, values: list[str], line: str) -> None:
 def _glass(row: _Words, values: list[str], _line: str) -> None:
     """Read a glass; the index is that of a model glass, for others it is a default."""
     name = values[0]
-    row.is_mirror = name == "MIRROR"
+    row.is_mirror = name.upper() == "MIRROR"
     if (name == "___BLANK" or values[1:2] == ["1"]) and len(values) > 3:
         row.index = to_number(values[3], "the index of GLAS")
     row.glass = f"model glass n = {row.index:g}" if name == "___BLANK" and row.index else plain_text(name)
@@ -524,9 +535,7 @@ def _glass(row: _Words, values: list[str], _line: str) -> None:
 
 def _clear(row: _Words, values: list[str], line: str) -> None:
     word = line.split(maxsplit=1)[0]
-    numbers = tuple(to_number(value, word) for value in values)
-    if row.clear.setdefault(word, numbers) != numbers and word in ("CLAP", "SQAP", "OBDC"):
-        row.refuse(f"has the aperture {word} twice, with different values: remove one")
+    row.clear[word] = tuple(to_number(value, word) for value in values)
 
 
 def _grid_size(row: _Words, values: list[str], _line: str) -> None:
