@@ -697,3 +697,32 @@ def test_a_thickness_that_changes_its_sign_is_refused(tmp_path):
     path = write_zmx(tmp_path / "lens.zmx", sphere(50.0, 3.0, "N-BK7"), sphere(50.0, 3.0, ""))
     path.write_text(path.read_text() + "MNUM 2 1\nTHIC 1 1 3 0\nTHIC 1 2 -3 0\n")
     assert [bool(one.fault) for one in read_lens(path).surfaces] == [False, True, False, False]
+
+
+PARABOLA = ["TYPE STANDARD", "CURV -0.005", "CONI -1", "GLAS MIRROR"]
+
+
+@pytest.mark.parametrize(
+    "surfaces",
+    [
+        [
+            sphere(0, 100.0, ""),
+            coordinate_break(shift=346.41),
+            [*PARABOLA, "DISZ 0"],
+            coordinate_break(60, thickness=50),
+        ],
+        [["TYPE STANDARD", "CURV -0.5", "CONI -1", "GLAS MIRROR", "DISZ 200", "CLAP 60 70"]],
+        [[*PARABOLA, "DISZ 200"]],
+        [[*PARABOLA, "DISZ -100", "CLAP 0 20", "OBDC 0 346"]],
+        [[*PARABOLA, "DISZ -100", "CLAP 340 350"]],
+    ],
+)
+def test_a_steep_mirror_may_not_turn_the_light_back(tmp_path, surfaces):
+    """Where the slope is above 1, the ray goes on to the same side: 2 slope angles from where it came."""
+    with pytest.raises(tw.InputError, match="not certain"):
+        zmx(tmp_path, *surfaces, MIRROR).side(len(surfaces) + 1)
+
+
+@pytest.mark.parametrize("aperture", ["DIAM 180", "CLAP 20 150", "SQAP 150 150"])
+def test_a_mirror_below_45_degrees_turns_the_light_back(tmp_path, aperture):
+    assert zmx(tmp_path, [*PARABOLA, "DISZ -100", aperture], MIRROR).side(2).toward == -1

@@ -523,6 +523,7 @@ class _Light:
 
     While the light meets flat mirrors only, the axial ray is exact. Where a lens has tilts or decentres and curved
     surfaces or glass, the light leaves it; then it must agree with light that arrives along the axis at every tilt.
+    A curved mirror that is used where it is steep turns the light to another side than the axial ray.
     """
 
     frame: Floats = field(default_factory=partial(np.eye, 3))
@@ -530,6 +531,7 @@ class _Light:
     heading: int = 1
     is_tilted: bool = False
     bends: bool = False
+    is_doubtful: bool = False  # whether the next thickness must confirm the direction
     frames: list[Floats] = field(default_factory=list)
 
     @property
@@ -561,7 +563,23 @@ class _Light:
         self.bends |= bends
         self.frame = self.frame @ row.leave
         self.heading *= toward(row.leave[2, 2])
+        self.is_doubtful |= row.is_mirror and bends
+        if self.is_doubtful and row.thickness:
+            self.is_doubtful = False
+            if self.heading == -np.sign(row.thickness):
+                self.ray, self.heading = self.ray * math.nan, 0
         self.is_tilted |= not np.array_equal(self.frame, self.frames[-1])
+
+
+def _is_steep(surface: Surface, outline: Outline | None) -> bool:
+    """Whether a mirror that is used off its axis turns the light there to another side than at its vertex."""
+    if outline is None:
+        return False
+    x, y = outline.centre
+    middle, angle = (outline.nearest + outline.reach) / 2, math.atan2(y, x)
+    with np.errstate(all="ignore"):
+        _, *slopes = surface.evaluate(np.array([middle * math.cos(angle)]), np.array([middle * math.sin(angle)]), 1)
+    return not np.hypot(*slopes) <= 1.0  # nan beyond its edge
 
 
 def finish(rows: Iterable[Row], scale: float, build: Callable[[Row], Surface]) -> tuple[LensSurface, ...]:
@@ -584,6 +602,7 @@ def finish(rows: Iterable[Row], scale: float, build: Callable[[Row], Surface]) -
         if not (row.is_mirror or row.passes):
             medium = row.glass
         is_flat = isinstance(shape, Plane) and row.phase is None
+        row.scatters |= row.is_mirror and shape is not None and _is_steep(shape, aperture)
         light.leave(row, bends=medium != before or (row.is_mirror and not is_flat))
         onward = int(np.sign(row.thickness)) * (not light.runs_across)
         toward_after = onward * toward(row.leave[2, 2], SMALL_TURN)
