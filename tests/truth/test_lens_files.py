@@ -726,3 +726,9 @@ def test_a_steep_mirror_may_not_turn_the_light_back(tmp_path, surfaces):
 @pytest.mark.parametrize("aperture", ["DIAM 180", "CLAP 20 150", "SQAP 150 150"])
 def test_a_mirror_below_45_degrees_turns_the_light_back(tmp_path, aperture):
     assert zmx(tmp_path, [*PARABOLA, "DISZ -100", aperture], MIRROR).side(2).toward == -1
+
+
+def test_words_of_output_change_no_surface(tmp_path):
+    lens = seq(tmp_path, "CA YES; UID 'a'", "S 50 5 NBK7; IC YES", "S 50 5", "S -90 -50 REFL", "SUR SA; LIS SA")
+    assert lens.side(3).toward == 1
+    assert not any(one.fault for one in lens.surfaces)

@@ -46,12 +46,13 @@ UNITS = {"M": "mm", "MM": "mm", "C": "cm", "CM": "cm", "I": "in", "IN": "in"}
 _SYSTEM = """
     LEN EPD FNO NA NAO WTW TEM PRE INI XAN YAN XIM YIM XOB YOB XRI YRI WTF VUX VLX VUY VLY DOR WID CWL PUI PUX PUY
     AFI TEL RAY PFR PTP DDM SSI POL GO CAN RED END CLS DER PIK
+    CA UID SUR LIS
 """
 SYSTEM = frozenset(_SYSTEM.split())
 """Commands that change no surface: apertures, fields, weights."""
 
 _HARMLESS = """
-    CCY CCX THC KC AC BC CC DC EC FC GC HC JC XDC YDC ZDC ADC BDC CDC SCC HCC GLC INC GC1 GC2 COA MLT THM CUM TCE PIM
+    CCY CCX THC KC AC BC CC DC EC FC GC HC JC XDC YDC ZDC ADC BDC CDC SCC HCC GLC INC GC1 GC2 COA MLT THM CUM TCE PIM IC
 """
 HARMLESS = frozenset(_HARMLESS.split())
 """Commands of a surface that change neither its shape nor its frame: coupling of variables, coatings, solves."""
@@ -200,9 +201,9 @@ class _Lens:
 
     def qualified(self, command: str, values: list[str], keep: int = 0) -> tuple[list[list[_Words]], list[str]]:
         """Return the surfaces that qualifiers name, and the other values, of which the last ``keep`` are none."""
-        words, kept = values[: len(values) - keep], values[len(values) - keep :]
+        words, others = values[: len(values) - keep], values[len(values) - keep :]
         names = [word for word in words if QUALIFIER.match(word)]
-        return [self.named(word, command) for word in names], [word for word in words if word not in names] + kept
+        return [self.named(word, command) for word in names], [word for word in words if word not in names] + others
 
     def finish(self) -> LensFile:
         """Return the lens."""
