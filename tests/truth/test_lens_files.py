@@ -732,3 +732,8 @@ def test_words_of_output_change_no_surface(tmp_path):
     lens = seq(tmp_path, "CA YES; UID 'a'", "S 50 5 NBK7; IC YES", "S 50 5", "S -90 -50 REFL", "SUR SA; LIS SA")
     assert lens.side(3).toward == 1
     assert not any(one.fault for one in lens.surfaces)
+
+
+def test_a_small_table_of_heights_is_named(tmp_path):
+    assert "GRID_SAG" in zmx(tmp_path, grid_block(columns=5)[0]).surface(1).fault
+    assert not zmx(tmp_path, grid_block(columns=6, rows=6)[0]).surface(1).fault

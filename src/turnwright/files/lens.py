@@ -318,7 +318,7 @@ class LensFile(Compared):
             if toward:
                 raise InputError(
                     f"surface {number} has its {named[side]} toward {'+z' if stated > 0 else '-z'} by the sign of its "
-                    f"thickness and toward {'+z' if toward > 0 else '-z'} by the light that arrives: state side='+z' or "
+                    f"thickness and toward {'+z' if toward > 0 else '-z'} by the light: state side='+z' or "
                     "side='-z', where the part is"
                 )
             toward = stated

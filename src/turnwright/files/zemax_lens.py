@@ -261,6 +261,10 @@ def _grid(row: _Words) -> Surface:
     scale = to_mm(("mm", "cm", "in", "m")[int(unit)], "the unit of a grid")
     points = [row.heights[place] for place in sorted(row.heights)]
     z = np.array([math.nan if point[4:] == (1.0,) else point[0] for point in points]) * scale
+    if min(columns, rows) < 6:
+        raise InputError(
+            f"its table GRID_SAG has {columns:g} x {rows:g} heights, the spline needs 6 x 6: make it finer"
+        )
     if any(any(point[1:4]) for point in points):
         raise InputError("its grid states slopes, which the spline of Turnwright does not take: set them to 0")
     x, y = (
