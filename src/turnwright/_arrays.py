@@ -6,6 +6,7 @@ import copyreg
 import dataclasses
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
@@ -156,6 +157,16 @@ def only_read(values: Floats) -> Floats:
     view = np.ascontiguousarray(values).view()
     view.flags.writeable = False
     return view
+
+
+@lru_cache(maxsize=256)
+def gauss_rule(count: int) -> tuple[Floats, Floats]:
+    """Return nodes and weights of Gauss's rule on [-1, 1]. Each (n,).
+
+    Its eigenvalues cost more than most of the integrals that it serves.
+    """
+    node, weight = np.polynomial.legendre.leggauss(count)
+    return only_read(node), only_read(weight)
 
 
 def same_length(arrays: Iterable[tuple[str, Floats]]) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from turnwright._arrays import Floats, frozen
+from turnwright._arrays import Floats, frozen, gauss_rule
 from turnwright._tables import TableModel
 from turnwright._validate import between, check_angle, check_numbers, positive, whole_number
 from turnwright.cutting.chip import OrthogonalChip, RoundChip
@@ -141,7 +141,7 @@ def _with_uncertainty(material: Material, axial: float, feed: float, cutting: fl
 
 
 def _gauss_legendre(first: float, last: float, nodes: int = EDGE_NODES) -> tuple[Floats, Floats]:
-    x, weight = np.polynomial.legendre.leggauss(nodes)
+    x, weight = gauss_rule(nodes)
     half = (last - first) / 2
     return (first + last) / 2 + half * x, half * weight
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from turnwright._arrays import Floats
+from turnwright._arrays import Floats, gauss_rule
 from turnwright._validate import finite, positive
 from turnwright.errors import DomainError
 from turnwright.heightmap import HeightMap
@@ -105,7 +105,7 @@ def _surface(lens: Surface | HeightMap, x: Floats, y: Floats) -> Surface:
 
 def _disc(radius: float) -> tuple[Floats, Floats, Floats]:
     """Return nodes and weights of a quadrature over a disc. Each (n,) [mm, mm, 1]."""
-    node, weight = np.polynomial.legendre.leggauss(RINGS)
+    node, weight = gauss_rule(RINGS)
     r, angle = radius * np.sqrt((node + 1) / 2), 2 * math.pi * np.arange(AZIMUTHS) / AZIMUTHS
     return (
         np.outer(r, np.cos(angle)).ravel(), np.outer(r, np.sin(angle)).ravel(),

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from turnwright._arrays import Floats, Ints, frozen
+from turnwright._arrays import Floats, Ints, frozen, gauss_rule
 from turnwright._validate import between, check_index, check_wavelength, finite, positive
 from turnwright.errors import InputError
 
@@ -158,7 +158,7 @@ def _parabola_order(phase: float, order: int) -> float:
     Fresnel integrals lose digits on shallow cusps; the quadrature does not.
     """
     panels = max(1, math.ceil((phase + math.pi * order) / PANEL_RAD))
-    node, weight = np.polynomial.legendre.leggauss(PANEL_NODES)
+    node, weight = gauss_rule(PANEL_NODES)
     t = (np.arange(panels)[:, None] + (node + 1) / 2) / (2 * panels)
     terms = np.exp(4j * phase * t * t) * np.cos(2 * math.pi * order * t) * weight
     return float(abs(terms.sum() / (2 * panels)) ** 2)

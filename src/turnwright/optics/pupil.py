@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import Bools, Complexes, Floats, frozen, is_even
+from turnwright._arrays import Bools, Complexes, Floats, frozen, gauss_rule, is_even
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.surface import Gridded
@@ -135,12 +135,12 @@ def pupil_nodes(radii: tuple[float, float], shift: float, count: int) -> Nodes:
         if math.hypot((low + high) / 2, shift / 2) >= outer:
             continue
         size = max(int(count * (high - low) / (2 * outer)), FEWEST_NODES)
-        node, weight = np.polynomial.legendre.leggauss(size)
+        node, weight = gauss_rule(size)
         angle = node * math.pi / 2
         across = (low + high) / 2 + (high - low) / 2 * np.sin(angle)
         along = weight * math.pi / 2 * (high - low) / 2 * np.cos(angle)
-        node, weight = np.polynomial.legendre.leggauss(count if inner == 0 else max(count // 2, FEWEST_NODES))
-        chord, gap = (np.sqrt(np.maximum(size * size - across * across, 0.0)) for size in radii)
+        node, weight = gauss_rule(count if inner == 0 else max(count // 2, FEWEST_NODES))
+        chord, gap = (np.sqrt(np.maximum(one * one - across * across, 0.0)) for one in radii)
         parts = [(-chord, chord)] if inner == 0 else [(-chord, -gap), (gap, chord)]
         for (low_1, high_1), (low_2, high_2) in product(parts, parts):
             start = np.maximum(low_1 - shift / 2, low_2 + shift / 2)
