@@ -29,6 +29,7 @@ __all__ = [
     "check_cumulative",
     "check_index",
     "check_numbers",
+    "check_obscuration",
     "check_wavelength",
     "finite",
     "finite_tuple",
@@ -173,6 +174,15 @@ def check_wavelength(wavelength: float) -> float:
     """Return a wavelength of light, from soft X-rays to submillimetre waves. [mm]."""
     positive(wavelength, "the wavelength", "mm")
     return between(wavelength, "the wavelength", SHORTEST_MM, LONGEST_MM, "mm")
+
+
+def check_obscuration(obscuration: float) -> float:
+    """Return the radius of a central obscuration over that of the pupil."""
+    if not 0 <= obscuration < 1:
+        raise InputError(
+            f"obscuration is {obscuration:g}, it must be 0 or more and below 1: give the ratio of the radii"
+        )
+    return obscuration
 
 
 def check_index(index: float) -> float:

@@ -19,7 +19,7 @@ from turnwright._arrays import Floats
 from turnwright._faults import faults as faults_of, sentences
 from turnwright._io import bytes_of, read_toml, write_atomic
 from turnwright._tables import adapter, read_by, types_of, write_table
-from turnwright._validate import check_index, check_numbers, check_wavelength
+from turnwright._validate import check_index, check_numbers, check_obscuration, check_wavelength
 from turnwright.chuck import Chuck
 from turnwright.diagnosis import ERROR_SOURCES
 from turnwright.errors import InputError, JobError
@@ -498,13 +498,10 @@ class OpticsTable(Table):
         check_numbers(self)
         try:
             check_wavelength(self.wavelength)
+            check_obscuration(self.obscuration)
             _ = None if self.index is None else check_index(self.index)
         except InputError as error:
             raise JobError(str(error)) from error
-        if not 0 <= self.obscuration < 1:
-            raise JobError(
-                f"obscuration must be 0 or more and below 1, got {self.obscuration:g}: give a ratio of radii"
-            )
         if self.inside and self.index is None:
             raise JobError("inside is true and there is no index, a mirror has no light inside: state the index")
 

@@ -1,7 +1,15 @@
 """What a surface does to light: wavefront, point spread, MTF, diffraction and scatter, by scalar theory."""
 
 from turnwright.optics.alvarez import alvarez_focal_length
-from turnwright.optics.imaging import PointSpread, Removed, Wavefront, incidence_angles, path_per_height, wavefront
+from turnwright.optics.imaging import (
+    Modulation,
+    PointSpread,
+    Removed,
+    Wavefront,
+    incidence_angles,
+    path_per_height,
+    wavefront,
+)
 from turnwright.optics.orders import (
     cusp_orders,
     order_angles,
@@ -9,7 +17,6 @@ from turnwright.optics.orders import (
     profile_orders,
     tis,
 )
-from turnwright.optics.pupil import Modulation
 from turnwright.optics.scattering import Order, Scatter, scatter
 
 __all__ = [

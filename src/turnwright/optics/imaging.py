@@ -10,15 +10,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, frozen
-from turnwright._validate import between, check_numbers, check_wavelength, finite_tuple, one_of, positive
+from turnwright._validate import (
+    between,
+    check_numbers,
+    check_obscuration,
+    check_wavelength,
+    finite_tuple,
+    one_of,
+    positive,
+)
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import ZernikeFit, fit_zernike
 from turnwright.optics.orders import path_factor
-from turnwright.optics.pupil import Modulation, PathMap, even_frequencies, phasors, pupil_nodes
+from turnwright.optics.pupil import PathMap, phasors, pupil_nodes
 from turnwright.surface import Indexing, Plane, Surface
 
-__all__ = ["PointSpread", "Removed", "Wavefront", "incidence_angles", "path_per_height", "wavefront"]
+__all__ = ["Modulation", "PointSpread", "Removed", "Wavefront", "incidence_angles", "path_per_height", "wavefront"]
 
 Removed: TypeAlias = Literal["none", "piston", "tilt", "focus"]
 Source: TypeAlias = float | tuple[float, float, float]
@@ -58,6 +66,26 @@ class PointSpread:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Modulation:
+    """Modulation transfer of an image along x and along y. See `Wavefront.mtf`.
+
+    Parameters
+    ----------
+    frequency
+        Spatial frequencies. (n,) [1/rad] or, with a focal length, [1/mm]
+    x, y
+        Modulation of gratings that vary along x, and along y. Each (n,)
+    cutoff
+        Frequency beyond which nothing is transmitted. [1/rad or 1/mm]
+    """
+
+    frequency: Floats
+    x: Floats
+    y: Floats
+    cutoff: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Wavefront:
     """Optical path differences over a circular pupil. See `wavefront`.
 
@@ -90,10 +118,7 @@ class Wavefront:
         check_wavelength(self.wavelength)
         positive(self.radius, "the radius of the pupil", "mm")
         object.__setattr__(self, "centre", finite_tuple(self.centre, "the centre of the pupil", 2))
-        if not 0 <= self.obscuration < 1:
-            raise InputError(
-                f"obscuration is {self.obscuration:g}, it must be 0 or more and below 1: give the ratio of the radii"
-            )
+        check_obscuration(self.obscuration)
         between(self.specular, "specular", 0.0, 1.0, "of the light")
         self.opd.require_calibrated()
         object.__setattr__(self, "_path", PathMap(self.opd))
@@ -176,17 +201,17 @@ class Wavefront:
         """
         scale = 1.0 if focal_length is None else positive(focal_length, "focal_length", "mm")
         cutoff = 2 * self.radius / (self.wavelength * scale)
-        at = even_frequencies(cutoff, FREQUENCIES) if frequency is None else frozen(frequency, "frequency")
+        at = frozen(np.linspace(0.0, cutoff, FREQUENCIES) if frequency is None else frequency, "frequency")
         if (at < 0).any():
             raise InputError(f"frequency is {at.min():g}, it cannot be below 0: give its size")
         area = self._transfer(0.0, (1.0, 0.0)).real
         x, y = (
-            frozen([abs(self._transfer(nu * self.wavelength * scale, way)) / area for nu in at], "modulation")
+            np.array([abs(self._transfer(nu * self.wavelength * scale, way)) / area for nu in at])
             for way in ((1.0, 0.0), (0.0, 1.0))
         )
         lowered = np.where(at > 0, self.specular, 1.0)
         return Modulation(
-            frequency=at, x=frozen(x * lowered, "x"), y=frozen(y * lowered, "y"), cutoff=cutoff
+            frequency=at, x=frozen(x * lowered, "modulation"), y=frozen(y * lowered, "modulation"), cutoff=cutoff
         )  # fmt: skip
 
     def _transfer(self, shift: float, way: tuple[float, float]) -> complex:
@@ -335,7 +360,12 @@ def incidence_angles(design: Surface, x: Floats, y: Floats, *, source: Source | 
     >>> np.rad2deg(incidence_angles(paraboloid, np.array([10.0]), np.zeros(1), source=5.0)).round(9).tolist()
     [45.0]
     """
-    zx, zy = design.gradient(x, y)
+    return _incidence(design, x, y, design.gradient(x, y), source)
+
+
+def _incidence(design: Surface, x: Floats, y: Floats, gradient: tuple[Floats, Floats], source: Source | None) -> Floats:
+    """Return the angles between rays and normals of a surface of this gradient. Shape of the points [rad]."""
+    zx, zy = gradient
     cosine = 1 / np.sqrt(1 + zx * zx + zy * zy)
     if source is not None:
         at = source if isinstance(source, tuple) else (0.0, 0.0, source)
@@ -381,8 +411,8 @@ def path_per_height(
     InputError
         If light is totally reflected at a point.
     """
-    zx, zy = design.gradient(x, y)
-    gain = path_factor(index=index, incidence=incidence_angles(design, x, y, source=source), inside=inside)
+    gradient = zx, zy = design.gradient(x, y)
+    gain = path_factor(index=index, incidence=_incidence(design, x, y, gradient, source), inside=inside)
     if (lost := np.isnan(gain)).any():
         raise InputError(
             f"light is totally reflected at {np.count_nonzero(lost)} of {lost.size} points of the map: correct the "

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import Bools, Complexes, Floats, frozen, gauss_rule, is_even
+from turnwright._arrays import Bools, Complexes, Floats, gauss_rule, is_even
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.surface import Gridded
 
-__all__ = ["Modulation", "Nodes", "PathMap", "even_frequencies", "phasors", "pupil_nodes"]
+__all__ = ["Nodes", "PathMap", "phasors", "pupil_nodes"]
 
 MOST_HEIGHTS, FEWEST_NODES = 1_000_000, 24
 
@@ -31,26 +30,6 @@ class Nodes(NamedTuple):
     x: Floats
     y: Floats
     weight: Floats
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Modulation:
-    """Modulation transfer of an image along x and along y. See `Wavefront.mtf`.
-
-    Parameters
-    ----------
-    frequency
-        Spatial frequencies. (n,) [1/rad] or, with a focal length, [1/mm]
-    x, y
-        Modulation of gratings that vary along x, and along y. Each (n,)
-    cutoff
-        Frequency beyond which nothing is transmitted. [1/rad or 1/mm]
-    """
-
-    frequency: Floats
-    x: Floats
-    y: Floats
-    cutoff: float
 
 
 class PathMap:
@@ -168,8 +147,3 @@ def _breaks(outer: float, inner: float, shift: float) -> Floats:
 def phasors(path: Floats, wavelength: float) -> Complexes:
     """Return the phase factors of path differences."""
     return np.asarray(np.exp(2j * math.pi / wavelength * path))
-
-
-def even_frequencies(cutoff: float, count: int) -> Floats:
-    """Return frequencies from 0 to the cutoff."""
-    return frozen(np.linspace(0.0, cutoff, count), "frequency")

@@ -88,8 +88,9 @@ class Scatter:
         of its speckle.
         """
         light, weight = self._light
-        size = [2 * count for count in light.shape]
-        share = np.abs(np.fft.fft2(light, size) / weight.sum()) ** 2
+        amplitude = light / weight.sum()
+        size = [2 * count for count in amplitude.shape]
+        share = np.abs(np.fft.fft2(amplitude, size)) ** 2
         x, y = self._axes
         steps = [1 / (count * float(axis[1] - axis[0])) for count, axis in ((size[1], x), (size[0], y))]
         _clear(share, (0, 0))
@@ -100,7 +101,7 @@ class Scatter:
                 break
             _clear(share, (row, column))
             start = [(at + count // 2) % count - count // 2 for at, count in ((column, size[1]), (row, size[0]))]
-            frequency, efficiency = self._peak(start[0] * steps[0], start[1] * steps[1], steps)
+            frequency, efficiency = self._peak(amplitude, (start[0] * steps[0], start[1] * steps[1]), steps)
             sine = self.wavelength * math.hypot(*frequency)
             peaks.append(
                 Order(frequency=frequency, angle=math.asin(sine) if sine <= 1 else math.nan, efficiency=efficiency)
@@ -146,16 +147,17 @@ class Scatter:
         weight = rows[:, None] * columns * measured
         return weight * phasors(self.gain * np.where(measured, self.texture.z, 0.0), self.wavelength), weight
 
-    def _peak(self, fx: float, fy: float, steps: list[float]) -> tuple[tuple[float, float], float]:
+    def _peak(
+        self, amplitude: Complexes, start: tuple[float, float], steps: list[float]
+    ) -> tuple[tuple[float, float], float]:
         """Return the frequency and the share of the light at the peak next to a frequency."""
-        light, weight = self._light
         x, y = self._axes
 
         def share(at: tuple[float, float]) -> float:
-            value = np.exp(-2j * math.pi * at[1] * y) @ light @ np.exp(-2j * math.pi * at[0] * x)
-            return float(abs(value / weight.sum()) ** 2)
+            value = np.exp(-2j * math.pi * at[1] * y) @ amplitude @ np.exp(-2j * math.pi * at[0] * x)
+            return float(abs(value) ** 2)
 
-        best, top, reach = (fx, fy), share((fx, fy)), 0.5
+        best, top, reach = start, share(start), 0.5
         for _ in range(REFINEMENTS):
             for way in ((1, 0), (-1, 0), (0, 1), (0, -1)):
                 at = (best[0] + reach * way[0] * steps[0], best[1] + reach * way[1] * steps[1])

@@ -820,7 +820,7 @@ def density(spectrum: Spectrum) -> Picture:
 def wavefront_map(light: Wavefront) -> Picture:
     """Draw a wavefront over the pupil, colours centred at zero."""
     with _canvas() as canvas:
-        border = None if light.opd.polar is False else Outline(disc=light.radius, centre=light.centre)
+        border = Outline(disc=light.radius, centre=light.centre) if light.opd.polar else None
         _draw_map(canvas, light.opd, "optical path [nm]", border)
     return Picture(canvas.svg, f"Wavefront over the pupil, {light.rms * NM:.4g} nm rms: {PATH_TEXT}")
 
