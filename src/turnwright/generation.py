@@ -13,7 +13,6 @@ backplots on a polar grid with a linear tool table.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -28,13 +27,20 @@ from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.machine import Machine
 from turnwright.path import Motion
-from turnwright.progress import Progress, run_chunks
+from turnwright.progress import Progress, cores, run_chunks
 from turnwright.tool import Tool
 
 __all__ = ["generate", "generate_points", "generate_polar"]
 
 RINGS = 200
 """How many rings settle beforehand which turns can matter, where two passes cross at most once; tenfold elsewhere."""
+
+
+CHORDS_PER_TILE, MIN_SIDE, MAX_SIDE = 4.0, 4, 16
+"""Width of a tile, and its least and greatest number of points along a side; the fastest of those measured."""
+
+GROUPS_PER_CORE = 8
+"""Fewest blocks of 16 groups for each core of which a grid is computed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,34 +144,25 @@ def generate_points(
     """
     x, y = frozen(x, "x"), frozen(y, "y")
     same_length([("x", x), ("y", y)])
-    return _finish(_simulate_tiles(_cut(motion, tool, machine), x, y, Tiles.of_points(x.size), progress))
+    away, out, tiles = np.hypot(x, y), np.empty(x.size), Tiles.of_points(x.size)
+    high = float(away.max(initial=0.0))
+    ready = _prepare(_cut(motion, tool, machine), float(away.min(initial=high)), high, x.size)
+    chunk = max(1, min(256, x.size // 16))
+    run_chunks(lambda start, stop: ready.fill(x, y, tiles, (start, stop), out), x.size, chunk, progress)
+    return _finish(out)
 
 
 class Tiles(NamedTuple):
     """Neighbouring points in tiles, and neighbouring tiles in groups."""
 
-    order: Ints  # of the points of a grid, tile by tile
-    offsets: Ints  # where each tile begins among them
+    offsets: Ints  # where each tile begins among the points
     groups: Ints  # where each group begins among the tiles
 
     @classmethod
     def of_points(cls, count: int) -> Tiles:
         """Return every point alone."""
         each = np.arange(count + 1)
-        return cls(each[:-1], each, each)
-
-    @classmethod
-    def of_grid(cls, shape: tuple[int, int], sides: tuple[int, int]) -> Tiles:
-        """Return a grid in tiles of ``sides`` points, sixteen tiles to a group."""
-        tile = [np.arange(n) // side for n, side in zip(shape, sides, strict=True)]
-        group = [index // 4 for index in tile]
-        wide = int(group[1][-1]) + 1
-        inside = ((tile[0] % 4)[:, None] * 4 + tile[1] % 4).ravel()
-        number = (group[0][:, None] * wide + group[1]).ravel() * 16 + inside
-        order = np.argsort(number, kind="stable")
-        filled, first = np.unique(number[order], return_index=True)
-        groups = np.unique(filled // 16, return_index=True)[1]
-        return cls(order, np.append(first, number.size), np.append(groups, filled.size))
+        return cls(each, each)
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,12 +196,50 @@ class Prepared:
 
     def fill(self, x: Floats, y: Floats, tiles: Tiles, span: tuple[int, int], out: Floats) -> None:
         """Fill ``out`` at the points (x, y) of the groups of ``span``, on this thread. Each (n,) [mm]."""
+        kernel.scattered(*self._arguments, only_read(x), only_read(y), tiles.offsets, tiles.groups, *span, out)
+
+    def fill_grid(
+        self, columns: Floats, rows: Floats, *, polar: bool = False, sides: tuple[int, int] | None = None,
+        inside: Bools | None = None, threads: int | None = None, progress: Progress | None = None,
+    ) -> Floats:  # fmt: skip
+        """Return the heights of a grid. (rows, columns) [mm].
+
+        Columns and rows are x and y or, with ``polar``, distances from the axis and azimuths. A height depends, to the
+        last bit, on the tile of ``sides`` points that it is in, counted from the first point. Where no pass covers a
+        point, or it is not ``inside``, the height is nan.
+        """
+        if sides is None:
+            sides = self.sides((_mean_step(rows) * (float(columns[-1]) if polar else 1.0), _mean_step(columns)))
+        wanted = _any_of(inside, 4 * sides[0], 4 * sides[1], (rows.size, columns.size))
+        # The list of passes is shortened for several groups at once, where the grid has enough of them for all cores.
+        several = 4 if wanted.size >= 16 * GROUPS_PER_CORE * cores() else 1
+        blocks = -(-wanted.shape[0] // several) * -(-wanted.shape[1] // several)
+        z = np.empty((rows.size, columns.size)) if inside is None else np.full((rows.size, columns.size), np.nan)
+        columns, rows = only_read(columns), only_read(rows)
+
+        def work(start: int, stop: int) -> None:
+            kernel.grid(*self._arguments, columns, rows, polar, sides, wanted, several, start, stop, z)
+
+        run_chunks(work, blocks, int(np.clip(blocks // 32, 1, 64)), progress, threads=threads)
+        if inside is not None:
+            z[~inside] = np.nan
+        return _finish(z)
+
+    @property
+    def _arguments(self) -> tuple[Any, ...]:
         cut = self.cut
-        kernel.tiles(
+        return (
             cut.c, cut.x, cut.y, cut.z, cut.sense, cut.starts, cut.bounds, self.blocks, self.rings, self.useful,
-            self.core, cut.edge, cut.gap, cut.bend, self.most_y, only_read(x), only_read(y),
-            tiles.offsets, tiles.groups, *span, out,
+            self.core, cut.edge, cut.gap, cut.bend, self.most_y,
         )  # fmt: skip
+
+
+def _any_of(inside: Bools | None, tall: int, wide: int, shape: tuple[int, int]) -> Bools:
+    """Return which of the groups of so many rows and columns have a point inside."""
+    starts = [np.arange(0, n, step) for n, step in zip(shape, (tall, wide), strict=True)]
+    if inside is None:
+        return np.ones((starts[0].size, starts[1].size), dtype=np.bool_)
+    return np.logical_or.reduceat(np.logical_or.reduceat(inside, starts[0], axis=0), starts[1], axis=1)
 
 
 def _prepare(cut: _Cut, low: float, high: float, most_rings: int) -> Prepared:
@@ -225,21 +260,12 @@ def _prepare(cut: _Cut, low: float, high: float, most_rings: int) -> Prepared:
     return Prepared(cut, blocks, rings, useful, core, most_y)
 
 
-def _simulate_tiles(cut: _Cut, x: Floats, y: Floats, tiles: Tiles, progress: Progress | None) -> Floats:
-    out = np.empty(x.size)
-    radius = np.hypot(x, y)
-    high = radius.max(initial=0.0)
-    ready = _prepare(cut, radius.min(initial=high), high, x.size)
-    groups = tiles.groups.size - 1
-    chunk = max(1, min(256, groups // 16))
-    run_chunks(lambda start, stop: ready.fill(x, y, tiles, (start, stop), out), groups, chunk, progress)
-    return out
-
-
 def _tile_side(cut: _Cut, pixel: float) -> int:
-    """Return how many points a tile should be wide: one or two passes, up to where their slopes differ much."""
-    width = min(np.sqrt(8 * cut.edge.base * 2e-5), max(2 * cut.feed, 4 * pixel))
-    return int(np.clip(width / pixel, 1, 32)) if pixel > 0 else 1
+    """Return how many points a tile should be wide: some chords, so that a pass has few kinks in a tile."""
+    if not cut.upright:
+        return MIN_SIDE
+    chord = float(np.abs(cut.x).mean()) * abs(cut.c[-1] - cut.c[0]) / (cut.c.size - 1)
+    return int(np.clip(CHORDS_PER_TILE * chord / pixel, MIN_SIDE, MAX_SIDE)) if pixel > 0 else MIN_SIDE
 
 
 def generate(
@@ -279,24 +305,18 @@ def generate(
         If a grid axis does not ascend.
     """
     x, y = _check_ascending(x, "x"), _check_ascending(y, "y")
-    z = np.empty((y.size, x.size))
-    _fill_grid(_cut(motion, tool, machine), x, y, (_mean_step(y), _mean_step(x)), lambda x, y: (x, y), z, progress)
-    return HeightMap(z=z, x=x, y=y, name="generated")
+    distances = _distances(x, y)
+    ready = Prepared.of(motion, tool, machine, distances=distances, most_rings=x.size * y.size)
+    return HeightMap(z=ready.fill_grid(x, y, progress=progress), x=x, y=y, name="generated")
+
+
+def _distances(x: Floats, y: Floats) -> tuple[float, float]:
+    """Return the least and the greatest distance of the points of a grid from the axis. [mm]."""
+    return float(np.hypot(abs(x).min(), abs(y).min())), float(np.hypot(abs(x).max(), abs(y).max()))
 
 
 def _mean_step(axis: Floats) -> float:
     return float(np.diff(axis).mean()) if axis.size > 1 else 0.0
-
-
-def _fill_grid(
-    cut: _Cut, columns: Floats, rows: Floats, steps: tuple[float, float], place: Callable[[Floats, Floats], Any],
-    z: Floats, progress: Progress | None,
-) -> None:  # fmt: skip
-    """Fill a grid tile by tile; ``place`` returns x and y of a column and a row, ``steps`` are theirs. [mm]."""
-    tiles = Tiles.of_grid(z.shape, (_tile_side(cut, steps[0]), _tile_side(cut, steps[1])))
-    x, y = place(columns[tiles.order % columns.size], rows[tiles.order // columns.size])
-    z.ravel()[tiles.order] = _simulate_tiles(cut, x, y, tiles, progress)
-    _finish(z)
 
 
 def generate_polar(
@@ -348,10 +368,8 @@ def generate_polar(
     if cut.upright and cut.edge.convex:
         _envelopes(cut, radius, angle, z, progress)
     else:
-        steps = (float(radius[-1]) * _mean_step(angle), _mean_step(radius))
-        _fill_grid(
-            cut, radius, angle, steps, lambda rho, phi: (rho * np.cos(phi), rho * np.sin(phi)), z, progress
-        )  # fmt: skip
+        ready = _prepare(cut, float(radius[0]), float(radius[-1]), z.size)
+        z[...] = ready.fill_grid(radius, angle, polar=True, progress=progress)
     return HeightMap(z=z, radius=radius, angle=angle, name="generated")
 
 

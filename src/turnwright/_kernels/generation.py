@@ -13,7 +13,7 @@ import numpy as np
 
 from turnwright._kernels import jit, jit_inline
 from turnwright._kernels.edge import height, slope
-from turnwright._kernels.trig import sincos
+from turnwright._kernels.trig import sincos, small_arctan
 
 TURN = 2.0 * np.pi
 FAR = 1e300
@@ -24,6 +24,8 @@ EPSILON = 2.3e-16
 BLOCK = 8
 # Turns of a motion that share bounds.
 HEAP = 32
+# Most kinks of a pass within a tile whose points are computed in one loop for each of them.
+MAX_KINKS = 12
 
 
 @jit
@@ -962,95 +964,285 @@ def extent(values, start, stop):
 
 
 @jit
-def tiles(
-    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, px, py,
-    offsets, groups, start, stop, out,
-):  # fmt: skip
-    """Fill ``out`` at the points (px, py) of groups ``start`` to ``stop``.
+def lower(c, x, y, z, sense, edge, turn, which, hint, r, azimuth, rc, hr, ac, ha, tip, level, out):
+    """Lower ``out`` to one pass over the points (r, azimuth) of a tile, which lie within (hr, ha) of (rc, ac).
 
-    Group g holds the tiles groups[g] to groups[g + 1], tile k the points offsets[k] to offsets[k + 1]. A group shortens
-    the list of all passes once for its tiles, and each tile again for its points.
+    An upright tool moves over a tile along a few lines of its motion: its position is linear in the azimuth with a few
+    kinks, which takes loops that vectorise. ``tip`` and ``level`` are scratch, for one number each point.
+    """
+    count = out.size
+    t = ac + turn
+    upright = edge.rake_sin == 0.0 and edge.dy == 0.0 and y.size == 0
+    inside = t - ha > sense * c[0] and t + ha < sense * c[c.size - 1]
+    i, last = hint, hint
+    if upright and inside:
+        i = locate(c, sense, t - ha, hint)
+        last = locate(c, sense, t + ha, i)
+    if not upright or not inside or last - i > MAX_KINKS:
+        for k in range(count):
+            h, i, _, _, _ = pass_at(c, x, y, z, sense, edge, azimuth[k] + turn, r[k], which, i)
+            out[k] = min(out[k], h)
+        return
+    ci = sense * c[i]
+    step = sense * c[i + 1] - ci
+    drift, rise = (x[i + 1] - x[i]) / step, (z[i + 1] - z[i]) / step
+    p = x[i] + (t - ci) * drift + edge.dx
+    q = z[i] + (t - ci) * rise + edge.dz
+    widest = abs(drift)
+    for k in range(count):
+        away = azimuth[k] - ac
+        tip[k], level[k] = p + away * drift, q + away * rise
+    for j in range(i + 1, last + 1):
+        kink = sense * c[j]
+        step = sense * c[j + 1] - kink
+        more, higher = (x[j + 1] - x[j]) / step - drift, (z[j + 1] - z[j]) / step - rise
+        drift, rise = drift + more, rise + higher
+        widest = max(widest, abs(drift))
+        kink -= t
+        for k in range(count):
+            past = azimuth[k] - ac - kink
+            past = past if past > 0.0 else 0.0
+            tip[k] += past * more
+            level[k] += past * higher
+    side = 1.0 if which == 0 else -1.0
+    u = side * rc - p
+    reach = (hr + widest * ha) * (1.0 + 1e-9) + 1e-9 * edge.base
+    if edge.pieces.shape[1] == 0 and u - reach > edge.low_u and u + reach < edge.high_u:
+        base = edge.base
+        square = base * base
+        for k in range(count):
+            v = side * r[k] - tip[k]
+            h = (level[k] + base) - np.sqrt(square - v * v)
+            out[k] = h if h < out[k] else out[k]
+        return
+    for k in range(count):
+        h = level[k] + height(edge, side * r[k] - tip[k])
+        out[k] = h if h < out[k] else out[k]
+
+
+@jit
+def unwrap(r, azimuth):
+    """Put azimuths on one branch. Return whether the points are close together as seen from the axis."""
+    close = r[0] > 0.0
+    for k in range(1, r.size):
+        if azimuth[k] - azimuth[0] > np.pi:
+            azimuth[k] -= TURN
+        elif azimuth[k] - azimuth[0] < -np.pi:
+            azimuth[k] += TURN
+        close = close and r[k] > 0.0 and abs(azimuth[k] - azimuth[0]) < 0.5
+    return close
+
+
+@jit
+def nearer(
+    c, x, y, z, sense, edge, bend, place, count, side, shift, hint, work, tilts, chosen, new_side, new_shift, new_hint,
+):  # fmt: skip
+    """Copy the passes of a list that can be lowest around a ``place``, (rc, hr, ac, ha); return how many they are."""
+    rc, hr, ac, ha = place
+    if edge.rake_sin == 0.0 and edge.dy == 0.0 and y.size == 0:
+        n = shorten(c, x, y, z, sense, edge, bend, rc, ac, hr, ha, count, side, shift, hint, work, chosen)
+    else:
+        n = shorten_lateral(
+            c, x, y, z, sense, edge, bend, rc, ac, hr, ha, count, side, shift, hint, work, tilts, chosen
+        )  # fmt: skip
+    for k in range(n):
+        new_side[k], new_shift[k], new_hint[k] = side[chosen[k]], shift[chosen[k]], hint[chosen[k]]
+    return n
+
+
+@jit
+def fill_groups(
+    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, r, azimuth,
+    offsets, groups, start, stop, shared, out,
+):  # fmt: skip
+    """Fill ``out`` at the points (r, azimuth) of groups ``start`` to ``stop``, azimuths along the motion.
+
+    Group g holds the tiles groups[g] to groups[g + 1], tile k the points offsets[k] to offsets[k + 1], counted from the
+    first point of group ``start``, as those of r, azimuth and out are. A group shortens the list of all passes once for
+    its tiles, and each tile again for its points; with ``shared`` all groups first shorten it together.
     """
     room = 2 * (starts.size + 2)
-    most = 1
-    for g in range(start, stop):
-        most = max(most, offsets[groups[g + 1]] - offsets[groups[g]])
-    r, azimuth = np.empty(most), np.empty(most)
-    side, hint = np.empty(room, np.int64), np.empty(room, np.int64)
-    near_side, near_hint = np.empty(room, np.int64), np.empty(room, np.int64)
-    shift, near_shift = np.empty(room), np.empty(room)
-    chosen, picked = np.empty(room, np.int64), np.empty(room, np.int64)
+    lists = np.empty((4, 2, room), np.int64)  # side and hint of the passes of all, of a block, a group and a tile
+    shifts = np.empty((4, room))
+    chosen = np.empty(room, np.int64)
     work, tilts = np.empty((3, room)), np.empty((room, 4))
+    first_point = offsets[groups[start]]
+    most = 1
+    for tile in range(groups[start], groups[stop]):
+        most = max(most, offsets[tile + 1] - offsets[tile])
+    tip, level = np.empty(most), np.empty(most)
     upright = edge.rake_sin == 0.0 and edge.dy == 0.0 and y.size == 0
+    in_block = -1
+    if shared and stop - start > 1 and unwrap(r, azimuth):
+        rc, hr = extent(r, 0, r.size)
+        ac, ha = extent(azimuth, 0, r.size)
+        free = True
+        for ring in range(*rings_between(rings, rc - hr, rc + hr)):
+            free = free and (upright or not core[ring])
+        if free:
+            n = gather(
+                c, sense, starts, rings, useful, upright, rc - hr, rc + hr, ac, lists[0, 0], shifts[0], lists[0, 1]
+            )  # fmt: skip
+            in_block = nearer(
+                c, x, y, z, sense, edge, bend, (rc, hr, ac, ha), n, lists[0, 0], shifts[0], lists[0, 1],
+                work, tilts, chosen, lists[1, 0], shifts[1], lists[1, 1],
+            )  # fmt: skip
     for g in range(start, stop):
-        origin = offsets[groups[g]]
-        count = offsets[groups[g + 1]] - origin
-        together = count > 1
-        for j in range(count):
-            i = origin + j
-            r[j] = np.sqrt(px[i] * px[i] + py[i] * py[i])
-            azimuth[j] = sense * np.arctan2(py[i], px[i])
-            # One branch for the whole group, even across the cut of the arc tangent.
-            if azimuth[j] - azimuth[0] > np.pi:
-                azimuth[j] -= TURN
-            elif azimuth[j] - azimuth[0] < -np.pi:
-                azimuth[j] += TURN
-            # A group around the axis spans all azimuths: its points share nothing, so each goes alone.
-            together = together and r[j] > 0.0 and abs(azimuth[j] - azimuth[0]) < 0.5
-        rc, hr = extent(r, 0, count)
-        ac, ha = extent(azimuth, 0, count)
+        origin, end = offsets[groups[g]] - first_point, offsets[groups[g + 1]] - first_point
+        # A group around the axis spans all azimuths: its points share nothing, so each goes alone.
+        together = unwrap(r[origin:end], azimuth[origin:end]) and end - origin > 1
+        rc, hr = extent(r, origin, end)
+        ac, ha = extent(azimuth, origin, end)
         if not upright:
             for ring in range(*rings_between(rings, rc - hr, rc + hr)):
                 together = together and not core[ring]
         if not together:
-            for j in range(count):
-                i = origin + j
-                if r[j] == 0.0 and upright:
+            for i in range(origin, end):
+                if r[i] == 0.0 and upright:
                     out[i] = axis_height(x, z, starts, bounds, edge, gap)
                     continue
-                ring, _ = rings_between(rings, r[j], r[j])
+                ring, _ = rings_between(rings, r[i], r[i])
                 if core[ring] and not upright:
                     out[i] = core_height(
-                        c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r[j],
-                        azimuth[j], useful[ring],
+                        c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r[i],
+                        azimuth[i], useful[ring],
                     )  # fmt: skip
                     continue
-                n = gather(c, sense, starts, rings, useful, upright, r[j], r[j], azimuth[j], side, shift, hint)
+                n = gather(
+                    c, sense, starts, rings, useful, upright, r[i], r[i], azimuth[i], lists[0, 0], shifts[0],
+                    lists[0, 1],
+                )  # fmt: skip
                 out[i] = FAR
                 for k in range(n):
-                    t = azimuth[j] + shift[k]
-                    h, _, _, _, _ = pass_at(c, x, y, z, sense, edge, t, r[j], side[k], hint[k])
+                    t = azimuth[i] + shifts[0, k]
+                    h, _, _, _, _ = pass_at(c, x, y, z, sense, edge, t, r[i], lists[0, 0, k], lists[0, 1, k])
                     out[i] = min(out[i], h)
             continue
-        n = gather(c, sense, starts, rings, useful, upright, rc - hr, rc + hr, ac, side, shift, hint)
-        if upright:
-            n = shorten(
-                c, x, y, z, sense, edge, bend, rc, ac, hr, ha, n, side, shift, hint, work, chosen
+        n, source = in_block, 1
+        if in_block < 0:
+            source = 0
+            n = gather(
+                c, sense, starts, rings, useful, upright, rc - hr, rc + hr, ac, lists[0, 0], shifts[0], lists[0, 1]
             )  # fmt: skip
-        else:
-            n = shorten_lateral(
-                c, x, y, z, sense, edge, bend, rc, ac, hr, ha, n, side, shift, hint, work, tilts, chosen
-            )  # fmt: skip
-        for k in range(n):
-            near_side[k], near_shift[k], near_hint[k] = side[chosen[k]], shift[chosen[k]], hint[chosen[k]]
+        n = nearer(
+            c, x, y, z, sense, edge, bend, (rc, hr, ac, ha), n, lists[source, 0], shifts[source], lists[source, 1],
+            work, tilts, chosen, lists[2, 0], shifts[2], lists[2, 1],
+        )  # fmt: skip
         for tile in range(groups[g], groups[g + 1]):
-            first, last = offsets[tile] - origin, offsets[tile + 1] - origin
-            rc, hr = extent(r, first, last)
-            ac, ha = extent(azimuth, first, last)
-            if upright:
-                few = shorten(
-                    c, x, y, z, sense, edge, bend, rc, ac, hr, ha, n, near_side, near_shift, near_hint,
-                    work, picked,
-                )  # fmt: skip
-            else:
-                few = shorten_lateral(
-                    c, x, y, z, sense, edge, bend, rc, ac, hr, ha, n, near_side, near_shift, near_hint,
-                    work, tilts, picked,
-                )  # fmt: skip
-            for j in range(first, last):
-                out[origin + j] = FAR
+            part = slice(offsets[tile] - first_point, offsets[tile + 1] - first_point)
+            rc, hr = extent(r, part.start, part.stop)
+            ac, ha = extent(azimuth, part.start, part.stop)
+            few = nearer(
+                c, x, y, z, sense, edge, bend, (rc, hr, ac, ha), n, lists[2, 0], shifts[2], lists[2, 1],
+                work, tilts, chosen, lists[3, 0], shifts[3], lists[3, 1],
+            )  # fmt: skip
+            out[part] = FAR
             for k in range(few):
-                which, turn, i = near_side[picked[k]], near_shift[picked[k]], near_hint[picked[k]]
-                for j in range(first, last):
-                    h, i, _, _, _ = pass_at(c, x, y, z, sense, edge, azimuth[j] + turn, r[j], which, i)
-                    out[origin + j] = min(out[origin + j], h)
+                lower(
+                    c, x, y, z, sense, edge, shifts[3, k], lists[3, 0, k], lists[3, 1, k], r[part], azimuth[part],
+                    rc, hr, ac, ha, tip, level, out[part],
+                )  # fmt: skip
+
+
+@jit
+def scattered(
+    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, px, py,
+    offsets, groups, start, stop, out,
+):  # fmt: skip
+    """Fill ``out`` at the points (px, py) of groups ``start`` to ``stop``, see `fill_groups`."""
+    first, last = offsets[groups[start]], offsets[groups[stop]]
+    r, azimuth = np.empty(last - first), np.empty(last - first)
+    for i in range(first, last):
+        r[i - first] = np.sqrt(px[i] * px[i] + py[i] * py[i])
+        azimuth[i - first] = sense * np.arctan2(py[i], px[i])
+    fill_groups(
+        c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, r, azimuth,
+        offsets, groups, start, stop, False, out[first:last],
+    )  # fmt: skip
+
+
+@jit
+def polar_tile(columns, rows, polar, sense, r, azimuth):
+    """Fill ``r`` and ``azimuth`` with distance and azimuth, along the motion, of the points of a tile, row by row.
+
+    Columns and rows are x and y or, with ``polar``, distances from the axis and azimuths. The azimuth of a tile that
+    is narrow as seen from the axis is that of its first point and a polynomial, in a loop that vectorises.
+    """
+    wide = columns.size
+    if polar:
+        for j in range(rows.size):
+            for i in range(wide):
+                r[j * wide + i], azimuth[j * wide + i] = columns[i], sense * rows[j]
+        return
+    for j in range(rows.size):
+        square = rows[j] * rows[j]
+        for i in range(wide):
+            r[j * wide + i] = np.sqrt(columns[i] * columns[i] + square)
+    x0, y0 = columns[0], rows[0]
+    narrow = r[0] > 0.0
+    if narrow:
+        cosine, sine = x0 / r[0], y0 / r[0]
+        for x in (columns[0], columns[wide - 1]):
+            for y in (rows[0], rows[rows.size - 1]):
+                ahead, across = x * cosine + y * sine, y * cosine - x * sine
+                narrow = narrow and abs(across) < 0.4 * ahead
+    if not narrow:
+        for j in range(rows.size):
+            for i in range(wide):
+                azimuth[j * wide + i] = sense * np.arctan2(rows[j], columns[i])
+        return
+    origin = np.arctan2(y0, x0)
+    for j in range(rows.size):
+        for i in range(wide):
+            ahead, across = columns[i] * cosine + rows[j] * sine, rows[j] * cosine - columns[i] * sine
+            azimuth[j * wide + i] = sense * (origin + small_arctan(across / ahead))
+
+
+@jit
+def grid(
+    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, columns, rows, polar,
+    sides, wanted, several, start, stop, out,
+):  # fmt: skip
+    """Fill ``out`` (rows, columns) block by block from ``start`` to ``stop``, blocks counted row by row.
+
+    A tile is of ``sides`` points, along rows and columns, a group of 4 x 4 tiles, a block of ``several`` x ``several``
+    groups. ``wanted`` says of each group whether it is filled.
+    """
+    down, across = sides
+    tall, wide = 4 * several * down, 4 * several * across
+    per_row = -(-columns.size // wide)
+    r, azimuth, heights_of = np.empty(tall * wide), np.empty(tall * wide), np.empty(tall * wide)
+    offsets, groups = np.empty(16 * several * several + 1, np.int64), np.empty(several * several + 1, np.int64)
+    corner = np.empty((16 * several * several, 2), np.int64)
+    for block in range(start, stop):
+        top, left = (block // per_row) * tall, (block % per_row) * wide
+        number, tile, offsets[0], groups[0] = 0, 0, 0, 0
+        for g in range(several * several):
+            j0, i0 = top + (g // several) * 4 * down, left + (g % several) * 4 * across
+            if j0 >= rows.size or i0 >= columns.size or not wanted[j0 // (4 * down), i0 // (4 * across)]:
+                continue
+            for k in range(16):
+                j, i = j0 + (k // 4) * down, i0 + (k % 4) * across
+                if j >= rows.size or i >= columns.size:
+                    continue
+                y_part, x_part = rows[j : j + down], columns[i : i + across]
+                first, last = offsets[tile], offsets[tile] + y_part.size * x_part.size
+                polar_tile(x_part, y_part, polar, sense, r[first:last], azimuth[first:last])
+                corner[tile, 0], corner[tile, 1] = j, i
+                tile += 1
+                offsets[tile] = last
+            number += 1
+            groups[number] = tile
+        if number == 0:
+            continue
+        points = offsets[tile]
+        fill_groups(
+            c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, r[:points],
+            azimuth[:points], offsets, groups, 0, number, True, heights_of[:points],
+        )  # fmt: skip
+        for k in range(tile):
+            j, i = corner[k]
+            n = min(across, columns.size - i)
+            for line in range(min(down, rows.size - j)):
+                first = offsets[k] + line * n
+                out[j + line, i : i + n] = heights_of[first : first + n]

@@ -60,3 +60,31 @@ def sincos(angle):
     sine = -first if quadrant >= 2.0 else first
     cosine = -second if (quadrant == 1.0 or quadrant == 2.0) else second
     return sine, cosine
+
+
+@jit
+def small_arctan(t):
+    """Return the arc tangent of a number from -7/16 to 7/16, by fdlibm's polynomial (s_atan)."""
+    z = t * t
+    w = z * z
+    odd = z * (
+        3.33333333333329318027e-01
+        + w
+        * (
+            1.42857142725034663711e-01
+            + w
+            * (
+                9.09088713343650656196e-02
+                + w * (6.66107313738753120669e-02 + w * (4.97687799461593236017e-02 + w * 1.62858201153657823623e-02))
+            )
+        )
+    )
+    even = w * (
+        -1.99999999998764832476e-01
+        + w
+        * (
+            -1.11111104054623557880e-01
+            + w * (-7.69187620504482999495e-02 + w * (-5.83357013379057348645e-02 + w * -3.65315727442169155270e-02))
+        )
+    )
+    return t - t * (odd + even)

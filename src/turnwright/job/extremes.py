@@ -181,7 +181,7 @@ class _Search:
         x, y = radius * np.cos(angle), radius * np.sin(angle)
         rows, columns = x.shape
         x, y = x.ravel(), y.ravel()
-        tiles = Tiles(np.arange(x.size), np.arange(rows + 1) * columns, np.arange(rows + 1))
+        tiles = Tiles(np.arange(rows + 1) * columns, np.arange(rows + 1))
         z = np.empty(x.size)
         run_chunks(
             lambda start, stop: self.ready.fill(x, y, tiles, (start, stop), z),

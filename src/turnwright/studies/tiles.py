@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass, field, is_dataclass
+from dataclasses import dataclass, is_dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +15,7 @@ from turnwright import _validate as validate
 from turnwright._arrays import Floats, only_read
 from turnwright._kernels import tiled as kernel
 from turnwright.errors import InputError, StudyError
-from turnwright.generation import Prepared, Tiles
+from turnwright.generation import Prepared
 from turnwright.heightmap import HeightMap
 from turnwright.machine import Machine
 from turnwright.path import Motion
@@ -49,7 +49,6 @@ from turnwright.studies.tiled_map import TiledMap
 from turnwright.tool import Tool
 
 if TYPE_CHECKING:
-    from turnwright._arrays import Ints
     from turnwright.surface import Surface
 
 __all__ = ["generate_tiled", "plan_tiles"]
@@ -64,7 +63,6 @@ class _TileWriter:
     minus: Surface | None
     sides: tuple[int, int]
     axes: tuple[Floats, Floats]
-    orders: dict[tuple[int, int], tuple[Tiles, Ints, Ints]] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -74,35 +72,11 @@ class _TileWriter:
         ready = _ready(motion, tool, machine, layout)
         return cls(ready, files, minus, ready.sides(layout.pixel[::-1]), layout.axes())
 
-    def order(self, shape: tuple[int, int]) -> tuple[Tiles, Ints, Ints]:
-        """Return the tiles of the generation in a tile, and the column and row of each of its points."""
-        if shape not in self.orders:
-            tiles = Tiles.of_grid(shape, self.sides)
-            self.orders[shape] = tiles, tiles.order % shape[1], tiles.order // shape[1]
-        return self.orders[shape]
-
     def heights(self, tile: Tile) -> tuple[Floats, int]:
         """Return the heights of a tile [mm], nan where missing, and its number of pixels of the part."""
         x, y = self.axes[0][tile.columns], self.axes[1][tile.rows]
-        tiles, columns, rows = self.order(tile.shape)
-        px, py = x[columns], y[rows]
-        out = np.full(px.size, np.inf)
         inside = self.files.layout.inside(x, y)
-        groups = tiles.groups.size - 1
-        if inside is None:
-            self.ready.fill(px, py, tiles, (0, groups), out)
-        else:
-            # Whole groups only: a point gets the same height to the last bit when its group is the same.
-            wanted = np.logical_or.reduceat(inside.ravel()[tiles.order], tiles.offsets[tiles.groups[:-1]])
-            borders = np.flatnonzero(np.diff(wanted.astype(np.int8), prepend=0, append=0))
-            for start, stop in borders.reshape(-1, 2).tolist():
-                self.ready.fill(px, py, tiles, (start, stop), out)
-        z = np.empty(px.size)
-        z[tiles.order] = out
-        z[z >= 1e299] = np.nan
-        z = z.reshape(tile.shape)
-        if inside is not None:
-            z[~inside] = np.nan
+        z = self.ready.fill_grid(x, y, sides=self.sides, inside=inside, threads=1)
         pixels = z.size if inside is None else int(np.count_nonzero(inside))
         return (z if self.minus is None else HeightMap(x=x, y=y, z=z).minus(self.minus).z), pixels
 

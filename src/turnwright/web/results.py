@@ -92,7 +92,7 @@ def warm() -> None:
     motion = Moved(time=c, axes=axes, machine=Machine.load("generic"))
     ready = Prepared.of(motion, Tool(nose_radius=0.5), None, distances=(0, 0.02), most_rings=4)
     x = np.linspace(-0.01, 0.01, 4)
-    _fill_grid(ready, x, x, np.ones((4, 4), dtype=bool))
+    ready.fill_grid(x, x)
     rings = HeightMap(z=np.zeros((4, 5)), radius=np.arange(5.0), angle=np.linspace(0.0, 4.0, 4))
     _resample(_Stored(rings, 1.0), x, x)
 
@@ -305,26 +305,7 @@ def simulate_window(folder: str, columns: Floats, rows: Floats) -> tuple[Floats,
         return design, design
     away = np.hypot(x[inside], y[inside])
     ready = opened.ready.narrowed((float(away.min()), float(away.max())), int(inside.sum()))
-    return _fill_grid(ready, columns, rows, inside) - design, design
-
-
-def _fill_grid(ready: Prepared, columns: Floats, rows: Floats, inside: Any) -> Floats:
-    """Return the heights of a grid where ``inside``; by whole tiles, so that results are reproducible bit by bit."""
-    steps = tuple(float(np.diff(axis).mean()) for axis in (rows, columns))
-    tiles = Tiles.of_grid(inside.shape, ready.sides((steps[0], steps[1])))
-    x, y = columns[tiles.order % columns.size], rows[tiles.order // columns.size]
-    out = np.full(inside.size, np.inf)
-    wanted = np.flatnonzero(np.logical_or.reduceat(inside.ravel()[tiles.order], tiles.offsets[tiles.groups[:-1]]))
-
-    def work(start: int, stop: int) -> None:
-        for group in wanted[start:stop].tolist():
-            ready.fill(x, y, tiles, (group, group + 1), out)
-
-    run_chunks(work, wanted.size, max(1, min(64, wanted.size // 16)))
-    z = np.empty(inside.size)
-    z[tiles.order] = out
-    z[(z >= 1e299) | ~inside.ravel()] = np.nan  # a tip with a centring error does not cut at the axis
-    return z.reshape(inside.shape)
+    return ready.fill_grid(columns, rows, inside=inside) - design, design
 
 
 def profile(folder: str, ends: tuple[float, float, float, float], count: int) -> bytes:
