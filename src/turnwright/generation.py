@@ -192,7 +192,7 @@ class Prepared:
 
     def sides(self, steps: tuple[float, float]) -> tuple[int, int]:
         """Return how many points of a grid with such steps [mm] go in one tile, along rows and columns."""
-        return _tile_side(self.cut, steps[0]), _tile_side(self.cut, steps[1])
+        return _tile_sides(self.cut, steps)
 
     def fill(self, x: Floats, y: Floats, tiles: Tiles, span: tuple[int, int], out: Floats) -> None:
         """Fill ``out`` at the points (x, y) of the groups of ``span``, on this thread. Each (n,) [mm]."""
@@ -260,12 +260,17 @@ def _prepare(cut: _Cut, low: float, high: float, most_rings: int) -> Prepared:
     return Prepared(cut, blocks, rings, useful, core, most_y)
 
 
-def _tile_side(cut: _Cut, pixel: float) -> int:
-    """Return how many points a tile should be wide: some chords, so that a pass has few kinks in a tile."""
-    if not cut.upright:
-        return MIN_SIDE
+def _tile_sides(cut: _Cut, steps: tuple[float, float]) -> tuple[int, int]:
+    """Return how many points a tile should be wide: some chords, so that a pass has few kinks in a tile.
+
+    For a tool out of the radial plane it is as round as the steps allow.
+    """
     chord = float(np.abs(cut.x).mean()) * abs(cut.c[-1] - cut.c[0]) / (cut.c.size - 1)
-    return int(np.clip(CHORDS_PER_TILE * chord / pixel, MIN_SIDE, MAX_SIDE)) if pixel > 0 else MIN_SIDE
+    if cut.upright:
+        down, across = (CHORDS_PER_TILE * chord / step if step > 0 else 0 for step in steps)
+        return int(np.clip(down, MIN_SIDE, MAX_SIDE)), int(np.clip(across, MIN_SIDE, MAX_SIDE))
+    ratio = steps[0] / steps[1] if steps[1] > 0 else 1.0
+    return (1, MAX_SIDE) if ratio > MIN_SIDE else (MAX_SIDE, 1) if ratio * MIN_SIDE < 1 else (MIN_SIDE, MIN_SIDE)
 
 
 def generate(

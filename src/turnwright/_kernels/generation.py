@@ -26,6 +26,8 @@ BLOCK = 8
 HEAP = 32
 # Most kinks of a pass within a tile whose points are computed in one loop for each of them.
 MAX_KINKS = 12
+# Most lines of a motion that are listed for the points of a group.
+MAX_LINES = 400
 
 
 @jit
@@ -450,6 +452,9 @@ def lowest_on_line(line, edge, bend, sense, r, phase, first, last, pieces, lowes
         s, half = 0.5 * (a + b), 0.5 * (b - a)
         h, lateral, u, sine, cosine = over(line, edge, sense, r, phase, s)
         # The edge goes over the point at ``pace``, and F changes at ``rate``, give or take what Taylor's theorem says.
+        rate, doubt = -sense * r * cosine - line[4], r * half * (abs(sine) + 0.5 * half)
+        if edge.rake_sin == 0.0 and abs(lateral) > (abs(rate) + doubt) * half + tiny:
+            continue
         pace, loose = -r * sine - line[3], r * half * (abs(cosine) + 0.5 * half)
         du = (abs(pace) + loose) * half
         flat, steep = slope(edge, u - du) - bend, slope(edge, u + du) + bend
@@ -457,12 +462,11 @@ def lowest_on_line(line, edge, bend, sense, r, phase, first, last, pieces, lowes
             continue
         if abs(lateral) <= tiny:
             lowest = min(lowest, h)
-        rate, doubt = -sense * r * cosine - line[4], r * half * (abs(sine) + 0.5 * half)
         if edge.rake_sin != 0.0:
             rate -= edge.rake_sin * 0.5 * (flat + steep) * pace
             doubt += abs(edge.rake_sin) * (0.5 * (steep - flat) * (abs(pace) + loose) + 0.5 * abs(flat + steep) * loose)
-        if abs(lateral) > (abs(rate) + doubt) * half + tiny:
-            continue
+            if abs(lateral) > (abs(rate) + doubt) * half + tiny:
+                continue
         # Two roots within a microradian, that no change of sign betrays: 1e-13 r further in there are none.
         if abs(rate) <= doubt and half > 5e-7:
             pieces[depth, 0], pieces[depth, 1] = a, s
@@ -1051,6 +1055,180 @@ def nearer(
 
 
 @jit
+def floor_of_line(line, edge, bend, sense, r, azimuth, spread):
+    """Return a lower bound of the edge over all points within ``spread`` of one, FAR where it passes over none.
+
+    ``line`` is one line of the motion, see `lowest_on_line`, with its phase at azimuth 0 and its range.
+    """
+    a, b = line[7], line[8]
+    s, half = 0.5 * (a + b), 0.5 * (b - a)
+    h, lateral, u, sine, cosine = over(line, edge, sense, r, line[6] - azimuth, s)
+    rate, doubt = -sense * r * cosine - line[4], r * half * (abs(sine) + 0.5 * half)
+    # The largest lateral distance that counts without rake, which is quick to compute.
+    if edge.rake_sin == 0.0 and abs(lateral) > (abs(rate) + doubt) * half + 1.001 * spread:
+        return FAR
+    pace, loose = -r * sine - line[3], r * half * (abs(cosine) + 0.5 * half)
+    du = (abs(pace) + loose) * half + spread
+    flat, steep = slope(edge, u - du) - bend, slope(edge, u + du) + bend
+    most = max(abs(flat), abs(steep))
+    if edge.rake_sin != 0.0:
+        rate -= edge.rake_sin * 0.5 * (flat + steep) * pace
+        doubt += abs(edge.rake_sin) * (0.5 * (steep - flat) * (abs(pace) + loose) + 0.5 * abs(flat + steep) * loose)
+    rounding = 8.0 * EPSILON * (r + abs(line[0]) + abs(line[1]) + edge.base + abs(edge.dy))
+    if abs(lateral) > (abs(rate) + doubt) * half + spread * (1.0 + abs(edge.rake_sin) * most) + rounding:
+        return FAR
+    return h - abs(line[5]) * half - edge.rake_cos * most * du - rounding
+
+
+@jit
+def lines_near(
+    c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r, azimuth, spread, useful, ceiling, lines,
+    floor,
+):  # fmt: skip
+    """List the lines of the motion during which the edge passes over a point within ``spread`` below ``ceiling``.
+
+    As `core_height`, for all points near (r, azimuth). Fill ``lines`` (n, 9) as `floor_of_line` takes them, and their
+    ``floor`` (n,). Return how many they are, -1 if they are too many.
+    """
+    begin, end = sense * c[0], sense * c[c.size - 1]
+    turns, count = bounds.shape[1], 0
+    off, lean = abs(edge.dy) + most_y, abs(edge.rake_sin)
+    dip = max(gap - height(edge, 0.0), 0.0)  # the most that the edge is below the tip
+    near, far = r - spread, r + spread
+    for which in range(2):
+        first, last = useful[which, 0], useful[which, 1]
+        behind = np.pi if which == 1 else 0.0
+        start = azimuth + behind + TURN * np.ceil((begin - azimuth - behind) / TURN)
+        for m in range(first - 1, last + 2):
+            t = start + TURN * m
+            if t - 2.0 > end or t + 2.0 < begin:
+                continue
+            before = min(max(int((t - 0.5 * np.pi - begin) / TURN), 0), turns - 1)
+            after = min(max(int((t + 0.5 * np.pi - begin) / TURN), 0), turns - 1)
+            bottom = min(bounds[2, before], bounds[2, after]) + edge.dz
+            low, high = min(bounds[0, before], bounds[0, after]), max(bounds[1, before], bounds[1, after])
+            lateral = off + lean * max((ceiling - bottom) / edge.rake_cos, dip)
+            share = min(lateral / near * (1.0 + 1e-12), 1.0)
+            wide = np.arcsin(share) + np.arcsin(spread / r) + ROUNDING
+            inner = near * np.sqrt(1.0 - share * share)
+            if which == 0:
+                least = least_between(edge, gap, inner - high, far - low)
+            else:
+                least = least_between(edge, gap, -far - high, -inner - low)
+            if bottom + edge.rake_cos * least > ceiling or t - wide > end + ROUNDING or t + wide < begin - ROUNDING:
+                continue
+            base = t - behind
+            at = min(max(t - wide, begin), end)
+            block = locate(c, sense, at, guess_index(c, sense, at, starts)) // BLOCK
+            while block < blocks.shape[1] and sense * c[BLOCK * block] <= t + wide:
+                i, stop = BLOCK * block, min(BLOCK * (block + 1), c.size - 1)
+                k = block
+                block += 1
+                phase = sense * c[i] - base
+                half = 0.5 * (sense * c[stop] - base - phase)
+                sine, cosine = sincos(phase + half)
+                half += ROUNDING
+                along = r * half * (abs(sine) + 0.5 * half) + spread
+                across = r * half * (abs(cosine) + 0.5 * half) + spread
+                low, high = r * cosine - along - blocks[1, k], r * cosine + along - blocks[0, k]
+                rise = (ceiling - blocks[4, k] - edge.dz) / edge.rake_cos
+                if least_between(edge, gap, low, high) > rise:
+                    continue
+                rise = min(rise, max(height(edge, low), height(edge, high)) + gap)
+                across += 0.5 * (blocks[3, k] - blocks[2, k]) + lean * max(rise, dip) + ROUNDING * (1.0 + r)
+                if abs(-sense * r * sine - edge.dy - 0.5 * (blocks[2, k] + blocks[3, k])) > across:
+                    continue
+                for j in range(i, stop):
+                    if count == floor.size:
+                        return -1
+                    length = sense * (c[j + 1] - c[j])
+                    line = lines[count]
+                    line[0], line[2], line[1], line[4] = x[j], z[j], 0.0, 0.0
+                    line[3], line[5] = (x[j + 1] - x[j]) / length, (z[j + 1] - z[j]) / length
+                    if y.size > 0:
+                        line[1], line[4] = y[j], (y[j + 1] - y[j]) / length
+                    line[6] = sense * c[j] - (base - azimuth)
+                    line[7] = -ROUNDING if j == 0 else 0.0
+                    line[8] = length + ROUNDING if j == c.size - 2 else length
+                    floor[count] = floor_of_line(line, edge, bend, sense, r, azimuth, spread)
+                    if floor[count] <= ceiling:
+                        count += 1
+    return count
+
+
+@jit
+def fill_by_lines(
+    c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, rings, useful, r, azimuth, tiles, work,
+    lines, floor, out,
+):  # fmt: skip
+    """Fill ``out`` at the points (r, azimuth) of some tiles, of which tile k holds tiles[k] to tiles[k + 1].
+
+    The lines that may be lowest over any of the points are listed once, and for each tile those that may be over it,
+    with a lower bound of their heights. A point tries them from the lowest bound on. The ceiling of the list is an
+    estimate: a point above it is computed alone, and so is each where the list would be too long.
+    """
+    rc, hr = extent(r, 0, r.size)
+    ac, ha = extent(azimuth, 0, r.size)
+    spread = hr + (rc + hr) * ha + ROUNDING * rc
+    inner, outer = rings_between(rings, rc - hr, rc + hr)
+    range_of = useful[inner].copy()
+    for ring in range(inner + 1, outer):
+        for which in range(2):
+            range_of[which, 0] = min(range_of[which, 0], useful[ring, which, 0])
+            range_of[which, 1] = max(range_of[which, 1], useful[ring, which, 1])
+    count = -1
+    ceiling = -FAR
+    if spread < 0.25 * rc:
+        lowest, highest = FAR, -FAR
+        for k in (0, r.size - 1):
+            h = core_height(
+                c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r[k], azimuth[k], range_of,
+            )  # fmt: skip
+            lowest, highest = min(lowest, h), max(highest, h)
+        if highest < FAR:
+            ceiling = highest + 0.5 * (highest - lowest) + spread * spread / edge.base
+            count = lines_near(
+                c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, rc, ac, spread, range_of, ceiling,
+                lines, floor,
+            )  # fmt: skip
+    pieces = np.empty((64, 2))
+    near = np.empty(max(count, 1), np.int64)
+    for tile in range(tiles.size - 1):
+        part = slice(tiles[tile], tiles[tile + 1])
+        if count >= 0:
+            rc, hr = extent(r, part.start, part.stop)
+            ac, ha = extent(azimuth, part.start, part.stop)
+            spread = hr + (rc + hr) * ha + ROUNDING * rc
+            few = 0
+            for k in range(count):
+                h = floor_of_line(lines[k], edge, bend, sense, rc, ac, spread)
+                if h <= ceiling:
+                    # From the lowest bound on, by insertion.
+                    place = few
+                    while place > 0 and work[place - 1] > h:
+                        work[place], near[place] = work[place - 1], near[place - 1]
+                        place -= 1
+                    work[place], near[place] = h, k
+                    few += 1
+        for i in range(part.start, part.stop):
+            lowest = FAR
+            if count >= 0:
+                for k in range(few):
+                    if work[k] > lowest:
+                        break
+                    line = lines[near[k]]
+                    lowest = lowest_on_line(
+                        line, edge, bend, sense, r[i], line[6] - azimuth[i], line[7], line[8], pieces, lowest
+                    )
+            if lowest > ceiling:
+                ring, _ = rings_between(rings, r[i], r[i])
+                lowest = core_height(
+                    c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r[i], azimuth[i], useful[ring],
+                )  # fmt: skip
+            out[i] = lowest
+
+
+@jit
 def fill_groups(
     c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, r, azimuth,
     offsets, groups, start, stop, shared, out,
@@ -1072,6 +1250,7 @@ def fill_groups(
         most = max(most, offsets[tile + 1] - offsets[tile])
     tip, level = np.empty(most), np.empty(most)
     upright = edge.rake_sin == 0.0 and edge.dy == 0.0 and y.size == 0
+    lines, floor, floors = np.empty((MAX_LINES, 9)), np.empty(MAX_LINES), np.empty(MAX_LINES)
     in_block = -1
     if shared and stop - start > 1 and unwrap(r, azimuth):
         rc, hr = extent(r, 0, r.size)
@@ -1090,12 +1269,20 @@ def fill_groups(
     for g in range(start, stop):
         origin, end = offsets[groups[g]] - first_point, offsets[groups[g + 1]] - first_point
         # A group around the axis spans all azimuths: its points share nothing, so each goes alone.
-        together = unwrap(r[origin:end], azimuth[origin:end]) and end - origin > 1
+        close = unwrap(r[origin:end], azimuth[origin:end]) and end - origin > 1
+        together = close
         rc, hr = extent(r, origin, end)
         ac, ha = extent(azimuth, origin, end)
         if not upright:
             for ring in range(*rings_between(rings, rc - hr, rc + hr)):
                 together = together and not core[ring]
+        if close and not together:
+            fill_by_lines(
+                c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, rings, useful, r[origin:end],
+                azimuth[origin:end], offsets[groups[g] : groups[g + 1] + 1] - (origin + first_point), floors, lines,
+                floor, out[origin:end],
+            )  # fmt: skip
+            continue
         if not together:
             for i in range(origin, end):
                 if r[i] == 0.0 and upright:
