@@ -196,7 +196,7 @@ class Prepared:
 
     def fill(self, x: Floats, y: Floats, tiles: Tiles, span: tuple[int, int], out: Floats) -> None:
         """Fill ``out`` at the points (x, y) of the groups of ``span``, on this thread. Each (n,) [mm]."""
-        kernel.scattered(*self._arguments, only_read(x), only_read(y), tiles.offsets, tiles.groups, *span, out)
+        kernel.scattered(*self._arguments, only_read(x), only_read(y), tiles.offsets, tiles.groups, False, *span, out)
 
     def fill_grid(
         self, columns: Floats, rows: Floats, *, polar: bool = False, sides: tuple[int, int] | None = None,
@@ -218,7 +218,7 @@ class Prepared:
         columns, rows = only_read(columns), only_read(rows)
 
         def work(start: int, stop: int) -> None:
-            kernel.grid(*self._arguments, columns, rows, polar, sides, wanted, several, start, stop, z)
+            kernel.grid(*self._arguments, columns, rows, polar, sides, wanted, several, True, start, stop, z)
 
         run_chunks(work, blocks, int(np.clip(blocks // 32, 1, 64)), progress, threads=threads)
         if inside is not None:
@@ -229,8 +229,8 @@ class Prepared:
     def _arguments(self) -> tuple[Any, ...]:
         cut = self.cut
         return (
-            cut.c, cut.x, cut.y, cut.z, cut.sense, cut.starts, cut.bounds, self.blocks, self.rings, self.useful,
-            self.core, cut.edge, cut.gap, cut.bend, self.most_y,
+            cut.c, cut.x, None if cut.upright else cut.y, cut.z, cut.sense, cut.starts, cut.bounds, self.blocks,
+            self.rings, self.useful, self.core, cut.edge, cut.gap, cut.bend, self.most_y,
         )  # fmt: skip
 
 
@@ -252,7 +252,8 @@ def _prepare(cut: _Cut, low: float, high: float, most_rings: int) -> Prepared:
     useful, core = np.empty((count, 2, 2), dtype=np.int64), np.zeros(count, dtype=np.bool_)
     most_y = float(np.abs(cut.y).max(initial=0.0))
     blocks = np.empty((5, 0 if cut.upright else -(-(cut.c.size - 1) // kernel.BLOCK)))
-    kernel.block_bounds(cut.x, cut.y, cut.z, cut.edge.dx, blocks)
+    if not cut.upright:
+        kernel.block_bounds(cut.x, cut.y, cut.z, cut.edge.dx, blocks)
     if cut.upright and cut.edge.convex:
         kernel.useful_by_ring(cut.bounds, cut.edge, rings, useful)
     else:

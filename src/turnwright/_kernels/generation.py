@@ -7,6 +7,8 @@ the motion: multiplied by its sense, so that they always grow.
 For a convex edge two passes cross at most once, so the lowest of all of them along a line is a lower envelope built
 with a stack in linear time. For everything else (points off a common line, an edge out of the radial plane, an edge
 that is not convex) small tiles of neighbouring points share one list of passes that can be lowest anywhere in the tile.
+
+``y`` is None where the whole edge moves in the plane through the axis; all else is then not even compiled.
 """
 
 import numpy as np
@@ -376,7 +378,7 @@ def pass_at(c, x, y, z, sense, edge, t, r, side, hint):
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
     sign = 1.0 if side == 0 else -1.0
-    if edge.rake_sin == 0.0 and edge.dy == 0.0 and y.size == 0:
+    if y is None:
         if t < begin - ROUNDING or t > end + ROUNDING:
             return FAR, hint, 0.0, t, 0.0
         # As `stand`, without lateral distances: faster by a third.
@@ -405,12 +407,14 @@ def pass_at(c, x, y, z, sense, edge, t, r, side, hint):
 @jit
 def block_bounds(x, y, z, dx, out):
     """Fill ``out`` (5, blocks) with least and greatest tip position and Y, and least height, of `BLOCK` lines each."""
-    out[2:4] = 0.0
     for k in range(out.shape[1]):
-        part = slice(BLOCK * k, min(BLOCK * (k + 1) + 1, x.size))
-        out[0, k], out[1, k], out[4, k] = x[part].min() + dx, x[part].max() + dx, z[part].min()
-        if y.size > 0:
-            out[2, k], out[3, k] = y[part].min(), y[part].max()
+        low, high, back, front, bottom = FAR, -FAR, 0.0, 0.0, FAR
+        for i in range(BLOCK * k, min(BLOCK * (k + 1) + 1, x.size)):
+            low, high, bottom = min(low, x[i]), max(high, x[i]), min(bottom, z[i])
+            if y.size > 0:
+                first = i == BLOCK * k
+                back, front = y[i] if first else min(back, y[i]), y[i] if first else max(front, y[i])
+        out[0, k], out[1, k], out[2, k], out[3, k], out[4, k] = low + dx, high + dx, back, front, bottom
 
 
 @jit_inline
@@ -788,7 +792,7 @@ def choose(work, count, chosen):
 
 
 @jit
-def shorten(c, x, y, z, sense, edge, bend, rc, ac, hr, ha, count, side, shift, hint, work, chosen):
+def shorten(c, x, z, sense, edge, bend, rc, ac, hr, ha, count, side, shift, hint, work, chosen):
     """Choose the passes of an upright edge that can be lowest within (hr, ha) of the place (rc, ac); return how many.
 
     A pass can if its height in the middle, less the most that its slope can differ within reach from the slope of the
@@ -798,7 +802,7 @@ def shorten(c, x, y, z, sense, edge, bend, rc, ac, hr, ha, count, side, shift, h
     begin, end = sense * c[0], sense * c[c.size - 1]
     lowest, best = FAR, -1
     for k in range(count):
-        h, i, u, _, _ = pass_at(c, x, y, z, sense, edge, ac + shift[k], rc, side[k], hint[k])
+        h, i, u, _, _ = pass_at(c, x, None, z, sense, edge, ac + shift[k], rc, side[k], hint[k])
         hint[k], work[0, k], work[1, k] = i, h, u
         if h < lowest:
             lowest, best = h, k
@@ -968,24 +972,29 @@ def extent(values, start, stop):
 
 
 @jit
-def lower(c, x, y, z, sense, edge, turn, which, hint, r, azimuth, rc, hr, ac, ha, tip, level, out):
-    """Lower ``out`` to one pass over the points (r, azimuth) of a tile, which lie within (hr, ha) of (rc, ac).
+def lower_each(c, x, y, z, sense, edge, turn, which, hint, r, azimuth, out):
+    """Lower ``out`` to one pass over the points (r, azimuth)."""
+    i = hint
+    for k in range(out.size):
+        h, i, _, _, _ = pass_at(c, x, y, z, sense, edge, azimuth[k] + turn, r[k], which, i)
+        out[k] = min(out[k], h)
 
-    An upright tool moves over a tile along a few lines of its motion: its position is linear in the azimuth with a few
-    kinks, which takes loops that vectorise. ``tip`` and ``level`` are scratch, for one number each point.
+
+@jit
+def lower(c, x, z, sense, edge, turn, which, hint, r, azimuth, rc, hr, ac, ha, tip, level, out):
+    """Lower ``out`` to one pass of an upright edge over the points of a tile, which lie within (hr, ha) of (rc, ac).
+
+    The tool moves over a tile along a few lines of its motion: its position is linear in the azimuth with a few kinks,
+    which takes loops that vectorise. ``tip`` and ``level`` are scratch, for one number each point.
     """
     count = out.size
     t = ac + turn
-    upright = edge.rake_sin == 0.0 and edge.dy == 0.0 and y.size == 0
-    inside = t - ha > sense * c[0] and t + ha < sense * c[c.size - 1]
-    i, last = hint, hint
-    if upright and inside:
+    i, last = hint, c.size
+    if t - ha > sense * c[0] and t + ha < sense * c[c.size - 1]:
         i = locate(c, sense, t - ha, hint)
         last = locate(c, sense, t + ha, i)
-    if not upright or not inside or last - i > MAX_KINKS:
-        for k in range(count):
-            h, i, _, _, _ = pass_at(c, x, y, z, sense, edge, azimuth[k] + turn, r[k], which, i)
-            out[k] = min(out[k], h)
+    if last - i > MAX_KINKS:
+        lower_each(c, x, None, z, sense, edge, turn, which, hint, r, azimuth, out)
         return
     ci = sense * c[i]
     step = sense * c[i + 1] - ci
@@ -1043,8 +1052,8 @@ def nearer(
 ):  # fmt: skip
     """Copy the passes of a list that can be lowest around a ``place``, (rc, hr, ac, ha); return how many they are."""
     rc, hr, ac, ha = place
-    if edge.rake_sin == 0.0 and edge.dy == 0.0 and y.size == 0:
-        n = shorten(c, x, y, z, sense, edge, bend, rc, ac, hr, ha, count, side, shift, hint, work, chosen)
+    if y is None:
+        n = shorten(c, x, z, sense, edge, bend, rc, ac, hr, ha, count, side, shift, hint, work, chosen)
     else:
         n = shorten_lateral(
             c, x, y, z, sense, edge, bend, rc, ac, hr, ha, count, side, shift, hint, work, tilts, chosen
@@ -1231,12 +1240,12 @@ def fill_by_lines(
 @jit
 def fill_groups(
     c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, r, azimuth,
-    offsets, groups, start, stop, shared, out,
+    offsets, groups, shared, out,
 ):  # fmt: skip
-    """Fill ``out`` at the points (r, azimuth) of groups ``start`` to ``stop``, azimuths along the motion.
+    """Fill ``out`` at the points (r, azimuth) of some groups, azimuths along the motion.
 
-    Group g holds the tiles groups[g] to groups[g + 1], tile k the points offsets[k] to offsets[k + 1], counted from the
-    first point of group ``start``, as those of r, azimuth and out are. A group shortens the list of all passes once for
+    Group g holds the tiles groups[g] to groups[g + 1], tile k the points offsets[k] to offsets[k + 1], counted so that
+    the first point of the first group is that of r, azimuth and out. A group shortens the list of all passes once for
     its tiles, and each tile again for its points; with ``shared`` all groups first shorten it together.
     """
     room = 2 * (starts.size + 2)
@@ -1244,15 +1253,17 @@ def fill_groups(
     shifts = np.empty((4, room))
     chosen = np.empty(room, np.int64)
     work, tilts = np.empty((3, room)), np.empty((room, 4))
-    first_point = offsets[groups[start]]
+    number = groups.size - 1
+    first_point = offsets[groups[0]]
     most = 1
-    for tile in range(groups[start], groups[stop]):
+    for tile in range(groups[0], groups[number]):
         most = max(most, offsets[tile + 1] - offsets[tile])
     tip, level = np.empty(most), np.empty(most)
-    upright = edge.rake_sin == 0.0 and edge.dy == 0.0 and y.size == 0
-    lines, floor, floors = np.empty((MAX_LINES, 9)), np.empty(MAX_LINES), np.empty(MAX_LINES)
+    upright = y is None
+    if y is not None:
+        lines, floor, floors = np.empty((MAX_LINES, 9)), np.empty(MAX_LINES), np.empty(MAX_LINES)
     in_block = -1
-    if shared and stop - start > 1 and unwrap(r, azimuth):
+    if shared and number > 1 and unwrap(r, azimuth):
         rc, hr = extent(r, 0, r.size)
         ac, ha = extent(azimuth, 0, r.size)
         free = True
@@ -1266,7 +1277,7 @@ def fill_groups(
                 c, x, y, z, sense, edge, bend, (rc, hr, ac, ha), n, lists[0, 0], shifts[0], lists[0, 1],
                 work, tilts, chosen, lists[1, 0], shifts[1], lists[1, 1],
             )  # fmt: skip
-    for g in range(start, stop):
+    for g in range(number):
         origin, end = offsets[groups[g]] - first_point, offsets[groups[g + 1]] - first_point
         # A group around the axis spans all azimuths: its points share nothing, so each goes alone.
         close = unwrap(r[origin:end], azimuth[origin:end]) and end - origin > 1
@@ -1276,34 +1287,39 @@ def fill_groups(
         if not upright:
             for ring in range(*rings_between(rings, rc - hr, rc + hr)):
                 together = together and not core[ring]
-        if close and not together:
-            fill_by_lines(
-                c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, rings, useful, r[origin:end],
-                azimuth[origin:end], offsets[groups[g] : groups[g + 1] + 1] - (origin + first_point), floors, lines,
-                floor, out[origin:end],
-            )  # fmt: skip
-            continue
+        if y is not None:  # noqa: SIM102 - alone, so that numba leaves out what follows
+            if close and not together:
+                fill_by_lines(
+                    c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, rings, useful, r[origin:end],
+                    azimuth[origin:end], offsets[groups[g] : groups[g + 1] + 1] - (origin + first_point), floors,
+                    lines, floor, out[origin:end],
+                )  # fmt: skip
+                continue
         if not together:
             for i in range(origin, end):
-                if r[i] == 0.0 and upright:
-                    out[i] = axis_height(x, z, starts, bounds, edge, gap)
-                    continue
-                ring, _ = rings_between(rings, r[i], r[i])
-                if core[ring] and not upright:
-                    out[i] = core_height(
-                        c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r[i],
-                        azimuth[i], useful[ring],
-                    )  # fmt: skip
-                    continue
+                if y is None:
+                    if r[i] == 0.0:
+                        out[i] = axis_height(x, z, starts, bounds, edge, gap)
+                        continue
+                else:
+                    ring, _ = rings_between(rings, r[i], r[i])
+                    if core[ring]:
+                        out[i] = core_height(
+                            c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r[i],
+                            azimuth[i], useful[ring],
+                        )  # fmt: skip
+                        continue
                 n = gather(
                     c, sense, starts, rings, useful, upright, r[i], r[i], azimuth[i], lists[0, 0], shifts[0],
                     lists[0, 1],
                 )  # fmt: skip
                 out[i] = FAR
+                only = slice(i, i + 1)
                 for k in range(n):
-                    t = azimuth[i] + shifts[0, k]
-                    h, _, _, _, _ = pass_at(c, x, y, z, sense, edge, t, r[i], lists[0, 0, k], lists[0, 1, k])
-                    out[i] = min(out[i], h)
+                    lower_each(
+                        c, x, y, z, sense, edge, shifts[0, k], lists[0, 0, k], lists[0, 1, k], r[only], azimuth[only],
+                        out[only],
+                    )  # fmt: skip
             continue
         n, source = in_block, 1
         if in_block < 0:
@@ -1325,18 +1341,24 @@ def fill_groups(
             )  # fmt: skip
             out[part] = FAR
             for k in range(few):
-                lower(
-                    c, x, y, z, sense, edge, shifts[3, k], lists[3, 0, k], lists[3, 1, k], r[part], azimuth[part],
-                    rc, hr, ac, ha, tip, level, out[part],
-                )  # fmt: skip
+                if y is None:
+                    lower(
+                        c, x, z, sense, edge, shifts[3, k], lists[3, 0, k], lists[3, 1, k], r[part], azimuth[part],
+                        rc, hr, ac, ha, tip, level, out[part],
+                    )  # fmt: skip
+                else:
+                    lower_each(
+                        c, x, y, z, sense, edge, shifts[3, k], lists[3, 0, k], lists[3, 1, k], r[part], azimuth[part],
+                        out[part],
+                    )  # fmt: skip
 
 
 @jit
 def scattered(
     c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, px, py,
-    offsets, groups, start, stop, out,
+    offsets, groups, shared, start, stop, out,
 ):  # fmt: skip
-    """Fill ``out`` at the points (px, py) of groups ``start`` to ``stop``, see `fill_groups`."""
+    """Fill ``out`` at the points (px, py) of groups ``start`` to ``stop``, each alone, see `fill_groups`."""
     first, last = offsets[groups[start]], offsets[groups[stop]]
     r, azimuth = np.empty(last - first), np.empty(last - first)
     for i in range(first, last):
@@ -1344,7 +1366,7 @@ def scattered(
         azimuth[i - first] = sense * np.arctan2(py[i], px[i])
     fill_groups(
         c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, r, azimuth,
-        offsets, groups, start, stop, False, out[first:last],
+        offsets, groups[start : stop + 1], shared, out[first:last],
     )  # fmt: skip
 
 
@@ -1388,7 +1410,7 @@ def polar_tile(columns, rows, polar, sense, r, azimuth):
 @jit
 def grid(
     c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, columns, rows, polar,
-    sides, wanted, several, start, stop, out,
+    sides, wanted, several, shared, start, stop, out,
 ):  # fmt: skip
     """Fill ``out`` (rows, columns) block by block from ``start`` to ``stop``, blocks counted row by row.
 
@@ -1425,11 +1447,12 @@ def grid(
         points = offsets[tile]
         fill_groups(
             c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, r[:points],
-            azimuth[:points], offsets, groups, 0, number, True, heights_of[:points],
+            azimuth[:points], offsets, groups[: number + 1], shared, heights_of[:points],
         )  # fmt: skip
         for k in range(tile):
             j, i = corner[k]
             n = min(across, columns.size - i)
             for line in range(min(down, rows.size - j)):
                 first = offsets[k] + line * n
-                out[j + line, i : i + n] = heights_of[first : first + n]
+                for place in range(n):
+                    out[j + line, i + place] = heights_of[first + place]
