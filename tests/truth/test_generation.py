@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 
 import turnwright as tw
 from cases import every_second
+from turnwright.generation import Prepared
 
 DEG = np.pi / 180
 MACHINE = tw.Machine(
@@ -187,6 +188,22 @@ def test_maps_equal_single_points(name, how):
         np.testing.assert_allclose(each.z[both], alone[both], atol=1e-13)
         # Where a point stands on the very rim of what an off-centre tool covers, rounding decides.
         assert np.count_nonzero(np.isfinite(each.z) != np.isfinite(alone)) <= 2
+
+
+@pytest.mark.parametrize("name", TOOLS)
+@pytest.mark.parametrize("sides", [(1, 1), (2, 5), (16, 16)])
+def test_heights_do_not_depend_on_the_tiles(name, sides):
+    """Tiles narrower than a chord and across several of them, in groups that share a list and alone."""
+    motion = spiral_motion(1.0, 0.02, 61, bowl)
+    x, y = np.linspace(0.3, 0.5, 67), np.linspace(-0.1, 0.06, 65)
+    inside = np.add.outer(np.arange(y.size), np.arange(x.size)) % 7 != 3
+    inside[:20, :30] = False
+    ready = Prepared.of(motion, TOOLS[name], None, distances=(0.0, 0.6), most_rings=1000)
+    z = ready.fill_grid(x, y, sides=sides, inside=inside)
+    across, down = np.meshgrid(x, y)
+    alone = tw.generate_points(motion, TOOLS[name], x=across[inside], y=down[inside])
+    np.testing.assert_allclose(z[inside], alone, atol=1e-13)
+    assert np.isnan(z[~inside]).all()
 
 
 def flat_motion(feed, points=8, turns=60):

@@ -989,7 +989,7 @@ def lower(c, x, z, sense, edge, turn, which, hint, r, azimuth, rc, hr, ac, ha, t
     """
     count = out.size
     t = ac + turn
-    i, last = hint, c.size
+    i, last = hint, hint + MAX_KINKS + 1
     if t - ha > sense * c[0] and t + ha < sense * c[c.size - 1]:
         i = locate(c, sense, t - ha, hint)
         last = locate(c, sense, t + ha, i)
