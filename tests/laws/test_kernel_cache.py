@@ -154,3 +154,20 @@ def test_a_full_disk_of_the_cache_is_not_noticed(tmp_path):
     assert float(done.stdout) == pytest.approx(1.0, abs=1e-12)
     assert resource
     assert not [file for file in tmp_path.rglob("*") if file.is_file()]
+
+
+def test_what_is_compiled_is_logged_once(tmp_path):
+    code = (
+        "import logging, sys\n"
+        "logging.basicConfig(level=logging.WARNING, stream=sys.stdout, format='%(message)s')\n"
+        "logging.getLogger('turnwright._kernels').setLevel(logging.INFO)\n"
+        "from turnwright.surface import SineGrid\n"
+        "SineGrid(amplitude=(1.0, 0.0), period=(4.0, 4.0)).sag(1.0, 0.0)\n"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    printed = [
+        subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True).stdout
+        for _ in range(2)
+    ]
+    assert set(printed[0].splitlines()) == {f"compiling {name}, once on this machine" for name in ("sines", "trig")}
+    assert printed[1] == ""

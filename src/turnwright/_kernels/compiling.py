@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import logging
 import os
 import pickle  # noqa: TID251 - of compiled code only, which numba writes so
 import re
@@ -27,6 +28,8 @@ from numba.core import compiler, serialize
 __all__ = ["compiled"]
 
 _CALLED = re.compile(r"^from turnwright\._kernels\.(\w+) import", re.MULTILINE)
+
+_LOG = logging.getLogger(__name__)
 
 CHECKSUM = hashlib.sha256().digest_size
 """Bytes before the code in a file."""
@@ -64,20 +67,22 @@ class _Cache:
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.cache_path = str(_cache_folder(function.__module__))
-        self._name = function.__qualname__
+        self._module, self._name = function.__module__.rpartition(".")[2], function.__qualname__
 
     def load_overload(self, signature: Any, context: Any) -> Any:
-        """Return the compiled code for a signature, or ``None`` if it must be compiled."""
+        """Return the compiled code for a signature, or ``None`` if it must be compiled, which is logged."""
         context.refresh()
         key = _key(signature, context.codegen())
         try:
             data = self._file(key).read_bytes()
-            if hashlib.sha256(data[CHECKSUM:]).digest() != data[:CHECKSUM]:
-                return None
-            stored_key, code = pickle.loads(data[CHECKSUM:])  # noqa: S301 - written by this class: its checksum is right
-            return compiler.CompileResult._rebuild(context, *code) if stored_key == key else None  # noqa: SLF001 - as numba does
-        except Exception:  # noqa: BLE001 - whatever is wrong with it, it can be compiled
-            return None
+            if hashlib.sha256(data[CHECKSUM:]).digest() == data[:CHECKSUM]:
+                stored_key, code = pickle.loads(data[CHECKSUM:])  # noqa: S301 - written by this class: its checksum is right
+                if stored_key == key:
+                    return compiler.CompileResult._rebuild(context, *code)  # noqa: SLF001 - as numba does
+        except Exception:  # noqa: BLE001, S110 - whatever is wrong with it, it can be compiled
+            pass
+        _LOG.info("compiling %s, once on this machine", self._module)
+        return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Write the compiled code for a signature, if the disk is writable."""

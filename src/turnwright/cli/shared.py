@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import re
 import shutil
@@ -29,7 +30,7 @@ except ImportError:  # Windows: the folder of a killed process stays
     fcntl = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from turnwright.job import Job, Verdict
     from turnwright.progress import Overall, StageProgress, Step
@@ -209,9 +210,24 @@ def show_progress(stop: Stop, steps: Sequence[Step]) -> Iterator[StageProgress]:
             stop.check()
             overall(stage, done, total)
 
-        yield update
+        with _show_compiler(lambda text: bars.update(task, time=text)):
+            yield update
         overall.finish()
         bars.update(task, description="done", time=f"in {timedelta(seconds=round(time.monotonic() - start))}")
+
+
+@contextmanager
+def _show_compiler(show: Callable[[str], object]) -> Iterator[None]:
+    """Report what is compiled, which takes seconds for each kernel in the first run on a machine."""
+    log, handler = logging.getLogger("turnwright._kernels"), logging.Handler()
+    handler.emit = lambda record: show(record.getMessage())  # type: ignore[method-assign,assignment]
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(logging.NOTSET)
 
 
 @contextmanager

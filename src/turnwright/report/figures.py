@@ -163,20 +163,24 @@ def _canvas(width: float = 4.6, height: float = 3.7, dpi: int = 130) -> Iterator
     with mpl.rc_context(STYLE):
         canvas = _Canvas(width, height, dpi)
         yield canvas
-        # Lay out and print once: `savefig` would render the figure twice more.
-        if canvas.figure.get_layout_engine() is canvas.layout:
-            canvas.layout.execute(canvas.figure)
-            canvas.figure.set_layout_engine("none")
-        text = io.StringIO()
-        printer: Any = FigureCanvasSVG(canvas.figure)
-        printer.print_svg(text, metadata={"Date": None, "Creator": None})
+        canvas.svg = _print_svg(canvas)
+
+
+def _print_svg(canvas: _Canvas) -> str:
+    # Lay out and print once: `savefig` would render the figure twice more.
+    if canvas.figure.get_layout_engine() is canvas.layout:
+        canvas.layout.execute(canvas.figure)
+        canvas.figure.set_layout_engine("none")
+    text = io.StringIO()
+    printer: Any = FigureCanvasSVG(canvas.figure)
+    printer.print_svg(text, metadata={"Date": None, "Creator": None})
     svg = text.getvalue()
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r' (?:id="[A-Za-z]+[\w.]*_\d+"|xmlns(?::\w+)?="[^"]*")', "", svg)
     for colour, variable in VARIABLES.items():
         svg = svg.replace(colour, f"var(--{variable})")
-    canvas.svg = svg
+    return svg
 
 
 def _length(extent: float) -> tuple[float, str]:
