@@ -93,11 +93,6 @@ class Edge(NamedTuple):
         kernel.points(self, sweep.ravel(), out)
         return out.reshape(3, *sweep.shape)
 
-    def slopes(self, sweep: Floats) -> Floats:
-        """Return de/du at places on the edge. (n,)."""
-        _, _, du, dw = self.trace(sweep)
-        return np.asarray(self.rake_cos * dw / du)
-
     def profile(self, u: Floats) -> tuple[Floats, Floats]:
         """Return height and slope in the rake plane at distances from the nominal tip. Each (n,) [mm]."""
         out = np.empty((2, u.size))

@@ -9,10 +9,14 @@ import numpy as np
 
 from turnwright._kernels import jit
 from turnwright._kernels.edge import height, slope
+from turnwright._kernels.trig import sincos
 
+TURN = 2.0 * np.pi
 SEARCH_FACTOR = 2  # points are tried up to this many times the furthest step so far, plus some samples
 SEARCH_MARGIN = 8
 BISECTIONS = 6  # of the interval between the last sample that a step may reach and the next
+SECANTS = 6  # at most, for the end of a step within that interval, to this fraction of the step
+SECANT_TOL = 3e-4
 
 
 @jit
@@ -33,12 +37,75 @@ def cubic(t, f, df, k, at):
 
 
 @jit
-def spline_at(f, df, position, value, rate):
-    """Fill value and derivative of a spline on the knots 0, 1, 2 and so on, from its values and slopes there."""
-    last = f.size - 2
-    for i in range(position.size):
-        k = min(max(int(position[i]), 0), last)
-        value[i], rate[i] = hermite(f[k], f[k + 1], df[k], df[k + 1], position[i] - k)
+def spline(f, df, position):
+    """Return value and derivative of a spline on the knots 0, 1, 2 and so on, from its values and slopes there."""
+    k = min(max(int(position), 0), f.size - 2)
+    return hermite(f[k], f[k + 1], df[k], df[k + 1], position - k)
+
+
+@jit
+def spline_at(f, df, density, t, value, rate):
+    """Fill value and derivative at ``t`` of a spline with ``density`` knots per unit."""
+    for i in range(t.size):
+        value[i], slope = spline(f, df, t[i] * density)
+        rate[i] = slope * density
+
+
+@jit
+def lateral_tolerance(f, df, density, idle, usual, fraction, idle_fraction, t, tolerance):
+    """Fill the largest error of the controller's radius that is allowed at ``t``, the radius being a spline."""
+    turn, last = TURN * density, f.size - 1
+    for i in range(t.size):
+        position = t[i] * density
+        radius, _ = spline(f, df, position)
+        # The lesser of the steps to both neighbouring revolutions, except where a spoke comes to rest.
+        step = np.inf
+        if position >= turn:
+            step = radius - spline(f, df, position - turn)[0]
+        if position + turn <= last:
+            step = min(step, spline(f, df, position + turn)[0] - radius)
+        # Places next to a knot that cuts count as cutting.
+        k = min(int(position), idle.size - 2)
+        tolerance[i] = fraction * max(step, usual / 2) + idle_fraction * usual * min(idle[k], idle[k + 1])
+
+
+@jit
+def middle_error(before, after, first, last, span, share, at):
+    """Return how far a cubic over ``span``, from values and slopes at its ends, passes ``at`` at a share of the way."""
+    return abs(hermite(before, after, span * first, span * last, share)[0] - at)
+
+
+@jit
+def sampling_error(path, doubt):
+    """Fill, for each interval, the error of cubics over it and a neighbour at the sample between them. (n - 1,)."""
+    t, z, dz, x, dx, s, _ = path
+    doubt[:] = 0.0
+    for k in range(1, t.size - 1):
+        i, j = k - 1, k + 1
+        span = t[j] - t[i]
+        share = (t[k] - t[i]) / span
+        error = middle_error(z[i], z[j], dz[i], dz[j], span, share, z[k])
+        error += abs(s[k]) * middle_error(x[i], x[j], dx[i], dx[j], span, share, x[k])
+        doubt[i], doubt[k] = max(doubt[i], error), error
+
+
+@jit
+def second_derivative(rise, first, last):
+    """Return the largest second derivative of a cubic over a unit interval, from its rise and the slopes at its ends.
+
+    It is largest at one of the ends.
+    """
+    return max(abs(6.0 * rise - 4.0 * first - 2.0 * last), abs(2.0 * first + 4.0 * last - 6.0 * rise))
+
+
+@jit
+def bulge(path, out):
+    """Fill the bulge of straight lines: second derivative times the squared interval. (n - 1,)."""
+    t, z, dz, x, dx, s, _ = path
+    for k in range(out.size):
+        h = t[k + 1] - t[k]
+        out[k] = second_derivative(z[k + 1] - z[k], h * dz[k], h * dz[k + 1])
+        out[k] += abs(s[k]) * second_derivative(x[k + 1] - x[k], h * dx[k], h * dx[k + 1])
 
 
 @jit
@@ -47,15 +114,16 @@ def refine(path, parts, out):
     t, z, dz, x, dx, s, lateral = path
     m = 0
     for k in range(parts.size):
+        h = t[k + 1] - t[k]
         for i in range(parts[k]):
             share = i / parts[k]
-            at = t[k] + share * (t[k + 1] - t[k])
-            out[0, m] = at
-            out[1, m], out[2, m] = cubic(t, z, dz, k, at)
-            out[3, m], out[4, m] = cubic(t, x, dx, k, at)
-            out[5, m] = s[k] + share * (s[k + 1] - s[k])
-            out[6, m] = lateral[k] + share * (lateral[k + 1] - lateral[k])
-            m += 1
+            out[0, m + i] = t[k] + share * h
+            out[1, m + i], up = hermite(z[k], z[k + 1], h * dz[k], h * dz[k + 1], share)
+            out[3, m + i], along = hermite(x[k], x[k + 1], h * dx[k], h * dx[k + 1], share)
+            out[2, m + i], out[4, m + i] = up / h, along / h
+            out[5, m + i] = s[k] + share * (s[k + 1] - s[k])
+            out[6, m + i] = lateral[k] + share * (lateral[k + 1] - lateral[k])
+        m += parts[k]
     for row in range(out.shape[0]):
         out[row, m] = path[row, parts.size]
 
@@ -102,16 +170,28 @@ def node(path, k, at):
 
 
 @jit
+def interval(t, at):
+    """Return the number of the last sample at or before ``at``, at least 0."""
+    return max(np.searchsorted(t, at, side="right") - 1, 0)
+
+
+@jit
+def sample(path, j):
+    """Return the node (t, z, dz, x, dx) at sample j."""
+    return path[0, j], path[1, j], path[2, j], path[3, j], path[4, j]
+
+
+@jit
 def on_path(path, begin, stop, slack, bend, widest, hermite, out):
     """Choose nodes on a path, each the furthest that the controller's curve reaches; return how many.
 
-    The first node stands at ``begin``, within the first interval. Nodes follow
-    until one is at ``stop`` or behind, or the samples end before a step does. ``out`` (n + 1,) takes their t.
+    The first node stands at ``begin``, after the first sample. Nodes follow until one is at ``stop`` or behind, or the
+    samples end before a step does. ``out`` (n + 1,) takes their t.
     """
     t = path[0]
     n = t.size
-    k = 0  # the sample at or before the last node
-    last = node(path, 0, begin)
+    k = interval(t, begin)  # the sample at or before the last node
+    last = node(path, k, begin)
     out[0] = begin
     count = 1
     while last[0] < stop:
@@ -143,28 +223,39 @@ def on_path(path, begin, stop, slack, bend, widest, hermite, out):
 
 
 @jit
-def cone(path, first, last, a, b, slack, bend, bounds):
-    """Narrow ``bounds`` to the slopes of straight lines from node a that pass all samples before b; return if any.
+def look_ahead(path, first, a, begin, end, ahead):
+    """Fill columns ``begin`` to ``end`` of ``ahead`` (6, n) with the samples from ``first`` on as seen from node a.
 
-    See `fits`; b itself must be within ``slack`` of its own height.
+    The rows are the distance in t, its inverse, height and radius from the node, slope, and allowed radius error.
     """
-    t, z, x, s, lateral = path[0], path[1], path[3], path[5], path[6]
-    along = (b[3] - a[3]) / (b[0] - a[0])
-    h = 1.0 / (b[0] - a[0])
-    low, high = (b[1] - slack - a[1]) * h, (b[1] + slack - a[1]) * h
-    for n in range(last - first + 1):
-        j = last - n
-        h = t[j] - a[0]
-        off = a[3] + along * h - x[j]
-        if abs(off) > lateral[j]:
-            return False
-        rise = z[j] + s[j] * off - a[1]
+    for i in range(begin, end):
+        h = path[0, first + i] - a[0]
+        ahead[0, i], ahead[1, i] = h, 1.0 / h
+        ahead[2, i], ahead[3, i] = path[1, first + i] - a[1], path[3, first + i] - a[3]
+        ahead[4, i], ahead[5, i] = path[5, first + i], path[6, first + i]
+
+
+@jit
+def cone(ahead, count, a, b, slack, bend):
+    """Return the least and the greatest slope of straight lines from node a to node b that pass ``count`` samples.
+
+    See `fits`; b itself must be within ``slack`` of its own height. There is no such line if the least slope is above
+    the greatest.
+    """
+    h, inverse, up, out, s, lateral = ahead
+    per = 1.0 / (b[0] - a[0])
+    along = (b[3] - a[3]) * per
+    low, high = (b[1] - slack - a[1]) * per, (b[1] + slack - a[1]) * per
+    within = True
+    for i in range(count):
+        off = along * h[i] - out[i]
+        rise = up[i] + s[i] * off
         room = slack - bend * off * off
-        low, high = max(low, (rise - room) / h), min(high, (rise + room) / h)
-        if low > high:
-            return False
-    bounds[0], bounds[1] = low, high
-    return True
+        least, most = (rise - room) * inverse[i], (rise + room) * inverse[i]
+        low = least if least > low else low
+        high = most if most < high else high
+        within &= abs(off) <= lateral[i]
+    return (low, high) if within else (np.inf, -np.inf)
 
 
 @jit
@@ -177,9 +268,9 @@ def off_path(path, begin, start, stop, slack, bend, widest, out, lift):
     """
     t = path[0]
     n = t.size
-    bounds = np.empty(2)
-    k = 0
-    last = node(path, 0, begin)
+    ahead = np.empty((6, n))
+    k = interval(t, begin)
+    last = node(path, k, begin)
     last = (last[0], last[1] + start, last[2], last[3], last[4])
     out[0], lift[0] = begin, start
     count = 1
@@ -187,39 +278,52 @@ def off_path(path, begin, start, stop, slack, bend, widest, out, lift):
     while last[0] < stop:
         first = k + 1
         # From about where the last step ended, down to what fits and up to what does not.
-        j = min(k + max(stride - 2, 1), n - 1)
-        while j > first and (
-            t[j] - last[0] > widest or not cone(path, first, j - 1, last, node(path, j - 1, t[j]), slack, bend, bounds)
-        ):
+        j = min(k + max(stride - 1, 1), n - 1)
+        seen = j - first
+        look_ahead(path, first, last, 0, seen, ahead)
+        new = sample(path, j)
+        least, most = cone(ahead, j - first, last, new, slack, bend)
+        while j > first and (t[j] - last[0] > widest or least > most):
             j = first + (j - first) * 3 // 4
-        best = max(j, first)
-        j = best + 1
-        while (
-            j < n
-            and t[j] - last[0] <= widest
-            and cone(path, first, j - 1, last, node(path, j - 1, t[j]), slack, bend, bounds)
-        ):
-            best = j
-            j += 1
-        if j >= n:
+            new = sample(path, j)
+            least, most = cone(ahead, j - first, last, new, slack, bend)
+        best = j
+        while best + 1 < n:
+            passed = best + 1 - first
+            look_ahead(path, first, last, min(seen, passed), passed, ahead)
+            seen = max(seen, passed)
+            tried = sample(path, best + 1)
+            low, high = cone(ahead, passed, last, tried, slack, bend)
+            if tried[0] - last[0] > widest or low > high:
+                break
+            best, new, least, most = best + 1, tried, low, high
+        if best + 1 == n:
             break
         stride = best - k
-        new = node(path, best - 1, t[best])
-        cone(path, first, best - 1, last, new, slack, bend, bounds)
-        low, high = t[best], min(t[best + 1], last[0] + widest)
-        for _ in range(BISECTIONS):
-            at = 0.5 * (low + high)
-            if not low < at < high:
+        near, far = t[best], tried[0]
+        if far - last[0] > widest:
+            far = last[0] + widest
+            tried = node(path, best, far)
+            low, high = cone(ahead, passed, last, tried, slack, bend)
+            if low <= high:
+                near, new, least, most = far, tried, low, high
+        # The width of the cone falls to 0 where the step ends: the secant finds it, or bisection where it has a limit
+        # of the radius error.
+        width = high - low
+        for _ in range(SECANTS):
+            share = (most - least) / (most - least - width) if width > -np.inf else 0.5
+            at = near + share * (far - near) - SECANT_TOL * (near - last[0])
+            if not at > near:
                 break
             tried = node(path, best, at)
-            if cone(path, first, best, last, tried, slack, bend, bounds):
-                low, new = at, tried
+            low, high = cone(ahead, passed, last, tried, slack, bend)
+            if low <= high:
+                near, new, least, most = at, tried, low, high
             else:
-                high = at
+                far, width = at, high - low
         # Within the cone, the node nearest to the path is chosen.
         h = new[0] - last[0]
-        way = min(max((new[1] - last[1]) / h, bounds[0]), bounds[1])
-        up = last[1] + way * h
+        up = last[1] + min(max((new[1] - last[1]) / h, least), most) * h
         k = best
         last = (new[0], up, new[2], new[3], new[4])
         out[count], lift[count] = new[0], up - new[1]
@@ -240,6 +344,21 @@ def tips_at(first, step, z, rate, row, radius, tip, along):
         j = row[i]
         tip[i], slope = hermite(z[k, j], z[k + 1, j], step * rate[k, j], step * rate[k + 1, j], place - k)
         along[i] = slope / step
+
+
+@jit
+def tip_slopes(edge, angle, radius, x, y, fx, fy, around, outward):
+    """Fill the derivatives of a tip's height by the angle at constant radius, and by the radius, from its contact.
+
+    Without rake the derivative by the radius is the slope of the edge, also on a ridge, where the surface has no slope.
+    """
+    for i in range(angle.size):
+        sine, cosine = sincos(angle[i])
+        around[i] = fy[i] * x[i] - fx[i] * y[i]
+        if edge.rake_sin == 0.0:
+            outward[i] = edge.rake_cos * slope(edge, x[i] * cosine + y[i] * sine - radius[i])
+        else:
+            outward[i] = fx[i] * cosine + fy[i] * sine
 
 
 @jit

@@ -18,7 +18,7 @@ from turnwright.machine import Machine
 from turnwright.part import Part
 from turnwright.path import Path, Spiral
 from turnwright.placing import Tips, touch_down
-from turnwright.progress import Progress
+from turnwright.progress import Progress, run_chunks
 from turnwright.speed_profile import Speeds
 from turnwright.strategy.base import Strategy
 from turnwright.strategy.fast import FastToolServo
@@ -42,6 +42,9 @@ END_ANGLE_RAD = TURN / 24
 """After the last revolution the radius comes to rest within this angle, so that the outermost tip, which sets the rim
 for all tips, is the last point of the program and not between two points. [rad]"""
 
+CHUNK = 16384
+"""Points whose slopes are computed together."""
+
 SPOKES_PER_FEATURE = 4
 MIN_SPOKES = 256
 RINGS_PER_FEATURE = 8
@@ -58,6 +61,9 @@ BLOCK_SAMPLES = 1 << 21
 
 MIN_STEP_FRACTION = 0.1
 """Least step, as a fraction of that on a flat: in a valley too sharp for the nose, every step leaves a cusp."""
+
+STEP_TOL = 1e-6
+"""Newton's method ends at a step below this fraction of that on a flat; the error is then about the square of it."""
 
 MAX_STEP_GROWTH = 4.0
 """A step grows at most by this factor from one revolution to the next."""
@@ -284,8 +290,8 @@ class _Curve:
     def at(self, turned: Floats) -> tuple[Floats, Floats]:
         """Return radius and derivative. (n,) [mm], (n,) [mm/rad]."""
         radius, rate = np.empty((2, turned.size))
-        kernel.spline_at(self.values, self.slopes, turned * self.density, radius, rate)
-        return radius, rate * self.density
+        kernel.spline_at(self.values, self.slopes, self.density, turned, radius, rate)
+        return radius, rate
 
     def outermost(self) -> float:
         """Return the largest radius of the tip, and tighten the radius tolerance there. [mm]."""
@@ -298,16 +304,12 @@ class _Curve:
 
     def lateral_tolerance(self, turned: Floats) -> Floats:
         """Return the largest error of the controller's radius that is allowed. (n,) [mm]."""
-        radius = self.at(turned)[0]
-        last = (self.values.size - 1) / self.density
-        inner = np.where(turned >= TURN, radius - self.at(np.maximum(turned - TURN, 0.0))[0], np.inf)
-        outer = np.where(turned + TURN <= last, self.at(np.minimum(turned + TURN, last))[0] - radius, np.inf)
-        # The lesser of the steps to both neighbouring revolutions, except where a spoke comes to rest.
-        step = np.maximum(np.minimum(inner, outer), self.usual / 2)
-        # Places next to a knot that cuts count as cutting.
-        knot = np.minimum((turned * self.density).astype(np.int64), self.idle.size - 2)
-        idle = np.minimum(self.idle[knot], self.idle[knot + 1])
-        return np.asarray(LATERAL_FRACTION * step + IDLE_LATERAL_FRACTION * self.usual * idle)
+        tolerance = np.empty(turned.size)
+        kernel.lateral_tolerance(
+            self.values, self.slopes, self.density, self.idle, self.usual, LATERAL_FRACTION, IDLE_LATERAL_FRACTION,
+            turned, tolerance,
+        )  # fmt: skip
+        return tolerance
 
 
 class _Steps:
@@ -346,6 +348,7 @@ class _Steps:
             self.blend_steps, self.stop_steps = SHORT_BLEND_STEPS, SHORT_STOP_STEPS
             self.rim = max(part.reach, part.reach - rim_offset + SHORT_STOP_STEPS * self.flat / 2)
         # The tip's height on rings, from `first` on, as far as computed so far.
+        self.placed_to = self.rim if self.stop_steps == STOP_STEPS else part.reach
         self.ring = min(feature / RINGS_PER_FEATURE, part.reach / MIN_RINGS, edge.radius / RINGS_PER_NOSE)
         self.first, self.inner, self.bend, self.lag = 0, 0.0, 0.0, 0.0
         self.height = np.empty((0, self.spokes))
@@ -375,17 +378,20 @@ class _Steps:
         """
         surface = self.part.surface
         at = touch_down(surface, self.edge, Tips.at(angle, radius - self.edge.dx), self.rim)
-        with np.errstate(all="ignore"):
-            _, zx, zy = surface.evaluate(at.x, at.y, 1)
-        around = zy * at.x - zx * at.y
-        outward = zx * np.cos(angle) + zy * np.sin(angle)
-        if self.edge.rake_sin == 0:
-            # Without rake the slope is that of the edge, also on a ridge, where the surface has no slope.
-            outward = self.edge.slopes(at.sweep)
-        sides = [
-            surface.piece(at.x + way * np.cos(angle), at.y + way * np.sin(angle))
-            for way in (-PIECE_OFFSET_MM, PIECE_OFFSET_MM)
-        ]
+        around, outward = np.empty((2, angle.size))
+
+        def work(start: int, stop: int) -> None:
+            some = slice(start, stop)
+            x, y = at.x[some], at.y[some]
+            with np.errstate(all="ignore"):
+                _, zx, zy = surface.evaluate(x, y, 1)
+            kernel.tip_slopes(self.edge, angle[some], radius[some], x, y, zx, zy, around[some], outward[some])
+
+        run_chunks(work, angle.size, CHUNK)
+        if not self.ridges:
+            return at.z, around, outward, np.zeros(angle.size, dtype=np.int64)
+        hair = PIECE_OFFSET_MM * np.stack([np.cos(angle), np.sin(angle)])
+        sides = [surface.piece(at.x + way * hair[0], at.y + way * hair[1]) for way in (-1, 1)]
         if sides[0] is None or sides[1] is None:
             return at.z, around, outward, np.zeros(angle.size, dtype=np.int64)
         return at.z, around, outward, np.where(sides[0] == sides[1], sides[0], -1)
@@ -398,8 +404,8 @@ class _Steps:
             self.height, self.slope, self.piece = self.height[:0], self.slope[:0], self.piece[:0]
         while high >= self.first + self.height.shape[0]:
             start = self.first + self.height.shape[0]
-            # Many rings together, but not further outside the rim than the tip goes: the surface may end there.
-            many = min(start + BLOCK_SAMPLES // 2 // self.spokes, int(self.part.reach / self.ring))
+            # Many rings together, but where the surface may end not further outside the rim than the tip goes.
+            many = min(start + BLOCK_SAMPLES // 2 // self.spokes, int(self.placed_to / self.ring))
             rings = np.arange(start, max(high, many) + 1)
             # Each ring is placed as a revolution, so that points of one azimuth share their line.
             angle = self.azimuth + self.way * TURN * np.arange(rings.size)[:, None]
@@ -447,7 +453,7 @@ class _Steps:
         for _ in range(60):
             under = self._evaluate_under(radius, crest)
             moved = kernel.crest_step(self.edge, *ways, self.scallop, radius, tip, *under, crest, low, high)
-            if not moved > 1e-9 * self.flat:
+            if not moved > STEP_TOL * self.flat:
                 break
         new = radius + 1.2 * step
         low, high = radius.copy(), radius + MAX_STEP_GROWTH * step
@@ -457,7 +463,7 @@ class _Steps:
             if not upright:  # with rake, the next edge meets the crest at another place across the rake plane
                 goal = self._evaluate_under(new, crest)[0] + self.scallop
             moved = kernel.next_step(self.edge, goal, crest, *self._tips(new), new, low, high)
-            if not moved > 1e-9 * self.flat:
+            if not moved > STEP_TOL * self.flat:
                 break
         on_one_piece = self._lies_on_one_piece(radius, np.maximum(new, radius + step), crest)
         new_step = np.maximum(new - radius, MIN_STEP_FRACTION * self.flat)
@@ -577,17 +583,24 @@ def _set_points(
         # The block starts at the sample before the last node, so that block borders need no nodes.
         first = math.floor(min(low, nodes[-1][-1]) * per_turn / TURN)
         last = math.ceil(high * per_turn / TURN) + 1
-        path = _sample_path(steps, curve, np.arange(first, last + 1) * (TURN / per_turn), servo.chord, hermite=hermite)
-        # The first node is within the first interval.
-        path = np.ascontiguousarray(path[:, max(int(np.searchsorted(path[0], nodes[-1][-1], side="right")) - 1, 0) :])
-        begin, stop = float(nodes[-1][-1]), min(end, high)
-        at, lift = np.empty((2, path.shape[1] + 1))
-        if off:
-            count = kernel.off_path(path, begin, float(lifts[-1][-1]), stop, slack, steps.bend, WIDEST_STEP, at, lift)
-        else:
-            count = kernel.on_path(path, begin, stop, slack, steps.bend, WIDEST_STEP, hermite, at)
-        nodes.append(at[1:count].copy())
-        lifts.append(lift[1:count].copy())
+        path, parts = _sample_path(
+            steps, curve, np.arange(first, last + 1) * (TURN / per_turn), servo.chord, hermite=hermite
+        )
+        # Revolution by revolution, so that the samples between are in the processor's cache when they are searched.
+        for stop in np.append(np.arange(low + TURN, high - 0.5 * TURN, TURN), high).tolist():
+            # The last step may pass the end of the revolution.
+            begin = float(nodes[-1][-1])
+            ends = np.searchsorted(path[0], [begin, stop + WIDEST_STEP], side="right")
+            some = slice(max(int(ends[0]) - 1, 0), int(ends[1]) + 1)
+            fine = _refine(path[:, some], parts[some][: path[0, some].size - 1])
+            at, lift = np.empty((2, fine.shape[1] + 1))
+            limits = (min(end, stop), slack, steps.bend, WIDEST_STEP)
+            if off:
+                count = kernel.off_path(fine, begin, float(lifts[-1][-1]), *limits, at, lift)
+            else:
+                count = kernel.on_path(fine, begin, *limits, hermite, at)
+            nodes.append(at[1:count].copy())
+            lifts.append(lift[1:count].copy())
         check_count(sum(part.size for part in nodes), LENGTHS)
         if progress is not None:
             progress(round(500 * (1 + min(high / end, 1.0))), 1000)
@@ -626,25 +639,29 @@ def _split_into_blocks(steps: _Steps, curve: _Curve, end: float) -> Iterator[tup
         low = high
 
 
-def _sample_path(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, hermite: bool) -> Floats:
-    """Sample a path until cubics between the samples, and straight lines between those, have a negligible error.
+def _sample_path(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, hermite: bool) -> tuple[Floats, Ints]:
+    """Sample a path until cubics between the samples have a negligible error.
 
     On a smooth path, the error of a cubic over two intervals at the sample between them is 16 times the error of the
     cubics over each interval; at a slope discontinuity it is at least as large as theirs. Returned are angle turned,
     height, its derivative, radius, its derivative, slope of the height along the radius, and the allowed error of the
-    radius. (7, n)
+    radius (7, n); and the pieces of each interval between whose ends straight lines have a negligible error (n - 1,).
     """
 
     def sample(turned: Floats) -> Floats:
-        radius, rate = curve.at(turned)
-        z, around, outward, _ = steps.place(steps.way * turned, radius)
-        return np.stack([turned, z, steps.way * around + outward * rate, radius, rate, outward])
+        path = np.empty((7, turned.size))
+        path[0] = turned
+        kernel.spline_at(curve.values, curve.slopes, curve.density, turned, path[3], path[4])
+        path[1], around, path[5], _ = steps.place(steps.way * turned, path[3])
+        path[2] = steps.way * around + path[5] * path[4]
+        return path
 
     path = sample(turned)
     while True:
         if steps.ridges:  # on a ridge the path has a slope, the surface has none
             path[2] = np.gradient(path[1], path[0], edge_order=2)
-        doubt = _measure_sampling_error(path)
+        doubt = np.empty(path.shape[1] - 1)
+        kernel.sampling_error(path, doubt)
         wide = doubt > chord / steps.miss
         if steps.ridges:
             wide &= (doubt > chord / RIM_SAMPLING_FACTOR) | (np.diff(path[0]) > RIM_INTERVAL_RAD)
@@ -661,37 +678,20 @@ def _sample_path(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, 
         check_interval(path[0, coarse + 1] - path[0, coarse], middle, chord)
         check_samples(path.shape[1] + coarse.size, chord)
         path = np.insert(path, coarse + 1, sample(middle), axis=1)
-    t, z, dz, x, dx, s = path
+    path[6] = curve.lateral_tolerance(path[0])
     if hermite:
         pieces = SAMPLES_PER_BLOCK / 2 * (doubt / chord) ** 0.25
     else:
-        pieces = np.sqrt(
-            steps.miss / (8 * chord) * (_measure_bulge(t, z, dz) + np.abs(s[:-1]) * _measure_bulge(t, x, dx))
-        )
+        pieces = np.empty(doubt.size)
+        kernel.bulge(path, pieces)
+        pieces = np.sqrt(steps.miss / (8 * chord) * pieces)
     parts = np.maximum(np.ceil(pieces), 1).astype(np.int64)
     check_samples(int(parts.sum()), chord)
-    out = np.empty((7, int(parts.sum()) + 1))
-    kernel.refine(np.vstack([path, curve.lateral_tolerance(t)]), parts, out)
+    return path, parts
+
+
+def _refine(path: Floats, parts: Ints) -> Floats:
+    """Return a path with samples between its own, ``parts`` (n - 1,) pieces to each interval. (7, m)."""
+    out = np.empty((path.shape[0], int(parts.sum()) + 1))
+    kernel.refine(path, parts, out)
     return out
-
-
-def _measure_sampling_error(path: Floats) -> Floats:
-    """Return the error of cubics over each interval and a neighbour, at the sample between them. (n - 1,) [mm]."""
-    t, z, dz, x, dx, s = path
-    span, part = t[2:] - t[:-2], (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
-
-    def miss_of(f: Floats, df: Floats) -> Floats:
-        rise, a = f[2:] - f[:-2], span * df[:-2]
-        c = a + span * df[2:] - 2 * rise
-        return np.asarray(np.abs(f[:-2] + part * (a + part * (rise - a - c + part * c)) - f[1:-1]))
-
-    miss = miss_of(z, dz) + np.abs(s[1:-1]) * miss_of(x, dx)
-    return np.asarray(np.maximum(np.append(miss[:1], miss), np.append(miss, miss[-1:])))
-
-
-def _measure_bulge(t: Floats, z: Floats, dz: Floats) -> Floats:
-    """Return the bulge of straight lines: second derivative times the squared interval. (n - 1,)."""
-    h = np.diff(t)
-    rise = np.diff(z)
-    a, b = h * dz[:-1], h * dz[1:]
-    return np.maximum(np.abs(6 * rise - 4 * a - 2 * b), np.abs(2 * a + 4 * b - 6 * rise))
