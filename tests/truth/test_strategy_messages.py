@@ -67,10 +67,13 @@ def test_a_slip_of_the_unit_is_refused_before_memory_runs_out(points):
 
 
 def test_a_path_that_jumps_has_no_chord():
+    turned = np.linspace(0, 8, 100)
+
+    def height(t):
+        return np.where(t < 2.5 * np.pi, 0.0, 1.0)
+
     with pytest.raises(InputError, match=r"the path jumps 1\.250 revolutions from the inner end"):
-        _refine_samples(
-            np.linspace(0, 8, 100), lambda t: np.where(t < 2.5 * np.pi, 0.0, 1.0), lambda t: np.full(t.size, 1e-5)
-        )
+        _refine_samples(turned, height(turned), 0.0, height, lambda t: np.full(t.size, 1e-5))
 
 
 def test_the_axes_of_a_slow_tool_servo():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
@@ -43,9 +43,9 @@ BYTES_PER_POINT = 160
 BYTES_PER_SAMPLE = 24
 """Memory for a sample of a path from which the points are selected."""
 
-SAMPLING_FACTOR = 36
+SAMPLING_FACTOR = 48
 """A path is sampled finely enough where its possible bulge between samples is below the tolerance over this factor. The
-samples are then at least 12 times as dense as program points, since a bulge falls with the square of the step."""
+samples are then at least 13 times as dense as program points, since a bulge falls with the square of the step."""
 
 CUBIC_FACTOR = 300
 """A path is interpolated by cubics where their error is below the tolerance over this factor."""
@@ -59,8 +59,11 @@ AIR_CHORD_MM = 0.1
 OUTLINE_STEP = math.radians(1)
 """Largest angle between points that are set by the chord, where they must resolve an outline. [rad]"""
 
-BLOCK_SAMPLES = 1 << 17
-"""Samples of the path from which points are selected together."""
+BLOCK_SAMPLES = 1 << 20
+"""Samples of the path that are placed together."""
+
+PIECE_SAMPLES = 1 << 16
+"""Samples of these between which cubics interpolate, and from which points are selected, together."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -252,7 +255,7 @@ class SlowToolServo(Strategy):
         finest = max(256, 12 * steps, 8 * TURN * part.reach / part.surface.feature_size)
         per_turn = steps * math.ceil(finest / steps)
         samples = _number_points((start - end) / self.feed * per_turn, BYTES_PER_SAMPLE)
-        total = float(samples[-1]) * TURN / per_turn
+        total = float(samples[-1]) * (TURN / per_turn)
 
         def height(turned: Floats) -> Floats:
             angle = turned if self.inside_out else total - turned
@@ -271,31 +274,32 @@ class SlowToolServo(Strategy):
             off = part.border.distance(radius * np.cos(angle), self.sense * radius * np.sin(angle))
             return np.where(off > beyond, AIR_CHORD_MM, tolerance)
 
-        pieces = [np.zeros(1)]
-        # The last two steps of a block may be short, as they end at its border, and would limit the block rate of the
-        # whole cut. Their points are selected again with the next block.
-        carried = np.empty((3, 0))
+        points = [np.zeros(1)]
+        # The last two steps of a piece may be short, as they end at its border, and would limit the block rate of the
+        # whole cut. Their points are selected again with the next piece.
+        carried = [np.empty(0)] * 3
         if progress is not None:
             progress(0, max(round(total / TURN), 1))
-        borders = np.linspace(0, samples.size - 1, math.ceil((samples.size - 1) / BLOCK_SAMPLES) + 1).astype(np.int64)
-        for low, high in pairwise(borders):  # neighbouring blocks share their border
-            turned, z, bulge = _refine_samples(samples[low : high + 1] * (TURN / per_turn), height, allow)
-            piece = np.stack([turned, z, allow(turned) - bulge])
-            if carried.size:
-                piece[2, 0] = min(piece[2, 0], carried[2, -1])
-                piece = np.concatenate([carried[:, :-1], piece], axis=1)
-            keep = np.empty(piece.shape[1], dtype=np.int64)
-            count = kernel.fewest(*piece, widest, keep)
-            if high < samples.size - 1:
-                count = max(count - 2, 1)
-                carried = piece[:, keep[count - 1] :]
-            pieces.append(piece[0, keep[1:count]])
-            if progress is not None:
-                progress(round(float(turned[-1]) / TURN), round(total / TURN))
-        count = sum(part.size for part in pieces)
+        for low, high in _split_evenly(samples.size - 1, BLOCK_SAMPLES):
+            turned = samples[low : high + 1] * (TURN / per_turn)
+            for placed in _sample_with_cubics(turned, height(turned), height, allow):
+                piece = _refine_samples(*placed, height, allow)
+                if carried[0].size:
+                    piece[2][0] = min(piece[2][0], carried[2][-1])
+                    piece = tuple(np.concatenate([one[:-1], new]) for one, new in zip(carried, piece, strict=True))
+                turned = piece[0]
+                keep = np.empty(turned.size, dtype=np.int64)
+                count = kernel.fewest(*piece, widest, keep)
+                if turned[-1] < total:
+                    count = max(count - 2, 1)
+                    carried = [one[keep[count - 1] :] for one in piece]
+                points.append(turned[keep[1:count]])
+                if progress is not None:
+                    progress(round(float(turned[-1]) / TURN), round(total / TURN))
+        count = sum(part.size for part in points)
         check_count(count, "the feed and of the chord")
         _require_room(count)
-        return np.concatenate(pieces)
+        return np.concatenate(points)
 
 
 def _require_room(count: float, bytes_each: int = BYTES_PER_POINT) -> None:
@@ -334,48 +338,58 @@ def _invert_spiral_length(length: Floats) -> Floats:
     return psi
 
 
+def _split_evenly(intervals: int, most: int) -> Iterator[tuple[int, int]]:
+    """Yield the first and the last sample of blocks of at most so many intervals; neighbours share their border."""
+    return pairwise(np.linspace(0, intervals, math.ceil(intervals / most) + 1).astype(np.int64).tolist())
+
+
 def _sample_with_cubics(
-    turned: Floats, height: Callable[[Floats], Floats], allow: Callable[[Floats], Floats]
-) -> tuple[Floats, Floats, float]:
-    """Sample a path evenly, and interpolate it by cubics wherever it is smooth enough.
+    turned: Floats, z: Floats, height: Callable[[Floats], Floats], allow: Callable[[Floats], Floats], density: int = 1
+) -> Iterator[tuple[Floats, Floats, float]]:
+    """Interpolate even samples of a path by cubics wherever it is smooth enough; where it is rough, sample it closer.
 
     The error of a cubic through four even samples, around an interval or on one side of it, is at most 1/24 of the
     fourth difference on a smooth path. At a slope discontinuity it is less than the greater of two neighbouring fourth
     differences, which is used as the bound. Samples at the same azimuths in every revolution are placed at a fraction
-    of the cost of scattered ones. Returned are angles [rad], heights (n,) [mm] and the largest error of the heights
-    [mm].
+    of the cost of scattered ones; they are ``density`` times as dense as the first. Yielded are, piece by piece, angles
+    [rad], heights (n,) [mm] and the largest error of the heights [mm].
     """
-    while True:
-        z = height(turned)
-        fourth = np.nan_to_num(np.abs(np.diff(np.pad(z, 2, constant_values=np.nan), 4)), nan=np.inf)
-        pairs = np.pad(np.maximum(fourth[1:], fourth[:-1]), 2, constant_values=np.inf)
-        sides = np.stack([pairs[2:-2], pairs[:-4], pairs[4:]])  # samples around the interval, before it, behind it
-        side = sides.argmin(axis=0)
-        doubt = sides.min(axis=0)
-        # Next to a slope discontinuity the bulge is that of the smooth side.
-        bend = np.abs(np.diff(np.pad(z, 1, mode="edge"), 2))
-        tolerance = _allow_between(turned, allow)
-        parts = np.sqrt(SAMPLING_FACTOR / tolerance * np.minimum(bend[1:], bend[:-1]))
-        smooth = (doubt <= tolerance / CUBIC_FACTOR) & (parts <= MAX_CUBIC_PARTS)
-        if np.count_nonzero(~smooth) <= max(smooth.size // REFINEMENT_RATIO, 4):
-            break
-        check_samples(2 * turned.size, float(tolerance.min()))
-        turned = np.linspace(turned[0], turned[-1], 2 * smooth.size + 1)
-    most = max(2, math.ceil(parts[smooth].max(initial=0.0)))
-    check_samples(smooth.size * most, float(tolerance.min()))
-    fine = np.repeat(z[:-1, None], most, axis=1)
-    for number, first in enumerate((-1, -2, 0)):
-        rows = np.flatnonzero(smooth & (side == number))
-        t = np.arange(1, most) / most - first
-        u, v, w = t - 1, t - 2, t - 3
-        weights = np.stack([-u * v * w / 6, t * v * w / 2, -t * u * w / 2, t * u * v / 6])
-        fine[rows, 1:] = z[rows[:, None] + np.arange(first, first + 4)] @ weights
-    turned = np.linspace(turned[0], turned[-1], fine.size + 1)
-    placed = np.flatnonzero(~smooth)[:, None] * most + np.arange(1, most)
-    if placed.size:
-        fine[~smooth, 1:] = height(turned[placed.ravel()]).reshape(placed.shape)
-    tight = smooth & (tolerance <= tolerance.min())
-    return turned, np.append(fine, z[-1]), float(doubt[tight].max(initial=0.0))
+    first, doubt, bend = np.empty(z.size - 1, dtype=np.int64), *np.empty((2, z.size - 1))
+    kernel.doubts(z, first, doubt, bend)
+    tolerance = _allow_between(turned, allow)
+    parts = np.sqrt(SAMPLING_FACTOR / tolerance * bend)
+    smooth = (doubt <= tolerance / CUBIC_FACTOR) & (parts <= MAX_CUBIC_PARTS)
+    if np.count_nonzero(~smooth) > max(smooth.size // REFINEMENT_RATIO, 4):
+        check_samples(4 * density * PIECE_SAMPLES, float(tolerance.min()))
+        turned, coarse = np.linspace(turned[0], turned[-1], 2 * smooth.size + 1), z
+        z = np.empty(turned.size)
+        z[::2], z[1::2] = coarse, height(turned[1::2])
+        for low, high in _split_evenly(2 * smooth.size, BLOCK_SAMPLES):
+            block = slice(low, high + 1)
+            yield from _sample_with_cubics(turned[block], z[block], height, allow, 2 * density)
+        return
+    pieces = list(_split_evenly(smooth.size, PIECE_SAMPLES))
+    counts = [max(2, math.ceil(parts[low:high][smooth[low:high]].max(initial=0.0))) for low, high in pieces]
+    rough = [low + np.flatnonzero(~smooth[low:high]) for low, high in pieces]
+    step = np.diff(turned)
+    between = np.concatenate(
+        [
+            (turned[at, None] + step[at, None] * (np.arange(1, most) / most)).ravel()
+            for at, most in zip(rough, counts, strict=True)
+        ]
+    )
+    placed = height(between) if between.size else between
+    for (low, high), most, at in zip(pieces, counts, rough, strict=True):
+        fine = np.empty((high - low, most))
+        kernel.interpolate(z, low, first, fine)
+        some, placed = np.split(placed, [at.size * (most - 1)])
+        fine[at - low, 1:] = some.reshape(-1, most - 1)
+        tight = smooth[low:high] & (tolerance[low:high] <= tolerance[low:high].min())
+        yield (
+            np.linspace(turned[low], turned[high], fine.size + 1),
+            np.append(fine, z[high]),
+            float(doubt[low:high][tight].max(initial=0.0)),
+        )
 
 
 def _allow_between(turned: Floats, allow: Callable[[Floats], Floats]) -> Floats:
@@ -385,24 +399,22 @@ def _allow_between(turned: Floats, allow: Callable[[Floats], Floats]) -> Floats:
 
 
 def _refine_samples(
-    turned: Floats, height: Callable[[Floats], Floats], allow: Callable[[Floats], Floats]
-) -> tuple[Floats, Floats, Floats]:
+    turned: Floats, z: Floats, doubt: float, height: Callable[[Floats], Floats], allow: Callable[[Floats], Floats]
+) -> tuple[Floats, ...]:
     """Sample a path until its bulge between the samples is negligible.
 
     The bound of the bulge from the straight line between two samples is half the step times the change of slope to
     either neighbour. It is four times the bulge of a smooth path, and at least that of a slope discontinuity inside.
-    Returned are angles [rad], heights [mm] and the largest bulge next to each sample [mm]. Each (n,)
+    The heights have an error up to ``doubt``. Returned are angles [rad], heights [mm] and the tolerance at each sample
+    less that error and the largest bulge next to it [mm]. Each (n,)
     """
-    turned, z, doubt = _sample_with_cubics(turned, height, allow)
     while True:
-        step = np.diff(turned)
-        bend = np.abs(np.diff(np.diff(z) / step))
-        bulge = step * np.maximum(np.append(bend, 0.0), np.append(0.0, bend)) / 2
-        bulge[[0, -1]] *= 2  # there is only one neighbour there
-        tolerance = _allow_between(turned, allow)
-        coarse = np.flatnonzero(bulge > tolerance / SAMPLING_FACTOR)
-        if coarse.size == 0:
-            return turned, z, np.maximum(np.append(bulge, 0.0), np.append(0.0, bulge)) + 2 * doubt
+        bulge, slack = np.empty(turned.size - 1), allow(turned)
+        if kernel.bulges(turned, z, slack, bulge) <= 1 / SAMPLING_FACTOR:
+            kernel.lessen(slack, bulge, 2 * doubt)
+            return turned, z, slack
+        step, tolerance = np.diff(turned), np.minimum(slack[1:], slack[:-1])
+        coarse = np.flatnonzero(bulge / tolerance > 1 / SAMPLING_FACTOR)
         check_interval(step[coarse], turned[coarse], float(tolerance.min()))
         # The bulge of a smooth path falls with the square of the step, that of a slope discontinuity with the step: the
         # latter takes some more iterations.
