@@ -171,9 +171,9 @@ def test_a_stop_request_is_obeyed_within_a_strategy(tmp_path):
 
     def stop(stage, done, total):
         report.append((stage, done, total))
-        if stage == "slow, points by chord" and 0 < done < total:
+        if stage == "adaptive points" and 0 < done < total:
             raise Stopped("enough")
 
     with pytest.raises(Stopped):
         compare(Job.load(written(tmp_path, *CHANGES)), progress=stop)
-    assert report[-1][0] == "slow, points by chord"
+    assert report[-1][0] == "adaptive points"

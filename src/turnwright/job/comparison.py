@@ -20,6 +20,7 @@ from turnwright.job.schema import Job
 from turnwright.machine import Machine
 from turnwright.motion import Limits, check_limits, drive
 from turnwright.part import Part
+from turnwright.path import Spiral
 from turnwright.placing import place
 from turnwright.progress import Progress, StageProgress
 from turnwright.strategy import (
@@ -129,22 +130,41 @@ def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
         Called with (stage, done, total).
     """
     watch, stated = Watch(progress), job.servo(job.passes[-1])
+    spirals = _Spirals(job)
     with watch.stage("what the job asks for"):
-        feed, scallop, chord = _targets(stated, job.part.aimed, job.tool, job.machine)
-    candidates = []
-    for name, set_up in list(_strategies(job, stated, feed, scallop, chord)):
+        feed, scallop, chord = _targets(stated, job.part.aimed, job.tool, job.machine, spirals)
+    candidates: list[Candidate] = []
+    for name, set_up in list(_strategies(job, stated, feed, scallop, chord, spirals)):
         with watch.stage(name) as update:
-            candidates.append(_evaluate(name, set_up, job, update))
+            candidates.append(_evaluate(name, set_up, job, spirals, candidates, update))
     return Comparison(job=job, scallop=scallop, chord=chord, candidates=tuple(candidates))
 
 
-def _targets(stated: Strategy, part: Part, tool: Tool, machine: Machine) -> tuple[float, float, float]:
+class _Spirals:
+    """The spirals of a comparison: several strategies share one, and its targets and step are those of others."""
+
+    def __init__(self, job: Job) -> None:
+        self.job = job
+        self.planned: dict[Strategy, Spiral] = {}
+
+    def plan(self, servo: Strategy, progress: StageProgress | None = None) -> Pipeline:
+        """Return the pipeline of a strategy with its spiral."""
+        line = Pipeline(_with_strategy(self.job, servo), progress=progress)
+        strategy = line.finishing.servo.spiral_strategy
+        if strategy in self.planned:
+            line.finishing.spiral = self.planned[strategy]
+        self.planned[strategy] = line.spiral
+        return line
+
+
+def _targets(
+    stated: Strategy, part: Part, tool: Tool, machine: Machine, spirals: _Spirals
+) -> tuple[float, float, float]:
     """Return feed [mm/rev], scallop and chord error [mm] of the stated strategy."""
     if isinstance(stated, AdaptiveToolServo):
-        spiral = replace(stated, x_motion="steady").spiral(part, tool)
-        return spiral.feed, stated.scallop, stated.chord
+        return spirals.plan(replace(stated, x_motion="steady")).feed, stated.scallop, stated.chord
     plain = _plain(stated)
-    spiral = plain.spiral(part, tool)
+    spiral = spirals.plan(plain).spiral
     feed, nose = spiral.feed, tool.actual_radius
     # Where pieces meet in a valley that no nose reaches, the uncut material there would mask the cusps.
     cusp = nose - math.sqrt(nose**2 - feed**2 / 4) if part.surface.in_pieces else None
@@ -165,9 +185,9 @@ def _plain(stated: Strategy) -> Strategy:
 
 
 def _strategies(
-    job: Job, stated: Strategy, feed: float, scallop: float, chord: float
+    job: Job, stated: Strategy, feed: float, scallop: float, chord: float, spirals: _Spirals
 ) -> Iterator[tuple[str, Callable[[], Strategy]]]:
-    part, tool, machine = job.part.aimed, job.tool, job.machine
+    part, machine = job.part.aimed, job.machine
     linear = machine.controller.interpolation != "hermite"
     shared: dict[str, Any] = {
         name: getattr(stated, name) for name in ("spindle_rpm", "spindle_speeds", "sense", "inside_out")
@@ -183,7 +203,7 @@ def _strategies(
     @cache  # several strategies use it
     def even() -> SlowToolServo:
         """The spiral of constant angle with the smallest step of the spiral by chord."""
-        steps = np.abs(np.diff(by_chord.spiral(part, tool).angle))
+        steps = np.abs(np.diff(spirals.plan(by_chord).spiral.angle))
         # The last two steps of a plan by chord split the remaining angle, and may be short.
         least = float(np.quantile(steps, SHORT_STEP_FRACTION))
         return SlowToolServo(feed=feed, points_per_rev=max(math.ceil(TURN / least), 8), **shared, **ends)
@@ -219,7 +239,7 @@ def _strategies(
 def strategies_of(job: Job) -> list[str]:
     """Return the names of the strategies in the comparison of a job."""
     # None of them is set up, so feed, scallop and chord do not matter.
-    return [name for name, _ in _strategies(job, job.servo(job.passes[-1]), 1.0, 1.0, 1.0)]
+    return [name for name, _ in _strategies(job, job.servo(job.passes[-1]), 1.0, 1.0, 1.0, _Spirals(job))]
 
 
 def _with_strategy(job: Job, servo: Strategy) -> Job:
@@ -233,7 +253,9 @@ def _with_strategy(job: Job, servo: Strategy) -> Job:
     return replace(job, strategy=servo, passes=(alone,), program=program)
 
 
-def _evaluate(name: str, set_up: Callable[[], Strategy], job: Job, report: Progress) -> Candidate:
+def _evaluate(
+    name: str, set_up: Callable[[], Strategy], job: Job, spirals: _Spirals, done: list[Candidate], report: Progress
+) -> Candidate:
     start = time.perf_counter()
     servo = None
     stages = ("plan", "place", "shares")  # each is a third of the progress bar
@@ -244,7 +266,9 @@ def _evaluate(name: str, set_up: Callable[[], Strategy], job: Job, report: Progr
 
     try:
         servo = set_up()
-        line = Pipeline(_with_strategy(job, servo), progress=update)
+        if same := [one for one in done if one.servo == servo]:
+            return replace(same[0], name=name)
+        line = spirals.plan(servo, update)
         limits = check_limits(line.motion, job.machine)
         return Candidate(
             name=name, servo=servo, turns=line.spiral.turns, size_bytes=line.program.bytes, limits=limits,
