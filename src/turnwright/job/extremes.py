@@ -294,9 +294,15 @@ class _Search:
     def _tip(self, line: Floats) -> tuple[Floats, ...]:
         """Return C, X, Y and Z of the tip at fractional indices of points of the program."""
         cut = self.ready.cut
-        each = np.arange(cut.c.size)
-        y = np.interp(line, each, cut.y) if cut.y.size else np.zeros(line.shape)
-        c, x, z = (np.interp(line, each, one) for one in (cut.c, cut.x, cut.z))
+        before = np.clip(line.astype(np.int64), 0, cut.c.size - 2)
+        share = np.clip(line - before, 0.0, 1.0)
+
+        def between(values: Floats) -> Floats:
+            begin = values[before]
+            return np.asarray(begin + share * (values[before + 1] - begin))
+
+        y = between(cut.y) if cut.y.size else np.zeros(line.shape)
+        c, x, z = between(cut.c), between(cut.x), between(cut.z)
         return c, x + cut.edge.dx, y + cut.edge.dy, z + cut.edge.dz
 
     def _gap(self, line: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
