@@ -8,7 +8,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from turnwright._arrays import Compared, Floats, Ints, freeze, frozen, rounding, same_length
+from turnwright._arrays import Compared, Floats, Ints, freeze, frozen, only_read, rounding, same_length
+from turnwright._kernels import limits as kernel
 from turnwright._validate import check_cumulative, check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.machine import FAST, ROTARY, Machine
@@ -346,7 +347,7 @@ def block_points(time: Floats, axes: Mapping[str, Floats]) -> Ints:
         for letter, values in axes.items():
             if letter in FAST:
                 continue
-            deviation = np.abs(np.interp(time, time[fewer], values[fewer]) - values).max()
+            deviation = kernel.stride_error(only_read(time), only_read(values), stride)
             if deviation > (LINEARITY_TOL_RAD if letter in ROTARY else LINEARITY_TOL_MM) + rounding(values):
                 return points
         points, stride = fewer, 2 * stride

@@ -1,4 +1,4 @@
-"""Peaks of the motion of one axis: of its divided differences, or of its cubics."""
+"""Peaks of the motion of one axis, of its divided differences or of its cubics, and how straight it is."""
 
 import numpy as np
 
@@ -99,3 +99,15 @@ def shortest(time):
         if step < least:
             at, least = i, step
     return at, least
+
+
+@jit
+def stride_error(time, position, stride):
+    """Return the largest error of a polyline through every ``stride``-th sample and the last. time, position (n,)."""
+    n, most = time.size, 0.0
+    for first in range(0, n - 1, stride):
+        last = min(first + stride, n - 1)
+        slope = (position[last] - position[first]) / (time[last] - time[first])
+        for j in range(first + 1, last):
+            most = max(most, abs(position[first] + slope * (time[j] - time[first]) - position[j]))
+    return most

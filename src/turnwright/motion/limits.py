@@ -371,11 +371,13 @@ def _find_frequency(time: Floats, angle: Floats, position: Floats, axis: Axis) -
         part *= window
         return part
 
-    power = np.array([windowed(k) @ windowed(k) for k in range(starts.size)])
     threshold = size * HANN_POWER * (axis.bandwidth_residual or DEFAULT_RESIDUAL) ** 2 / 2
     highest, at = 0.0, 0
-    for k in np.flatnonzero(power > threshold).tolist():
-        bins = np.abs(fft.rfft(windowed(k))) ** 2 * (2 / size)
+    for k in range(starts.size):
+        part = windowed(k)
+        if not part @ part > threshold:
+            continue
+        bins = np.abs(fft.rfft(part)) ** 2 * (2 / size)
         above = np.cumsum(bins[::-1])[::-1]  # including the bin itself
         frequency = (np.count_nonzero(above > threshold) - 1) / float(end[k] - begin[k])
         if frequency > highest:
