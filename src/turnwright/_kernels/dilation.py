@@ -52,40 +52,46 @@ def newton_step(edge, angle, sweep, f, fx, fy, fxx, fxy, fyy, value, first, top,
 
 
 @jit
-def round_start(edge, angle, radius, cosine, sine, x, y):
-    """Fill ``x`` and ``y`` with the tips, and the direction of each azimuth; for an upright edge."""
+def round_start(edge, angle, radius, lateral, cosine, sine, x, y):
+    """Fill ``x`` and ``y`` with the tips, and the direction of each azimuth."""
     for i in range(angle.size):
         s, c = sincos(angle[i])
         sine[i], cosine[i] = s, c
-        x[i] = (radius[i] + edge.dx) * c
-        y[i] = (radius[i] + edge.dx) * s
+        along, across = radius[i] + edge.dx, lateral[i] + edge.dy
+        x[i] = along * c - across * s
+        y[i] = along * s + across * c
 
 
 @jit
-def round_step(edge, limit, cosine, sine, radius, u, f, fx, fy, fxx, fxy, fyy, z, x, y):
-    """Take one Newton step in the distance ``u`` from the tip of a perfect, upright nose, and move (x, y) along.
+def round_step(edge, limit, cosine, sine, radius, lateral, u, f, fx, fy, fxx, fxy, fyy, z, x, y):
+    """Take one Newton step in the distance ``u`` from the tip of a perfect nose, and move (x, y) along.
 
     Fill ``z`` with the commanded tip height that the local parabola gives. Return how many steps were not small and how
     many places curve up by ``limit`` or more. [1/mm]
     """
     far, doubtful = 0, 0
-    square = edge.radius * edge.radius
+    nose, square, lean = edge.radius, edge.radius * edge.radius, edge.rake_sin
+    farthest, small = 0.98 * nose, STEP_TOL_RAD * nose
     for i in range(u.size):
         c, s = cosine[i], sine[i]
         q = np.sqrt(square - u[i] * u[i])
-        first = fx[i] * c + fy[i] * s - u[i] / q
-        curve = fxx[i] * c * c + 2.0 * fxy[i] * c * s + fyy[i] * s * s
-        second = curve - square / (q * q * q)
-        step = -first / second
-        z[i] = f[i] - (edge.radius - q) - edge.dz + 0.5 * first * step
-        reach = max(-0.98 * edge.radius, min(0.98 * edge.radius, u[i] + step))
+        climb, bend = u[i] / q, square / (q * q * q)
+        dx, dy = c - lean * climb * s, s + lean * climb * c
+        first = fx[i] * dx + fy[i] * dy - edge.rake_cos * climb
+        curve = fxx[i] * dx * dx + 2.0 * fxy[i] * dx * dy + fyy[i] * dy * dy + lean * bend * (fy[i] * c - fx[i] * s)
+        step = -first / (curve - edge.rake_cos * bend)
+        rise = 0.5 * first * step
+        z[i] = f[i] - edge.rake_cos * (nose - q) - edge.dz + rise
+        reach = u[i] + step
+        reach = farthest if reach > farthest else -farthest if reach < -farthest else reach
         u[i] = reach
         along = radius[i] + edge.dx + reach
-        x[i] = along * c
-        y[i] = along * s
+        across = lateral[i] + edge.dy + lean * (nose - np.sqrt(square - reach * reach))
+        x[i] = along * c - across * s
+        y[i] = along * s + across * c
         # Written so that nan counts as doubtful.
         doubtful += 0 if curve < limit else 1
-        far += 1 if abs(step) > STEP_TOL_RAD * edge.radius or abs(0.5 * first * step) > RISE_TOL_MM else 0
+        far += 1 if abs(step) > small or abs(rise) > RISE_TOL_MM else 0
     return far, doubtful
 
 

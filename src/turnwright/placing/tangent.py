@@ -1,7 +1,7 @@
 """The unique tangent: a surface that curves up less than the edge everywhere is touched at one place.
 
 The curvature is checked beforehand on a grid over the whole part, and again at every point that Newton's method visits.
-The unknown is the distance from the tip for a perfect nose in the radial plane, and the sweep for any other edge.
+The unknown is the distance from the tip for a perfect nose, and the sweep for any other edge.
 
 Sources
 -------
@@ -172,7 +172,7 @@ def _evaluate_slope_and_curvature(
 
 def find_tangents(contact: Contact, limit: float, tips: Tips, out: Touch) -> bool:
     """Fill ``out`` with the tangent solution; return whether it is certainly unique, see `find_curvature_limit`."""
-    find = _solve_round_tangents if contact.upright and contact.edge.perfect else _solve_edge_tangents
+    find = _solve_round_tangents if contact.edge.perfect else _solve_edge_tangents
     if not find(contact, limit, tips, out):
         return False
     inside = contact.surface.inside(out.x, out.y)
@@ -182,15 +182,17 @@ def find_tangents(contact: Contact, limit: float, tips: Tips, out: Touch) -> boo
 
 
 def _solve_round_tangents(contact: Contact, limit: float, tips: Tips, out: Touch) -> bool:
-    """Solve for a perfect nose in the radial plane by Newton's method, with loops that vectorise."""
-    edge, angle, radius = contact.edge, tips.angle, tips.radius
-    cosine, sine = np.empty((2, angle.size))
-    u = np.zeros(angle.size)
-    kernel.round_start(edge, angle, radius, cosine, sine, out.x, out.y)
+    """Solve for a perfect nose by Newton's method, with loops that vectorise."""
+    edge = contact.edge
+    cosine, sine = np.empty((2, tips.angle.size))
+    u = np.zeros(tips.angle.size)
+    kernel.round_start(edge, *tips, cosine, sine, out.x, out.y)
     for _ in range(12):
         with np.errstate(all="ignore"):
             jet = contact.surface.evaluate(out.x, out.y, 2)
-        far, doubtful = kernel.round_step(edge, limit, cosine, sine, radius, u, *jet, out.z, out.x, out.y)
+        far, doubtful = kernel.round_step(
+            edge, limit, cosine, sine, tips.radius, tips.lateral, u, *jet, out.z, out.x, out.y
+        )
         if doubtful:
             return False
         if not far:
@@ -199,7 +201,7 @@ def _solve_round_tangents(contact: Contact, limit: float, tips: Tips, out: Touch
         return False
     nose = edge.radius
     np.arcsin(u / nose, out=out.sweep)
-    np.add(out.z, (nose + edge.dz) - np.sqrt(nose * nose - u * u), out=out.surface_z)
+    np.add(out.z, edge.dz + edge.rake_cos * (nose - np.sqrt(nose * nose - u * u)), out=out.surface_z)
     return True
 
 
