@@ -43,6 +43,11 @@ class _Outlined(Surface):
         return self.surface.piece(x, y)
 
     @property
+    def convex_pieces(self) -> bool:
+        """Whether the surface has convex pieces. See `Surface.convex_pieces`."""
+        return self.surface.convex_pieces
+
+    @property
     def feature_size(self) -> float:
         """Size of the finest structure of the surface. [mm]."""
         return self.surface.feature_size

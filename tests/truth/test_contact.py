@@ -80,6 +80,8 @@ SURFACES = {
     "dome": tw.Sphere(radius=-4.0),
     "bowls": tw.LensArray.square(pitch=0.6, rows=11, columns=11, lenslet=tw.Sphere(radius=1.0)),
     "domes": tw.LensArray.square(pitch=0.6, rows=11, columns=11, lenslet=tw.Sphere(radius=-1.0)),
+    "bowls sharper than the nose": tw.LensArray.square(pitch=0.3, rows=21, columns=21, lenslet=tw.Sphere(radius=0.4)),
+    "bowls close to the nose": tw.LensArray.square(pitch=0.6, rows=11, columns=11, lenslet=tw.Sphere(radius=0.56)),
     "hexagonal domes": tw.LensArray.hexagonal(pitch=0.35, within=4.0, lenslet=tw.Sphere(radius=-0.8)),
     "listed bowls": tw.LensArray(
         centres=np.random.default_rng(3).uniform(-3, 3, (60, 2)), lenslet=tw.Sphere(radius=2.5)

@@ -60,6 +60,37 @@ def test_piece_and_height_agree_to_the_last_bit_across_a_border():
     assert array.sag(high, 0.17) == pytest.approx(-0.5)
 
 
+@pytest.mark.parametrize(
+    "surface",
+    [
+        ARRAYS["hexagonal"],
+        ARRAYS["hexagonal"].placed(rotation=0.3) + ARRAYS["square"] + Sphere(radius=20.0),
+    ],
+    ids=["array", "sum"],
+)
+def test_convex_pieces_meet_a_line_in_one_interval(surface):
+    assert surface.convex_pieces
+    along, random = np.linspace(-4, 4, 2001), np.random.default_rng(5)
+    for angle, across in zip(random.uniform(0, np.pi, 50), random.uniform(-2, 2, 50), strict=True):
+        c, s = np.cos(angle), np.sin(angle)
+        numbers = surface.piece(along * c - across * s, along * s + across * c)
+        assert np.unique(numbers).size == 1 + np.count_nonzero(np.diff(numbers))
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [
+        Sphere(radius=5.0),
+        LensArray.square(pitch=1.0, rows=3, columns=3, lenslet=Sphere(radius=5.0), aperture=0.4, surround=0.0),
+        LensArray.square(pitch=1.0, rows=3, columns=3, lenslet=Sphere(radius=5.0)).placed(tilt=(0.1, 0.0)),
+    ],
+    ids=["smooth", "surround", "tilted"],
+)
+def test_pieces_that_may_not_be_convex_are_not_called_so(surface):
+    assert not surface.convex_pieces
+    assert not (surface + Sphere(radius=20.0)).convex_pieces
+
+
 def test_one_lens_by_sympy():
     array = LensArray(centres=[[0.5, 0.25]], lenslet=Sphere(radius=8.0))
     s = (X - sp.Rational(1, 2)) ** 2 + (Y - sp.Rational(1, 4)) ** 2

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from turnwright._kernels import jit
+from turnwright._kernels import jit, jit_inline
 from turnwright._kernels.edge import height, outline, slope
 from turnwright._kernels.trig import sincos
 
-FULL, OUTSIDE = -1, -2  # return values of `candidates` without a result
+FULL, COARSE, OUTSIDE = -1, -2, -3  # return values of `candidates` without a result
 # After a Newton step this small [rad], to a top this little higher [mm], the parabola's top is the maximum within 1e-11
 # mm, also on a ridge a tenth of a micrometre sharp, and within 1e-13 mm elsewhere: its error goes with the third power.
 STEP_TOL_RAD = 3e-5
@@ -14,8 +14,11 @@ RISE_TOL_MM = 1e-9
 
 
 @jit
-def under_edge(edge, angle, radius, lateral, sweep, x, y):
-    """Fill ``x``, ``y`` with the position of the edge on the part at ``sweep``, the tip at (radius, ``lateral``)."""
+def under_edge(edge, angle, radius, lateral, sweep, x, y, e):
+    """Fill ``x``, ``y`` with the position of the edge on the part at ``sweep``, the tip at (radius, ``lateral``).
+
+    Fill ``e`` with its height above the commanded tip.
+    """
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
         u, w, _, _, _, _ = outline(edge, sweep[i])
@@ -23,6 +26,7 @@ def under_edge(edge, angle, radius, lateral, sweep, x, y):
         across = lateral[i] + edge.dy + edge.rake_sin * w
         x[i] = along * cosine - across * sine
         y[i] = along * sine + across * cosine
+        e[i] = edge.rake_cos * w + edge.dz
 
 
 @jit
@@ -118,7 +122,7 @@ def slopes_along(edge, angle, u, fx, fy, out):
         out[i] = fx[i] * (cosine - lean * sine) + fy[i] * (sine + lean * cosine)
 
 
-@jit
+@jit_inline
 def lower_edge(edge, heights, origin, step, p, begin, end, out):
     """Fill ``out`` with f - e over the samples begin to end, the tip at ``p`` along the line."""
     base, low, high = edge.base, origin + step * begin - p, origin + step * end - p
@@ -141,6 +145,16 @@ def distance_at_slope(edge, goal, low, high):
         else:
             high = middle
     return 0.5 * (low + high)
+
+
+@jit
+def greatest_rise(edge, low, high, step):
+    """Return how much the edge can rise between samples from ``low`` to ``high`` over the line that joins them."""
+    most = 0.0
+    for k in range(9):
+        u = low + 0.125 * k * (high - low)
+        most = max(most, abs(height(edge, u - step) - 2.0 * height(edge, u) + height(edge, u + step)))
+    return edge.rake_cos * most
 
 
 @jit
@@ -170,13 +184,51 @@ def sampled_slopes(f, step, broken, break_height, break_slope, first_break, last
 
 
 @jit
+def facing(f, origin, step, b, side, first, last, break_after, break_at, break_height):
+    """Return where the smooth piece on one side of break b ends or is next sampled, and its height there.
+
+    That is a sample, or the facing side of the next break in the same interval, of the breaks first to last.
+    """
+    neighbour = b - 1 if side == 0 else b + 1
+    if neighbour >= first and neighbour <= last and break_after[neighbour] == break_after[b]:
+        return break_at[neighbour], break_height[1 - side, neighbour]
+    j = break_after[b] + side
+    return origin + step * j, f[j]
+
+
+@jit
+def upward_curvature(
+    f, origin, step, broken, break_after, break_at, break_height, break_slope, first_break, last_break
+):
+    """Return the greatest upward curvature of a line within its pieces; infinite where it is not finite. [1/mm]."""
+    most = -np.inf
+    for j in range(2, f.size):
+        if broken[j - 1] < 0 and broken[j - 2] < 0:
+            second = f[j - 2] - 2.0 * f[j - 1] + f[j]
+            if second < np.inf:
+                most = max(most, second / (step * step))
+    for b in range(first_break, last_break):
+        for side in range(2):
+            if break_height[side, b] > -np.inf:
+                at, height_at = facing(
+                    f, origin, step, b, side, first_break, last_break - 1, break_after, break_at, break_height
+                )
+                along = at - break_at[b]
+                mean = (height_at - break_height[side, b]) / along
+                bend = 2.0 * (mean - break_slope[side, b]) / along
+                most = max(most, bend) if bend < np.inf else np.inf
+    return most
+
+
+@jit_inline
 def sampled_maxima(
-    g, origin, step, p, k, begin, end, threshold, broken, last_break, break_after, break_at, break_height,
+    f, g, origin, step, p, k, begin, end, threshold, broken, last_break, break_after, break_at, break_height,
     edge, point, start, stop, guess, count,
 ):  # fmt: skip
     """Append the samples begin to end of f - e = ``g`` that are no lower than their neighbours; return the count.
 
-    The neighbour is the next sample, or the near side of a break or step before it.
+    The neighbour is the next sample, or the near side of a break or step before it. Between three samples of one piece
+    the first guess is where the edge is as steep as the parabola through the surface's heights.
     """
     for j in range(begin, end + 1):
         # A last step, shorter than the others, may hide more than the samples say.
@@ -206,20 +258,22 @@ def sampled_maxima(
             if before == at - step and after == at + step and left_value > -np.inf and right > -np.inf:
                 second = left_value - 2.0 * g[j] + right
                 if second < 0.0:
-                    guess[count] = at + 0.5 * step * (left_value - right) / second
+                    shift = 0.5 * (left_value - right) / second
+                    rise = 0.5 * (f[j + 1] - f[j - 1]) + shift * (f[j - 1] - 2.0 * f[j] + f[j + 1])
+                    shift -= (rise - step * edge.rake_cos * slope(edge, at + shift * step)) / second
+                    guess[count] = at + step * max(-1.0, min(1.0, shift))
             count += 1
     return count
 
 
 @jit
 def break_maxima(
-    g, origin, step, p, k, first, last, threshold, break_after, break_at, break_height, break_slope,
+    f, origin, step, p, k, first, last, threshold, break_after, break_at, break_height, break_slope,
     edge, point, start, stop, guess, count, direct, direct_at, ended,
 ):  # fmt: skip
-    """Append the maxima between the breaks first to last and their neighbours; return the count.
+    """Append the maxima between the breaks first to last and their neighbours, see `facing`; return the count.
 
-    The neighbour on a side is a sample, or the facing side of the next break in the same interval. The highest side of
-    a break goes into ``direct``.
+    The highest side of a break goes into ``direct``.
     """
     for b in range(first, last + 1):
         at = break_at[b] - p
@@ -229,13 +283,9 @@ def break_maxima(
             at_end = break_height[1 - side, b] == -np.inf
             if value == -np.inf or (value < threshold and not at_end):
                 continue
-            neighbour = b - 1 if side == 0 else b + 1
-            if neighbour >= first and neighbour <= last and break_after[neighbour] == break_after[b]:
-                next_at = break_at[neighbour] - p
-                following = break_height[1 - side, neighbour] - edge.rake_cos * height(edge, next_at)
-            else:
-                j = break_after[b] + side
-                next_at, following = origin + step * j - p, g[j]
+            next_at, following = facing(f, origin, step, b, side, first, last, break_after, break_at, break_height)
+            next_at -= p
+            following -= edge.rake_cos * height(edge, next_at)
             inward = (break_slope[side, b] - rate) * (1.0 if side == 1 else -1.0)
             if value > direct[k]:
                 direct[k], direct_at[k], ended[k] = value, at, at_end
@@ -252,7 +302,7 @@ def break_maxima(
 def candidates(
     heights, origin, step, offsets, position,
     break_offsets, break_after, break_at, break_height, break_slope,
-    edge, low, high, elsewhere, whole, point, start, stop, guess, direct, direct_at, ended, narrow,
+    edge, low, high, elsewhere, whole, curvature, point, start, stop, guess, direct, direct_at, ended, narrow,
 ):  # fmt: skip
     """Find where f - e may be greatest: on each row a sampled line, and on it one or more tool positions.
 
@@ -270,6 +320,8 @@ def candidates(
     elsewhere, whole
         Height that the surface reaches beyond the samples, -inf where it is less steep than the flanks; and whether
         the window is all that counts. [mm]
+    curvature
+        Upward curvature from which on a smooth piece may have two maxima between samples. [1/mm]
     point, start, stop, guess
         Filled: tip position, ends of a short smooth interval and a first guess in it, from the tip. A sampled maximum
         within the sampling error of the greatest counts too, so that exact heights decide between several tangents.
@@ -280,8 +332,8 @@ def candidates(
     Returns
     -------
     int
-        Number of intervals; or `FULL` if they do not fit; or `OUTSIDE` - k if there is no surface under the edge at
-        position k.
+        Number of intervals; or `FULL` if they do not fit; or `COARSE` if a line curves up by ``curvature`` or more; or
+        `OUTSIDE` - k if there is no surface under the edge at position k.
     """
     rows, m = heights.shape
     g = np.empty(m)
@@ -294,6 +346,10 @@ def candidates(
             broken[j] = -1
         for b in range(last_break - 1, first_break - 1, -1):
             broken[break_after[b]] = b
+        if curvature < np.inf and not curvature > upward_curvature(
+            f, origin, step, broken, break_after, break_at, break_height, break_slope, first_break, last_break
+        ):
+            return COARSE
         bend, steepest, falling, summit = sampled_slopes(
             f, step, broken, break_height, break_slope, first_break, last_break
         )
@@ -312,6 +368,7 @@ def candidates(
         if edge.convex and steepest >= falling:
             near = max(low, distance_at_slope(edge, falling / edge.rake_cos, low, high) - 2.0 * step)
             far = min(high, distance_at_slope(edge, steepest / edge.rake_cos, low, high) + 2.0 * step)
+        curve = greatest_rise(edge, max(near, edge.low_u), min(far, edge.high_u), step)
         for k in range(offsets[row], offsets[row + 1]):
             p = position[k]
             # An end of the domain is touched whatever its slope.
@@ -342,18 +399,16 @@ def candidates(
             if summit - above > top or (top == greatest and (where == begin or where == end)):
                 narrow[k] = True
                 continue
-            u = origin + step * where - p
-            curve = edge.rake_cos * abs(height(edge, u - step) - 2.0 * height(edge, u) + height(edge, u + step))
             threshold = top - bend - curve
             if count + (end - begin) + 2 * (last_break - first_break) + 4 > point.size:
                 return FULL
             count = sampled_maxima(
-                g, origin, step, p, k, begin, end, threshold, broken, last_break, break_after, break_at, break_height,
-                edge, point, start, stop, guess, count,
+                f, g, origin, step, p, k, begin, end, threshold, broken, last_break, break_after, break_at,
+                break_height, edge, point, start, stop, guess, count,
             )  # fmt: skip
             if first >= 0:
                 count = break_maxima(
-                    g, origin, step, p, k, first, last, threshold, break_after, break_at, break_height, break_slope,
+                    f, origin, step, p, k, first, last, threshold, break_after, break_at, break_height, break_slope,
                     edge, point, start, stop, guess, count, direct, direct_at, ended,
                 )  # fmt: skip
     return count

@@ -44,10 +44,9 @@ def arc(radius, d, d1, d2, s):
     ``d`` is the radial deviation at the sweep ``s``, with its two derivatives.
     """
     sine, cosine = sincos(s)
-    half_sine, _ = sincos(0.5 * s)
     r = radius + d
     u = r * sine
-    w = 2.0 * radius * half_sine * half_sine - d * cosine
+    w = radius * sine * sine / (1.0 + cosine) - d * cosine  # without cancellation
     du = d1 * sine + r * cosine
     dw = r * sine - d1 * cosine
     ddu = d2 * sine + 2.0 * d1 * cosine - r * sine
@@ -78,24 +77,20 @@ def points(edge, sweep, out):
 
 
 @jit
-def sweep_at(edge, u):
-    """Return the sweep at which the edge stands at distance ``u`` from the nominal tip."""
-    s = np.arcsin(max(-1.0, min(1.0, u / edge.radius)))
-    s = max(edge.low, min(edge.high, s))
-    for _ in range(60):
-        at, _, du, _, _, _ = outline(edge, s)
-        step = (u - at) / du
-        s += max(-0.2, min(0.2, step))
-        if abs(step) < 1e-15:
-            break
-    return s
-
-
-@jit
 def sweeps_at(edge, u, sweep):
-    """Fill ``sweep`` with where the edge stands at the distances ``u`` from its tip."""
+    """Fill ``sweep`` with where the edge stands at the distances ``u`` from its nominal tip."""
+    circle = edge.coefficients.size == 1 and edge.coefficients[0, 0] == 0.0
     for i in range(u.size):
-        sweep[i] = sweep_at(edge, u[i])
+        s = np.arcsin(max(-1.0, min(1.0, u[i] / edge.radius)))
+        s = max(edge.low, min(edge.high, s))
+        if not (circle and edge.low < s < edge.high):
+            for _ in range(60):
+                at, _, du, _, _, _ = outline(edge, s)
+                step = (u[i] - at) / du
+                s += max(-0.2, min(0.2, step))
+                if abs(step) < 1e-15:
+                    break
+        sweep[i] = s
 
 
 @jit

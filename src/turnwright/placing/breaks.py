@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,8 @@ MIN_RADIAL_SAMPLES = 96
 """Least number of samples on a radius of that grid."""
 STEP_TOL_MM = 1e-11
 """A smaller jump of the height between two pieces is rounding. [mm]"""
+OUTSIDE = -1
+"""Number of the piece outside the domain or the rim."""
 SLOPE_OFFSET_MM = 1e-9
 """Distance from a slope discontinuity or step at which the slopes on both sides are evaluated. [mm]"""
 
@@ -55,7 +57,7 @@ class _Intervals(NamedTuple):
     a: Floats  # ends, as distances from the tip [mm]
     b: Floats
 
-    def select(self, which: Bools) -> _Intervals:
+    def select(self, which: Bools | Ints) -> _Intervals:
         return _Intervals(self.row[which], self.after[which], self.a[which], self.b[which])
 
 
@@ -150,13 +152,13 @@ def evaluate_heights(contact: Contact, x: Floats, y: Floats) -> Floats:
     inside = contact.surface.inside(x, y)
     missing = np.isnan(heights) if inside is None else ~inside | np.isnan(heights)
     if contact.rim < np.inf:
-        missing |= _label_outside_rim(contact.rim, x, y) > 0
+        missing |= _is_outside_rim(contact.rim, x, y)
     heights[missing] = -np.inf
     return heights
 
 
-def _label_outside_rim(rim: float, x: Floats, y: Floats) -> Ints:
-    return np.where(x * x + y * y > rim**2, 1, 0)
+def _is_outside_rim(rim: float, x: Floats, y: Floats) -> Bools:
+    return np.asarray(x * x + y * y > rim**2)
 
 
 def find_breaks(contact: Contact, tips: Tips, u: Floats, x: Floats, y: Floats, heights: Floats) -> Breaks:
@@ -166,32 +168,27 @@ def find_breaks(contact: Contact, tips: Tips, u: Floats, x: Floats, y: Floats, h
     ``x`` and ``y`` their position on the part, ``heights`` the surface there. Each (rows, n) [mm]
     """
     surface, edge = contact.surface, contact.edge
-    beyond = _label_outside_rim(contact.rim, x, y) if contact.rim < np.inf else None
-    missing = heights == -np.inf if beyond is None else (heights == -np.inf) & (beyond == 0)
+    missing = heights == -np.inf
+    ends = bool((missing & ~_is_outside_rim(contact.rim, x, y)).any())
+
+    def number(x: Floats, y: Floats, outside: Bools) -> Ints:
+        numbers = surface.piece(x, y)
+        return np.where(outside, OUTSIDE, 0 if numbers is None else numbers)
 
     def locate(row: Ints, u: Floats) -> tuple[Floats, Floats]:
         x, y = contact.at_distance(tips.select(row), u[:, None])
         return x[:, 0], y[:, 0]
 
-    intervals = []
-    for labels, label in (
-        (surface.piece(x, y), surface.piece),
-        (beyond, lambda x, y: _label_outside_rim(contact.rim, x, y)),
-        (missing if missing.any() else None, lambda x, y: np.where(evaluate_heights(contact, x, y) == -np.inf, 1, 0)),
-    ):
-        if labels is not None:
-            row, after = np.nonzero(labels[:, 1:] != labels[:, :-1])
-            between = _Intervals(row, after, u[row, after], u[row, after + 1])
+    def piece(row: Ints, u: Floats) -> Ints:
+        x, y = locate(row, u)
+        # The rim is all that ends most surfaces; their heights need not be evaluated.
+        outside = evaluate_heights(contact, x, y) == -np.inf if ends else _is_outside_rim(contact.rim, x, y)
+        return number(x, y, outside)
 
-            def piece(row: Ints, u: Floats, label: Callable[..., Any] = label) -> Ints:
-                pieces: Ints = label(*locate(row, u))
-                return pieces
-
-            intervals.append(_split_intervals(piece, between, 4e-16 * contact.farthest, 4))
-    if not intervals:
-        none = np.empty(0, dtype=np.int64)
-        return Breaks(np.zeros(x.shape[0] + 1, dtype=np.int64), none, np.empty(0), *np.empty((2, 2, 0)))
-    row, after, before_at, behind_at = (np.concatenate(parts) for parts in zip(*intervals, strict=True))
+    numbers = number(x, y, missing)
+    row, after = np.nonzero(numbers[:, 1:] != numbers[:, :-1])
+    between = _Intervals(row, after, u[row, after], u[row, after + 1])
+    row, after, before_at, behind_at = _split_intervals(piece, between, 4e-16 * contact.farthest, 4)
     order = np.lexsort((before_at, after, row))
     row, after = row[order], after[order]
     sides = np.stack([before_at[order], behind_at[order]])
@@ -212,36 +209,38 @@ def _split_intervals(
 ) -> _Intervals:
     """Return both sides, at most ``close`` apart, of each change of piece in some intervals.
 
-    A piece is assumed to meet a line in one interval. Bisection locates where the first piece ends and where the last
-    one begins. If other pieces lie between these two places, that interval is split again.
+    A piece is assumed to meet a line in one interval. Bisection locates where the first piece ends. If that is not
+    where the last one begins, bisection locates this too, and the interval in between is split again.
     """
     row, after, a, b = between
-
-    def piece(at: Floats) -> Ints:
-        return piece_at(row, at)
-
-    first, last = piece(a), piece(b)
-    low, over = a.copy(), b.copy()  # last place inside the first piece, first place outside it
-    under, high = a.copy(), b.copy()  # last place outside the last piece, first place inside it
-    for _ in range(64):
-        middle = 0.5 * (low + over)
-        mine = piece(middle) == first
-        low, over = np.where(mine, middle, low), np.where(mine, over, middle)
-        middle = 0.5 * (under + high)
-        mine = piece(middle) == last
-        high, under = np.where(mine, middle, high), np.where(mine, under, middle)
-        if max((over - low).max(initial=0.0), (high - under).max(initial=0.0)) <= close:
-            break
-    sliver = (under - over > 1e-13) & (depth > 0)
-    if not sliver.any():
-        return _Intervals(row, after, low, high)
+    low, over = _bisect(piece_at, row, a, b, close)
+    several = np.flatnonzero(piece_at(row, over) != piece_at(row, b))
+    if not several.size:
+        return _Intervals(row, after, low, over)
+    more = _Intervals(row, after, over, b).select(several)
+    high, under = _bisect(piece_at, more.row, more.b, more.a, close)
+    wide = (under - more.a > 1e-13) & (depth > 0)
+    over[several] = np.where(wide, more.a, high)
+    more, high, under = more.select(wide), high[wide], under[wide]
     # A single piece in between contains no change.
-    more = sliver.copy()
-    more[sliver] = piece(over)[sliver] != piece(under)[sliver]
+    changes = piece_at(more.row, more.a) != piece_at(more.row, under)
     parts = (
-        _Intervals(row, after, low, high).select(~sliver),
-        _Intervals(row, after, low, over).select(sliver),
-        _Intervals(row, after, under, high).select(sliver),
-        _split_intervals(piece_at, _Intervals(row, after, over, under).select(more), close, depth - 1),
+        _Intervals(row, after, low, over),
+        more._replace(a=under, b=high),
+        _split_intervals(piece_at, more._replace(b=under).select(changes), close, depth - 1),
     )
     return _Intervals(*(np.concatenate(one) for one in zip(*parts, strict=True)))
+
+
+def _bisect(
+    piece_at: Callable[[Ints, Floats], Ints], row: Ints, inside: Floats, outside: Floats, close: float
+) -> tuple[Floats, Floats]:
+    """Return both sides, at most ``close`` apart, of where the piece at ``inside`` ends toward ``outside``."""
+    piece = piece_at(row, inside)
+    for _ in range(64):
+        middle = 0.5 * (inside + outside)
+        mine = piece_at(row, middle) == piece
+        inside, outside = np.where(mine, middle, inside), np.where(mine, outside, middle)
+        if np.abs(outside - inside).max(initial=0.0) <= close:
+            break
+    return inside, outside

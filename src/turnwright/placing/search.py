@@ -1,10 +1,14 @@
 """The exact maximum: the height at which the real edge touches a surface with many tangents, or none.
 
-f - e is sampled along the edge at steps well below the surface's `feature_size`. Every sampled maximum that may be the
-greatest within the sampling error is refined, on both sides of each slope discontinuity or step, and the greatest is
-taken. Points that share an azimuth share one sampled line, which costs a few evaluations per point. The arc is
-sufficient where the surface is nowhere steeper than the flanks. Where it is steeper, or has a step, the window of each
-point is widened until no summit of the surface rises above its ends, also across the axis.
+f - e is sampled along the edge at steps well below the surface's `feature_size`. A few samples are sufficient where
+the surface curves up less than the edge: then f - e has one maximum in each smooth piece. This is tested between all
+samples of a line, and with the slopes on both sides of its breaks; a line that fails is sampled more finely.
+
+Every sampled maximum that may be the greatest within the sampling error is refined, on both sides of each slope
+discontinuity or step, and the greatest is taken. Points that share an azimuth share one sampled line, which costs a few
+evaluations per point. The arc is sufficient where the surface is nowhere steeper than the flanks. Where it is steeper,
+or has a step, the window of each point is widened until no summit of the surface rises above its ends, also across the
+axis.
 
 Sources
 -------
@@ -29,6 +33,8 @@ __all__ = ["CHUNK", "search"]
 
 SAMPLES_PER_FEATURE = 16
 SAMPLES_PER_EDGE = 128
+SAMPLES_PER_TANGENT_EDGE = 16
+"""Samples of an edge that has one tangent on each convex piece of the surface."""
 MAX_SAMPLES = 2_000_000
 """Most samples of the tracks under the edge that are in memory together."""
 CHUNK = 8192
@@ -65,6 +71,8 @@ class _Window(NamedTuple):
     low: float  # distance from the tip [mm]
     high: float
     step: float
+    finer: float  # step where the surface curves up by ``curvature`` or more
+    curvature: float  # infinite where the step is the finer one [1/mm]
     top: float  # greatest height of the surface, -inf if it is less steep than the flanks [mm]
 
 
@@ -86,10 +94,14 @@ def search(contact: Contact, tips: Tips, out: Touch, progress: Progress | None) 
     edge, count = contact.edge, tips.angle.size
     per_rev = _count_points_per_rev(tips.angle) if contact.upright else None
     width = edge.high_u - edge.low_u
-    step = min(contact.feature / SAMPLES_PER_FEATURE, width / SAMPLES_PER_EDGE)
+    step, coarse = (
+        min(contact.feature / SAMPLES_PER_FEATURE, width / n) for n in (SAMPLES_PER_EDGE, SAMPLES_PER_TANGENT_EDGE)
+    )
     ground = find_extremes(contact.surface, contact.extent, radial=contact.upright)
     steep = ground.steepest * (1 + abs(edge.rake_sin)) >= MAX_CURVATURE_RATIO * contact.flank
-    window = _Window(edge.low_u, edge.high_u, step, ground.top if steep else -np.inf)
+    window = _Window(edge.low_u, edge.high_u, step, step, np.inf, ground.top if steep else -np.inf)
+    if edge.convex and contact.surface.convex_pieces and not steep:
+        window = window._replace(step=coarse, curvature=MAX_CURVATURE_RATIO * edge.least_curvature())
 
     def lines(start: int, stop: int) -> None:
         points = np.arange(start, count, per_rev)[:, None] + np.arange(stop - start)
@@ -135,7 +147,11 @@ def _search_widening(
     waiting = [(points, line, window)]
     while waiting:
         some, line, window = waiting.pop()
-        part, narrow = _find_contacts(contact, window, tips.select(some), line)
+        answer = _find_contacts(contact, window, tips.select(some), line)
+        if answer is None:
+            waiting.append((some, line, window._replace(step=window.finer, curvature=np.inf)))
+            continue
+        part, narrow = answer
         for target, values in zip(out, part, strict=True):
             target[some[~narrow]] = values[~narrow]
         if not narrow.any():
@@ -157,8 +173,11 @@ def _search_widening(
         waiting += [(piece, None, window) for piece in np.array_split(some, min(max(pieces, 1), some.size))]
 
 
-def _find_contacts(contact: Contact, window: _Window, tips: Tips, line: Ints | None) -> tuple[Touch, Bools]:
-    """Find the contacts of points on shared lines, or else on separate tracks, and which need a wider window."""
+def _find_contacts(contact: Contact, window: _Window, tips: Tips, line: Ints | None) -> tuple[Touch, Bools] | None:
+    """Find the contacts of points on shared lines, or else on separate tracks, and which need a wider window.
+
+    Return ``None`` if the step of the window is too coarse.
+    """
     edge, size = contact.edge, tips.angle.size
     spans_part = line is not None and window.top > -np.inf
     lines = _lay_out_lines(contact, window, tips, line, spans_part=spans_part)
@@ -168,13 +187,16 @@ def _find_contacts(contact: Contact, window: _Window, tips: Tips, line: Ints | N
     candidates, direct = _find_candidates(
         contact, window, lines, heights, breaks, -np.inf if spans_part else window.top
     )
+    if candidates is None:
+        return None
     if not isinstance(candidates, _Candidates):
         _refuse_outside(contact.surface, tips, candidates)
     narrow, ended = direct.narrow, direct.ended
     best, z = np.zeros(size), np.zeros(size)
     if candidates.point.size or not narrow.all():
         top, sweep = _refine_maxima(contact, tips.select(candidates.point), candidates)
-        best = edge.sweeps(direct.at)
+        touches = direct.height > -np.inf
+        best[touches] = edge.sweeps(direct.at[touches])
         z = direct.height - edge.dz
         kernel.keep_highest(candidates.point, top, sweep, z, best, ended)
     if not (np.isfinite(z) | narrow).all():
@@ -183,7 +205,7 @@ def _find_contacts(contact: Contact, window: _Window, tips: Tips, line: Ints | N
             f"no point of the edge touches with the tip {tips.radius[k]:.6g} mm from the axis at azimuth "
             f"{np.rad2deg(tips.angle[k]) % 360:.4g} deg, the surface must be finite there: check the prescription"
         )
-    part = Touch(z, best, *contact.under_edge(tips, best), z + edge.points(best)[2])
+    part = contact.touch(tips, z, best)
     ended &= ~narrow
     if ended.any():
         _check_ends(contact, tips.select(ended), part.select(ended))
@@ -218,8 +240,11 @@ def _lay_out_lines(contact: Contact, window: _Window, tips: Tips, line: Ints | N
 
 def _find_candidates(
     contact: Contact, window: _Window, lines: _Lines, heights: Floats, breaks: Breaks, elsewhere: float
-) -> tuple[_Candidates | int, _TipState]:
-    """Run the kernel of this name with as much memory as it needs; an int is the tip without a surface under it."""
+) -> tuple[_Candidates | int | None, _TipState]:
+    """Run the kernel of this name with as much memory as it needs.
+
+    An int is the tip without a surface under it; ``None`` means that the step of the window is too coarse.
+    """
     count = lines.position.size
     direct = _TipState(np.empty(count), np.zeros(count), *np.empty((2, count), np.bool_))
     low, high = window.low, window.high
@@ -229,10 +254,12 @@ def _find_candidates(
         candidates = _Candidates(np.empty(size, dtype=np.int64), *np.empty((3, size)))
         answer = kernel.candidates(
             heights, float(lines.u[0, 0]), window.step, lines.offsets, lines.position, *breaks, contact.edge, low, high,
-            elsewhere, beyond_rim, *candidates, *direct,
+            elsewhere, beyond_rim, window.curvature, *candidates, *direct,
         )  # fmt: skip
         if answer >= 0:
             return candidates.first(answer), direct
+        if answer == kernel.COARSE:
+            return None, direct
         if answer <= kernel.OUTSIDE:
             return kernel.OUTSIDE - answer, direct
         size *= 4
@@ -274,7 +301,8 @@ def _check_ends(contact: Contact, tips: Tips, at: Touch) -> None:
     tips, sweep, lift = tips.select(on_flank), at.sweep[on_flank], []
     for part in np.linspace(0.0, 0.99, 9):
         place = np.clip(sweep, edge.low, edge.high) * (1 - part) + sweep * part
-        lift.append(evaluate_heights(contact, *contact.under_edge(tips, place)) - edge.points(place)[2])
+        x, y, e = contact.under_edge(tips, place)
+        lift.append(evaluate_heights(contact, x, y) - e)
     climbs = (np.diff(lift, axis=0) > 0).all(axis=0)
     if climbs.any():
         k = int(np.argmax(climbs))

@@ -107,16 +107,21 @@ class Contact:
         kernel.places(self.edge, *tips, u, x, y)
         return x, y
 
-    def under_edge(self, tips: Tips, sweep: Floats) -> tuple[Floats, Floats]:
-        """Return x and y on the part of the edge at ``sweep``. Each (n,) [mm]."""
-        x, y = np.empty((2, sweep.size))
-        kernel.under_edge(self.edge, *tips, np.ascontiguousarray(sweep), x, y)
-        return x, y
+    def under_edge(self, tips: Tips, sweep: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return x and y on the part, and the height above the tip, of the edge at ``sweep``. Each (n,) [mm]."""
+        x, y, e = np.empty((3, sweep.size))
+        kernel.under_edge(self.edge, *tips, np.ascontiguousarray(sweep), x, y, e)
+        return x, y, e
+
+    def touch(self, tips: Tips, z: Floats, sweep: Floats) -> Touch:
+        """Return the contacts of tips at heights ``z`` that touch at ``sweep``."""
+        x, y, e = self.under_edge(tips, sweep)
+        return Touch(z, sweep, x, y, z + e)
 
     def newton_step(self, tips: Tips, sweep: Floats) -> tuple[Floats, ...]:
         """Return f - e, its slope, the height, the Newton step and the curvature at places on the nose. Each (n,)."""
         with np.errstate(all="ignore"):
-            jet = self.surface.evaluate(*self.under_edge(tips, sweep), 2)
+            jet = self.surface.evaluate(*self.under_edge(tips, sweep)[:2], 2)
         value, first, top, step, bend = np.empty((5, sweep.size))
         kernel.newton_step(self.edge, tips.angle, sweep, *jet, value, first, top, step, bend)
         return value, first, top, step, bend
@@ -226,9 +231,8 @@ def _solve_edge_tangents(contact: Contact, limit: float, tips: Tips, out: Touch)
             active_tips, s = active_tips.select(keep), s[keep]
     else:
         return False
-    out.sweep[:] = sweep
-    out.x[:], out.y[:] = contact.under_edge(tips, sweep)
-    out.surface_z[:] = out.z + contact.edge.points(sweep)[2]
+    for target, values in zip(out, contact.touch(tips, out.z, sweep), strict=True):
+        target[:] = values
     return True
 
 
@@ -280,4 +284,4 @@ def follow(surface: Surface, edge: Edge, tips: Tips, sweep: Floats) -> Touch:
             break
     lost |= far | (s < edge.low) | (s > edge.high)
     z = np.where(lost, np.nan, top)
-    return Touch(z, s, *contact.under_edge(tips, s), z + edge.points(s)[2])
+    return contact.touch(tips, z, s)

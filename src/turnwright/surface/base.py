@@ -175,6 +175,11 @@ class Surface(Family, Value, ABC):
         return self.piece(np.zeros(1), np.zeros(1)) is not None
 
     @property
+    def convex_pieces(self) -> bool:
+        """Whether the surface has several pieces that are certainly convex, so that no line meets one twice."""
+        return False
+
+    @property
     def of_revolution(self) -> bool:
         """Whether the surface is known to be one of revolution about the axis."""
         return False

@@ -112,6 +112,11 @@ class Sum(Surface):
         return number
 
     @property
+    def convex_pieces(self) -> bool:
+        """Whether every term with pieces has convex ones."""
+        return self.in_pieces and all(term.convex_pieces for term in self.terms if term.in_pieces)
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """Remarks of all terms. See `Surface.remarks`."""
         return tuple(sentence for term in self.terms for sentence in term.remarks)
@@ -231,6 +236,11 @@ class Placed(Surface):
         u, v, _ = self._local(x, y)
         number = self.surface.piece(u, v)
         return None if number is None else number.reshape(x.shape)
+
+    @property
+    def convex_pieces(self) -> bool:
+        """Whether the pieces of a level surface are convex; those of a tilted one meet along curves."""
+        return self.tilt == (0.0, 0.0) and self.surface.convex_pieces
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -355,6 +355,11 @@ class LensArray(Surface):
         return self._cell(x, y)[0].reshape(x.shape)
 
     @property
+    def convex_pieces(self) -> bool:
+        """Whether lenslets fill their cells: a surround is not convex."""
+        return self.surround is None
+
+    @property
     def feature_size(self) -> float:
         """An eighth of the smallest distance between centres, or less if lenslet or surround are finer. [mm]."""
         around = self.surround.feature_size if isinstance(self.surround, Surface) else float("inf")
