@@ -33,8 +33,8 @@ __all__ = ["CHUNK", "search"]
 
 SAMPLES_PER_FEATURE = 16
 SAMPLES_PER_EDGE = 128
-SAMPLES_PER_TANGENT_EDGE = 16
-"""Samples of an edge that has one tangent on each convex piece of the surface."""
+TANGENT_SAMPLES = 8
+"""Samples of a feature, and of an edge that has one tangent on each convex piece of the surface."""
 MAX_SAMPLES = 2_000_000
 """Most samples of the tracks under the edge that are in memory together."""
 CHUNK = 8192
@@ -94,14 +94,15 @@ def search(contact: Contact, tips: Tips, out: Touch, progress: Progress | None) 
     edge, count = contact.edge, tips.angle.size
     per_rev = _count_points_per_rev(tips.angle) if contact.upright else None
     width = edge.high_u - edge.low_u
-    step, coarse = (
-        min(contact.feature / SAMPLES_PER_FEATURE, width / n) for n in (SAMPLES_PER_EDGE, SAMPLES_PER_TANGENT_EDGE)
-    )
+    step = min(contact.feature / SAMPLES_PER_FEATURE, width / SAMPLES_PER_EDGE)
     ground = find_extremes(contact.surface, contact.extent, radial=contact.upright)
     steep = ground.steepest * (1 + abs(edge.rake_sin)) >= MAX_CURVATURE_RATIO * contact.flank
     window = _Window(edge.low_u, edge.high_u, step, step, np.inf, ground.top if steep else -np.inf)
     if edge.convex and contact.surface.convex_pieces and not steep:
-        window = window._replace(step=coarse, curvature=MAX_CURVATURE_RATIO * edge.least_curvature())
+        window = window._replace(
+            step=min(contact.feature, width) / TANGENT_SAMPLES,
+            curvature=MAX_CURVATURE_RATIO * edge.least_curvature(),
+        )
 
     def lines(start: int, stop: int) -> None:
         points = np.arange(start, count, per_rev)[:, None] + np.arange(stop - start)
@@ -122,7 +123,7 @@ def search(contact: Contact, tips: Tips, out: Touch, progress: Progress | None) 
             "the features as a separate part"
         )
     if per_rev is not None:
-        together = min(per_rev // 8, 4 * CHUNK * per_rev // count, int(MAX_SAMPLES / samples))
+        together = min(per_rev // 8, 8 * CHUNK * per_rev // count, int(MAX_SAMPLES / samples))
         run_chunks(lines, per_rev, max(1, together), progress)
     else:
         run_chunks(tracks, count, int(np.clip(MAX_SAMPLES // 4 * step / width, 1, CHUNK)), progress)
@@ -130,11 +131,12 @@ def search(contact: Contact, tips: Tips, out: Touch, progress: Progress | None) 
 
 def _count_points_per_rev(angle: Floats) -> int | None:
     """Return the number of points per revolution if every revolution has the same azimuths, else ``None``."""
-    n = int(np.searchsorted(np.abs(angle - angle[0]), 2 * np.pi - 1e-9))
+    turned = np.abs(angle - angle[0])
+    n = int(np.searchsorted(turned, 2 * np.pi - 1e-9))
     if n < 1 or n >= angle.size:
         return None
-    lag = np.abs(angle[n:] - angle[:-n])
-    return n if np.abs(lag - 2 * np.pi).max() < 1e-9 else None
+    lag = turned[n:] - turned[:-n]
+    return n if max(lag.max() - 2 * np.pi, 2 * np.pi - lag.min()) < 1e-9 else None
 
 
 def _search_widening(
@@ -152,10 +154,10 @@ def _search_widening(
             waiting.append((some, line, window._replace(step=window.finer, curvature=np.inf)))
             continue
         part, narrow = answer
-        for target, values in zip(out, part, strict=True):
-            target[some[~narrow]] = values[~narrow]
         if not narrow.any():
+            out.put(some, part)
             continue
+        out.put(some[~narrow], part.select(~narrow))
         some = some[narrow]
         if window.high > max(MAX_WINDOW_RATIO * contact.edge.high_u, 4 * contact.extent):
             raise GougeError(

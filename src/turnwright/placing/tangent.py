@@ -64,6 +64,11 @@ class Touch(NamedTuple):
         """Return some of the contacts; with a slice, views that can be filled."""
         return Touch(*(one[which] for one in self))
 
+    def put(self, which: Ints | slice, values: Touch) -> None:
+        """Overwrite some of the contacts."""
+        for target, some in zip(self, values, strict=True):
+            target[which] = some
+
 
 @dataclass(frozen=True, slots=True)
 class Contact:
@@ -231,8 +236,7 @@ def _solve_edge_tangents(contact: Contact, limit: float, tips: Tips, out: Touch)
             active_tips, s = active_tips.select(keep), s[keep]
     else:
         return False
-    for target, values in zip(out, contact.touch(tips, out.z, sweep), strict=True):
-        target[:] = values
+    out.put(slice(None), contact.touch(tips, out.z, sweep))
     return True
 
 
