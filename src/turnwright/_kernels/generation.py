@@ -1424,10 +1424,10 @@ def grid(
     offsets, groups = np.empty(16 * several * several + 1, np.int64), np.empty(several * several + 1, np.int64)
     corner = np.empty((16 * several * several, 2), np.int64)
     for block in range(start, stop):
-        top, left = (block // per_row) * tall, (block % per_row) * wide
+        row, column = (block // per_row) * tall, (block % per_row) * wide
         number, tile, offsets[0], groups[0] = 0, 0, 0, 0
         for g in range(several * several):
-            j0, i0 = top + (g // several) * 4 * down, left + (g % several) * 4 * across
+            j0, i0 = row + (g // several) * 4 * down, column + (g % several) * 4 * across
             if j0 >= rows.size or i0 >= columns.size or not wanted[j0 // (4 * down), i0 // (4 * across)]:
                 continue
             for k in range(16):

@@ -27,7 +27,7 @@ ACCESS_S, DEPTH_S, APPROACH_S, OPTICS_S, REPORT_S = 0.6, 0.2, 0.3, 0.5, 2.0
 PLAN_S, DRIVE_S, LIMITS_S, CHIPS_S, WRITE_S, READ_S = 0.12, 0.3, 0.06, 0.15, 0.18, 0.18
 """First row: per step. Second row: per million points of a pass. [s]"""
 
-PLACE_S, PLACE_PIECES_S = 0.25, 2.0
+PLACE_S, PLACE_PIECES_S = 0.25, 0.7
 """Per million points on a smooth surface, and on one in pieces. [s]"""
 
 SERVOS_S, EXTREMES_S = 0.5, 0.4
