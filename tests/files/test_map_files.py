@@ -844,3 +844,13 @@ def test_a_map_whose_first_heights_are_missing_keeps_its_units(tmp_path, empty):
         read_map(tmp_path / "a.csv", unit="um")
     with pytest.raises(MapError, match="states the unit of x"):
         read_map(tmp_path / "a.csv", lateral_unit="um")
+
+
+def test_a_micro_sign_in_utf8_is_a_unit(tmp_path):
+    """Surfalize writes the micrometre of a .sur file so."""
+    surfalize = pytest.importorskip("surfalize")
+    z = np.random.default_rng(5).normal(size=(12, 20))
+    surfalize.Surface(z, 0.5, 0.5).save(tmp_path / "a.sur")
+    again = read_map(tmp_path / "a.sur")
+    assert (again.x[1], again.y[1]) == pytest.approx((0.5e-3, 0.5e-3))
+    np.testing.assert_allclose(np.sort(again.z.ravel()), np.sort(z.ravel()) * 1e-3, atol=1e-8)

@@ -108,8 +108,8 @@ def read(path: Path, data: bytes) -> HeightMap:
 
 
 def _unit(raw: bytes) -> str:
-    """Return the name of a unit; old files write the micro sign of MS-DOS."""
-    return words(raw).replace("\xe6", "u")
+    """Return the name of a unit; old files write the micro sign of MS-DOS, some programs that of UTF-8."""
+    return words(raw).replace("\xe6", "u").replace("\xc2\xb5", "u")
 
 
 def _pixel(path: Path, field: dict[str, Any], axis: str) -> float:

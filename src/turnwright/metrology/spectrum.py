@@ -203,20 +203,22 @@ def line_psd(
     z, notes = _cut(z, missing, (1.0, step), rows=1)
     from scipy import fft  # noqa: PLC0415 - only this needs it
 
-    weight = np.where(np.isnan(z), 0.0, _taper(z.shape[1], window))
+    weight, gaps = _taper(z.shape[1], window)[None], np.isnan(z)
+    if gaps.any():
+        weight, z = np.where(gaps, 0.0, weight), np.where(gaps, 0.0, z)
     total = weight.sum(axis=1, keepdims=True)
-    mean = np.where(np.isnan(z), 0.0, weight * z).sum(axis=1, keepdims=True) / np.where(total > 0, total, 1.0)
-    centred = np.where(weight > 0, weight * (z - mean), 0.0) * NM
-    power = np.square(np.abs(fft.rfft(centred, axis=1, workers=cores()))).sum(axis=0)
+    mean = (weight * z).sum(axis=1, keepdims=True) / np.where(total > 0, total, 1.0)
+    waves = fft.rfft((z - mean) * (weight * NM), axis=1, workers=cores())
+    power = (np.square(waves.real) + np.square(waves.imag)).sum(axis=0)
     frequency = fft.rfftfreq(z.shape[1], step)
     width = frequency[1]
     edges = np.concatenate([[0.0], frequency[:-1] + width / 2, [0.5 / step]])
     return Spectrum(
         frequency=frozen(frequency, "frequency"),
         edges=frozen(edges, "edges"),
-        density=frozen(2 * step * power / np.square(weight).sum(), "density"),
+        density=frozen(2 * step * power / np.square(np.broadcast_to(weight, z.shape)).sum(), "density"),
         radial=False,
-        count=int(np.count_nonzero(total > 0)),
+        count=int(np.count_nonzero(np.broadcast_to(total, (z.shape[0], 1)) > 0)),
         notes=notes,
     )
 
