@@ -12,8 +12,9 @@ surface, up to 1440 of them. The blank is unknown outside the clear aperture: it
 the rim where that rises outward, and level where it falls.
 
 A plunge stays at the radius where its pass begins, at heights that are exact around the axis; the theory of the program
-explains it. As an independent proof, the whole arc of the edge is compared with the finished surface at points of the
-last revolution.
+explains it. On an outline or a chuck it follows the first revolution of the pass, air included, and is raised where the
+edge would be below a part or its border, between two points too. As an independent proof, the whole arc of the edge is
+compared with the finished surface at points of the last revolution, and the border with the surface that it leaves.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ import numpy as np
 from turnwright._arrays import Floats
 from turnwright.errors import GougeError, LimitError
 from turnwright.generation import generate_polar
+from turnwright.job.depths import depth_at_border, depth_at_points
 from turnwright.job.schema import Job
 from turnwright.machine import FAST, Axis
 from turnwright.part import Part
@@ -47,6 +49,15 @@ PLUNGE_DEPTH_TOL = 1e-6
 
 PROOF_POINTS, PROOF_STEPS = 360, 1200
 """Most points of the last revolution where the edge is compared with the part, and steps along the arc of the edge."""
+
+CHUCK_MARGIN_MM = 0.1
+"""Distance from the outline of a part of a chuck up to which its stock reaches."""
+
+WIDE_STEPS, FINE_STEP_RAD = 2.0, math.radians(0.5)
+"""Step of C, over the median one, from which the heights of a plunge count between its points too, and how densely."""
+
+RAISES, MIN_SHARE = 20, 0.05
+"""Times that a plunge may be raised over the borders of the parts, and the least share of a block that is raised."""
 
 MIN_GAP_MM = 0.01
 """Least gap along z for a pass to count as beginning outside the blank, with the blank 0.1 mm larger. [mm]"""
@@ -115,6 +126,13 @@ class _Material:
     angle: Floats
     height: Floats
 
+    def near(self, heights: Floats, azimuth: float) -> float:
+        """Return the height at an azimuth, of those at all; -inf next to one of -inf is that of the other."""
+        place = math.fmod(azimuth, TURN) % TURN / float(self.angle[1])
+        low, share = int(place) % heights.size, place % 1
+        ends = heights[low], heights[(low + 1) % heights.size]
+        return float(max(ends) if -math.inf in ends else ends[0] + share * (ends[1] - ends[0]))
+
     def contact_height(self, tool: Tool, sense: int, radius: float, y: float) -> Floats:
         """Return the tip height of first contact by azimuth, at a distance from the axis. (n_angle,)."""
         line = np.concatenate([-self.radius[:0:-1], self.radius])
@@ -127,13 +145,23 @@ class _Material:
         lateral = np.abs(lean + y + dy)
         # An edge off the radial plane meets material next to it, which is higher by its slope around the axis.
         if lateral.max() > 0:
-            around = np.abs(np.diff(self.height, axis=0, append=self.height[:1]))
+            with np.errstate(invalid="ignore"):  # where there is no material
+                around = np.abs(np.diff(self.height, axis=0, append=self.height[:1]))
             rise = np.where(np.isfinite(around), around, 0.0) / np.maximum(self.radius * self.angle[1], 1e-3)
             low = low - float(rise.max(initial=0.0)) * lateral
         top = np.maximum(material[:, 1:], material[:, :-1]) - np.minimum(low[1:], low[:-1])
         highest = top.max(axis=1)
         # Between two azimuths the higher value counts.
         return np.asarray(np.maximum(np.maximum(highest, np.roll(highest, 1)), np.roll(highest, -1)) - dz)
+
+
+def _heights_around(part: Part, tool: Tool, motion: Motion, turned: Floats, axes: Mapping[str, Floats]) -> Floats:
+    """Return the heights of the tip around the axis at the end of a plunge. (n,) [mm]."""
+    if part.leaves_air and motion.spindle_mode is None:
+        return _heights_over_parts(part, tool, motion)
+    heights = _contact_heights(part, tool, motion, turned, axes)
+    # In spindle mode the tool cannot follow the azimuth.
+    return heights if motion.spindle_mode is None else np.full(heights.size, heights.max())
 
 
 def _contact_heights(part: Part, tool: Tool, motion: Motion, turned: Floats, axes: Mapping[str, Floats]) -> Floats:
@@ -147,6 +175,54 @@ def _contact_heights(part: Part, tool: Tool, motion: Motion, turned: Floats, axe
     return np.append(z[:-1], z[0])
 
 
+def _heights_over_parts(part: Part, tool: Tool, motion: Motion) -> Floats:
+    """Return heights of the tip around the axis above all parts, where a pass that crosses air begins. (n,) [mm].
+
+    They are those of the first revolution of the pass, raised where the edge would be below a part, or below its border
+    between two points.
+    """
+    turned, axes = entry_path(motion, most=1)
+    heights = axes["Z"]
+    c = motion.axes["C"][0] + motion.sense * turned
+    around = {**{letter: axes[letter] for letter in motion.axes if letter != "C"}, "C": c}
+
+    def circle(angle: Floats, z: Floats) -> Motion:
+        values = {letter: np.interp(angle, turned, one) for letter, one in around.items()}
+        return Motion(time=angle, axes={**values, "Z": z}, machine=motion.machine)
+
+    # The ends are the first point of the pass, which is not moved.
+    inner = slice(1, -1)
+    at_points = depth_at_points(part, tool, circle(turned, heights), PROOF_STEPS).depth
+    heights[inner] += np.maximum(at_points, 0.0)[inner]
+    steps = np.diff(turned)
+    wide = np.flatnonzero(steps > WIDE_STEPS * np.median(steps))
+    between = [np.arange(turned[k], turned[k + 1], FINE_STEP_RAD)[1:] for k in wide.tolist()]
+    edge = tool.cutting_edge(motion.sense)
+    for _ in range(RAISES):
+        border = depth_at_border(part, tool, circle(turned, heights))
+        low = border.depth > 0.0
+        x, y = border.x[low], border.y[low]
+        u = np.hypot(x, y) - axes["X"][0]
+        v = edge.points(edge.sweeps(u))[1] + (axes["Y"][0] if "Y" in axes else 0.0)
+        azimuth = np.arctan2(y, x) - np.arctan2(v, u + axes["X"][0])
+        place, depth = np.mod(motion.sense * (azimuth - c[0]), TURN), border.depth[low]
+        if between:
+            fine = np.concatenate(between)
+            dips = depth_at_points(part, tool, circle(fine, np.interp(fine, turned, heights)), PROOF_STEPS).depth
+            place, depth = np.append(place, fine[dips > 0]), np.append(depth, dips[dips > 0])
+        if not depth.size:
+            break
+        block = np.clip(np.searchsorted(turned, place) - 1, 0, turned.size - 2)
+        share = (place - turned[block]) / steps[block]
+        rise = np.zeros(turned.size)
+        # Next to the first point only the other end of the block rises.
+        for end, weight in ((block, np.where(block + 2 == turned.size, 1 - share, 1.0)),
+                            (block + 1, np.where(block == 0, share, 1.0))):  # fmt: skip
+            np.maximum.at(rise, end, (depth + PLUNGE_DEPTH_TOL / 2) / np.maximum(weight, MIN_SHARE))
+        heights[inner] += rise[inner]
+    return heights
+
+
 def _require_above(job: Job, name: str, plunge: Motion, start: float) -> None:
     """Raise if the edge gouges the finished surface in the last revolution of a plunge, deeper than its pass does.
 
@@ -155,22 +231,15 @@ def _require_above(job: Job, name: str, plunge: Motion, start: float) -> None:
     part, tool = job.part.aimed, job.tool
     turned = np.abs(plunge.axes["C"] - plunge.axes["C"][-1])
     last = np.flatnonzero(turned <= TURN + 1e-9)
-    last = last[:: -(-last.size // PROOF_POINTS)]
-    u, v, e = tool.edge(np.linspace(*tool.arc, PROOF_STEPS + 1), plunge.sense)
-    along, across = plunge.axes["X"][last, None] + u, plunge.axes.get("Y", np.zeros(turned.size))[last, None] + v
-    c, s = np.cos(plunge.axes["C"][last, None]), np.sin(plunge.axes["C"][last, None])
-    x, y = along * c - across * s, along * s + across * c
-    with np.errstate(all="ignore"):
-        above = plunge.axes["Z"][last, None] + e - part.surface.evaluate(x, y, 0)[0]
-    valid = np.isfinite(above) & (np.hypot(x, y) <= part.reach)
-    inside = part.surface.inside(x, y)
-    above = np.where(valid if inside is None else valid & inside, above, np.inf)
-    k = np.unravel_index(int(above.argmin()), above.shape)
-    if above[k] < -PLUNGE_DEPTH_TOL - start:
+    every = last[:: -(-last.size // PROOF_POINTS)]
+    depth, x, y = depth_at_points(part, tool, plunge.select(every), PROOF_STEPS).deepest
+    if part.leaves_air:
+        depth, x, y = max((depth, x, y), depth_at_border(part, tool, plunge.select(last)).deepest)
+    if depth > PLUNGE_DEPTH_TOL + start:
         raise GougeError(
-            f"pass {name}: in the plunge the edge comes {say_length(-float(above[k]))} below the finished surface at "
-            f"x = {x[k]:.4g} mm, y = {y[k]:.4g} mm, the limit is {say_length(PLUNGE_DEPTH_TOL + start)}: state "
-            "part.blank, and a lead_in with which the pass begins outside the blank"
+            f"pass {name}: in the plunge the edge comes {say_length(depth)} below the finished surface at x = {x:.4g} "
+            f"mm, y = {y:.4g} mm, the limit is {say_length(PLUNGE_DEPTH_TOL + start)}: state part.blank, and a lead_in "
+            "with which the pass begins outside the blank"
         )
 
 
@@ -202,9 +271,7 @@ def _plan_entry(job: Job, name: str, motion: Motion, before: tuple[Motion, Tool]
     turned, axes = entry_path(motion)
     x0, y0 = float(motion.axes["X"][0]), float(motion.axes["Y"][0]) if "Y" in motion.axes else 0.0
     x0 += float(motion.axes["U"][0]) if "U" in motion.axes else 0.0
-    heights = _contact_heights(part, tool, motion, turned, axes)
-    if motion.spindle_mode is not None:  # the tool cannot follow the azimuth
-        heights = np.full(heights.size, heights.max())
+    heights = _heights_around(part, tool, motion, turned, axes)
     path = heights + (axes["Z"][0] + axes.get("W", np.zeros(1))[0] - heights[0])
     z, fast = entry_shares(motion, heights) if FAST.keys() & axes.keys() else (heights, {})
     w = fast.get("W", np.zeros(turned.size))
@@ -216,7 +283,7 @@ def _plan_entry(job: Job, name: str, motion: Motion, before: tuple[Motion, Tool]
     depth: float | None = float((contact - lowest).max()) - rest_stroke
     if part.leaves_air and motion.spindle_mode is None:
         # It begins in air, where only the material under the first point counts.
-        under = float(np.interp(np.mod(motion.axes["C"][0], TURN), material.angle, contact, period=TURN))
+        under = material.near(contact, float(motion.axes["C"][0]))
         if under - float(motion.axes["Z"][0]) <= -MIN_GAP_MM:
             depth = None
     elif part.blank is not None:
@@ -241,7 +308,7 @@ def _plan_entry(job: Job, name: str, motion: Motion, before: tuple[Motion, Tool]
     if approach.plunge is not None and "gouge" not in job.accept:
         plunge = _add_fast_tool(approach.plunge, turned, fast)
         _require_above(job, name, plunge, max(float(heights[0] - path[0]), 0.0))
-    first = float(np.interp(np.mod(approach.start["C"], TURN), material.angle, contact, period=TURN))
+    first = material.near(contact, float(approach.start["C"]))
     gap = min(approach.start["Z"] + float(w[0]) + rest_stroke - first, approach.clear + float(w.min()) - top)
     least = GAP / 2 if depth is not None else MIN_GAP_MM
     if not gap >= least:
@@ -290,21 +357,26 @@ def _sag(part: Part, radius: Floats, angle: float) -> Floats:
 
 
 def blank_heights(part: Part, radius: Floats, angle: Floats, wider: float) -> Floats:
-    """Return the top of the blank on radial lines, with its radius enlarged by ``wider``. (n_angle, n_radius)."""
+    """Return the top of the blank on radial lines, with its radius enlarged by ``wider``. (n_angle, n_radius).
+
+    Between the parts of a chuck, farther from each than `CHUCK_MARGIN_MM` and ``wider``, there is nothing: -inf.
+    """
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
     if (shaped := part.shaped_blank) is not None:
         z = shaped.top(radius * cosine, radius * sine)
         z[:, radius > shaped.reach + wider] = -np.inf
-        return z
-    rim = part.reach * (1 - 1e-12)
-    inside = np.minimum(radius, rim)
-    z = np.asarray(part.surface.sag(inside * cosine, inside * sine))
-    zx, zy = part.surface.gradient(rim * cosine[:, 0], rim * sine[:, 0])
-    slope = np.maximum(zx * cosine[:, 0] + zy * sine[:, 0], 0.0)
-    z = z + part.stock + slope[:, None] * np.maximum(radius - rim, 0.0)
-    if part.blank is not None:
-        z[:, radius > part.blank.reach + wider] = -np.inf
-    return np.asarray(z)
+    else:
+        rim = part.reach * (1 - 1e-12)
+        inside = np.minimum(radius, rim)
+        z = np.array(part.surface.sag(inside * cosine, inside * sine))
+        zx, zy = part.surface.gradient(rim * cosine[:, 0], rim * sine[:, 0])
+        slope = np.maximum(zx * cosine[:, 0] + zy * sine[:, 0], 0.0)
+        z += part.stock + slope[:, None] * np.maximum(radius - rim, 0.0)
+        if part.blank is not None:
+            z[:, radius > part.blank.reach + wider] = -np.inf
+    if len(part.apart) > 1:
+        z[part.border.distance(radius * cosine, radius * sine) > CHUCK_MARGIN_MM + wider] = -np.inf
+    return z
 
 
 def _azimuths(part: Part, radius: float) -> Floats:
@@ -325,7 +397,9 @@ def _material_before(
     if part.blank is not None and low < part.blank.reach + wider < high:
         end = part.blank.reach + wider
         radius = np.union1d(radius, [end, np.nextafter(end, np.inf)])
-    height = blank_heights(part, radius, angle, wider)
+    # On a chuck the material ends next to each part: at these distances from it none is missed between two lines.
+    lateral = GAP + high * float(angle[1]) / 2 if len(part.apart) > 1 else 0.0
+    height = blank_heights(part, radius, angle, wider + lateral)
     if before is not None:
         previous = generate_polar(*before, radius=radius, angle=angle).z
         height = np.minimum(height, np.where(np.isnan(previous), np.inf, previous))
@@ -335,4 +409,5 @@ def _material_before(
 def _top(part: Part, x0: float) -> float:
     """Return the greatest height of the blank, out to its radius or to the tool. [mm]."""
     far = part.blank.reach if part.blank is not None else max(part.reach, x0)
-    return float(blank_heights(part, np.linspace(0, far, 401), _azimuths(part, far), 0.0).max())
+    angle = _azimuths(part, far)
+    return float(blank_heights(part, np.linspace(0, far, 401), angle, far * float(angle[1])).max())

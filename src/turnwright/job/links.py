@@ -26,9 +26,6 @@ TOLERANCE_MM = 1e-3
 AZIMUTHS, RADII, PLACES = 360, 2000, 400
 """Lines around the axis, steps along each, and most places along a move where the tool is compared with the part."""
 
-CHUCK_MARGIN_MM = 0.1
-"""Distance from the outline of a part of a chuck up to which its stock reaches."""
-
 FEW_RADII = 400
 """Steps along a line where the part at rest is compared with shank and holder."""
 
@@ -95,11 +92,7 @@ class _Section:
         part = self.part
         radius = np.linspace(0, part.blank.reach if raised and part.blank is not None else part.reach, steps + 1)
         if raised:
-            heights = blank_heights(part, radius, angle, 0.0)
-            if len(part.apart) > 1:  # there is nothing between the parts of a chuck
-                x, y = radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None]
-                heights = np.where(part.border.distance(x, y) <= CHUCK_MARGIN_MM, heights, -np.inf)
-            return radius, heights
+            return radius, blank_heights(part, radius, angle, 0.0)
         inside = radius * (1 - 1e-12)
         heights = part.heights(inside * np.cos(angle)[:, None], inside * np.sin(angle)[:, None])
         return radius, np.where(np.isnan(heights), -np.inf, heights)

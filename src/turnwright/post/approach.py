@@ -216,14 +216,14 @@ def _find_top_speed(motion: Motion) -> float:
     return float(np.abs(motion.velocity["C"])[turned <= 2 * TURN].max())
 
 
-def entry_path(motion: Motion) -> tuple[Floats, dict[str, Floats]]:
+def entry_path(motion: Motion, *, most: int = 3) -> tuple[Floats, dict[str, Floats]]:
     """Return the path of one revolution at the first point of a pass, where the heights of its plunge are needed.
 
     Angles from the first point, 0 to one full turn, as dense as the points of the pass, or 16 times as dense with
     velocities (n,) [rad]; and every axis but C at the radius of the first point, by letter, extrapolated from the first
-    revolutions (n,) [mm].
+    revolutions, at ``most`` so many (n,) [mm].
     """
-    turned, _, axes, _ = _extrapolate_first_turn(motion)
+    turned, _, axes, _ = _extrapolate_first_turn(motion, most=most)
     if motion.velocity is None:
         return turned, axes
     angle = _height_angles(motion, turned)
