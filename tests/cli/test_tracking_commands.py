@@ -98,7 +98,7 @@ def test_servos_that_are_not_stated_cannot_be_requested(done, tmp_path, capsys):
     job = written(tmp_path, ("simulation.tracking", True))
     assert main(["check", str(job)]) == 2
     assert "simulation.tracking: tracking needs a servo response" in capsys.readouterr().err
-    job = written(tmp_path)
+    job = written(tmp_path, *CHANGES[1:])
     assert main(["backplot", str(done / "out" / "part.nc"), "--job", str(job), "--track"]) == 2
     assert "states it for 0 of 3 axes" in capsys.readouterr().err
 

@@ -59,7 +59,7 @@ TILT = {"family": "plane", "slope": [0.05, 0.0]}
 HEAD = "G21 G90 G18\nG97 S1000 M3\nG94\n"
 CUT = "G1 X0 Z0 F10\nG0 Z5\nM5\nM30\n"
 REST = "G21 G90\nG0 X5 C180 Z1\nG0 Z-0.05\n"
-TURN = "G93\nG1 C10 X4.9 F60\nC5 X4.8 F60\nG94\nG0 Z5\nM30\n"
+TURN = "G0 Z5\nG93\nG1 C10 X4.9 F60\nC5 X4.8 F60\nG94\nG0 Z6\nM30\n"
 HANDS = {
     # Contact of a nose of 5 mm with a ball of 20 mm at 6.75 mm from the axis: 15 - sqrt(15² - 6.75²).
     "a large nose in contact": (BALL, 9, 5, f"{HEAD}G0 X6.75 Z5\nG1 Z1.6047 F20\n{CUT}", ""),
@@ -74,7 +74,7 @@ HANDS = {
     "rapid into stock after a feed in air": (DOME, 5, 0.5, f"{HEAD}G1 Z10 F500\nG1 X3 F500\nG0 Z-0.08\n{CUT}", "stock"),
     "a long move through the apex": (DOME, 0.8, 0.1, f"{HEAD}G0 X100 Z5\nG0 Z-0.005\nG0 X-93\n{CUT}", "finished"),
     "X is not known": (DOME, 5, 0.5, f"{HEAD}G0 Z-1\nG0 X5\n{CUT}", "X is not known"),
-    "beside the part": (DOME, 5, 0.5, f"{HEAD}G0 X8 Z5\nG0 Z-3\nG0 Z5\nG0 X5.1\nG1 Z-0.3 F9\n{CUT}", ""),
+    "beside the part": (DOME, 5, 0.5, f"{HEAD}G0 X8 Z5\nG0 Z-3\nG0 Z5\nG0 X5.1\nG1 Z-0.3 F9\nG0 Z0.5\n{CUT}", ""),
     "C turns in air": (
         TILT,
         5,

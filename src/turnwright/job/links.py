@@ -1,20 +1,25 @@
-"""Prove that no move of a program outside its finishing cut brings the tool below what it should leave."""
+"""Prove that no move of a program, in a cut or outside, brings the tool below what it should leave."""
 
 from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path as File
 
 import numpy as np
 
-from turnwright._arrays import Floats
+from turnwright._arrays import Floats, Ints
 from turnwright.job.approach import blank_heights
+from turnwright.job.depths import block_over, chord_over, depth_at_border, depth_at_points
 from turnwright.job.schema import Job
-from turnwright.post import Move, read_moves
+from turnwright.part import Part
+from turnwright.path import Motion
+from turnwright.post import Move, ProgramCut, ProgramWarning, inspect_cuts, read_moves
 from turnwright.tool import Shank, Tool
 from turnwright.units import say_length
 
@@ -29,16 +34,29 @@ AZIMUTHS, RADII, PLACES = 360, 2000, 400
 FEW_RADII = 400
 """Steps along a line where the part at rest is compared with shank and holder."""
 
+EDGE_STEPS, MOST_EDGE_PLACES = (16, 200), 5_000_000
+"""Fewest and most steps along the edge at a point of a cut, and most places on the edge in all of a cut."""
+
+WIDE_STEPS, FINE_STEP_RAD = 3.0, math.radians(0.5)
+"""Step of C, over the median one of a cut, from which its block counts between its points too, and how densely."""
+
+MOST_JUDGED = 200
+"""Points of the border, the deepest first, that are compared with the chord of their block."""
+
 TURN = 2 * math.pi
 ALL_AROUND = tuple((np.arange(AZIMUTHS) * (TURN / AZIMUTHS)).tolist())
 
 
-def find_wrong_move(job: Job, file: File, *, block_delete: bool | None = None) -> str:
+def find_wrong_move(job: Job, file: File, *, block_delete: bool | None = None, is_planned: bool = False) -> str:
     """Return a sentence on the first move that brings the tool below the part, or in rapid or at rest into the stock.
 
-    The moves are those of `turnwright.post.read_moves` but for the last cut, as straight lines. The tool is the nominal
-    one of each pass: its edge with the flanks, and its shank and holder if they are stated. The part ends at its clear
-    aperture, stock at the blank if the job states one. Empty if there is none.
+    Moves outside the cuts with C as an axis are those of `turnwright.post.read_moves`, as straight lines. The tool is
+    the nominal one of each pass: its edge with the flanks, and its shank and holder if they are stated. The part ends
+    at its clear aperture, stock at the blank if the job states one.
+
+    In the cuts the edge is compared with the finished surface at every point, and on the borders of an outline or a
+    chuck between the points too; of a program that was planned for the job, points only in the plunges. Empty if there
+    is none.
     """
     jobs = [next(group) for _, group in groupby(map(job.for_pass, job.passes), lambda one: one.tool)]
     sections = [_Section(job, one.tool) for one in jobs]
@@ -62,7 +80,70 @@ def find_wrong_move(job: Job, file: File, *, block_delete: bool | None = None) -
             return (
                 f"line {move.line} moves the tool to {where}{how}, {which} the {what}: correct its approach or retract"
             )
-    return ""
+    if job.program.fast_tool or job.program.precorrect:  # the tip is not where the program says
+        return ""
+    chord = max(getattr(job.servo(one).spiral_strategy, "chord", None) or 0.0 for one in job.passes)
+    wrong: list[str] = []
+
+    def inspect(cut: ProgramCut) -> None:
+        if not wrong:
+            section = called.get(cut.tool, sections[min(cut.changes, len(sections) - 1)])
+            sentence = _describe_depth(section, cut, chord, at_points=cut.is_entry or not is_planned)
+            wrong.extend(filter(None, [sentence]))
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ProgramWarning)  # the reader of the moves has warned
+        inspect_cuts(file, job.machine, inspect, block_delete=block_delete)
+    return wrong[0] if wrong else ""
+
+
+def _describe_depth(section: _Section, cut: ProgramCut, chord: float, *, at_points: bool) -> str:
+    """Return a sentence on the place where a cut is deepest below the finished surface, if that is too deep."""
+    part, tool, motion = section.part, section.tool, cut.motion
+    most, block, x, y = TOLERANCE_MM + chord, -1, math.nan, math.nan
+    if at_points:
+        dense, blocks = _with_wide_blocks(motion)
+        steps = int(np.clip(MOST_EDGE_PLACES // dense.time.size, *EDGE_STEPS))
+        depths = depth_at_points(part, tool, dense, steps)
+        if depths.deepest[0] > most:
+            most, x, y = depths.deepest
+            block = int(blocks[depths.depth.argmax()])
+    if part.leaves_air and motion.spindle_mode is None:
+        depths = depth_at_border(part, tool, motion)
+        for k in np.argsort(-depths.depth)[:MOST_JUDGED].tolist():
+            if depths.depth[k] <= most:
+                break
+            number, share = block_over(motion, tool, float(depths.x[k]), float(depths.y[k]))
+            one = _nearest_part(part, float(depths.x[k]), float(depths.y[k]))
+            if depths.depth[k] - max(chord_over(one, tool, motion, number, share), 0.0) > most:
+                most, block, x, y = float(depths.depth[k]), number, float(depths.x[k]), float(depths.y[k])
+    if block < 0:
+        return ""
+    where = ", ".join(f"{letter} {motion.axes[letter][block + 1]:.4g} mm" for letter in "XZ")
+    return (
+        f"line {cut.line(block)} moves the tool to {where}, {say_length(most)} below the finished surface at x = "
+        f"{x:.4g} mm, y = {y:.4g} mm: correct the {'plunge' if cut.is_entry else 'cut'}"
+    )
+
+
+def _with_wide_blocks(motion: Motion) -> tuple[Motion, Ints]:
+    """Return a motion with points between those of blocks that turn far, and the block of each point."""
+    steps = np.abs(np.diff(motion.axes["C"]))
+    counts = np.where(steps > WIDE_STEPS * np.median(steps), np.ceil(steps / FINE_STEP_RAD), 1).astype(np.int64)
+    if motion.spindle_mode is not None:
+        counts[:] = 1
+    block = np.repeat(np.arange(steps.size), counts)
+    share = (np.arange(block.size) - np.repeat(np.cumsum(counts) - counts, counts) + 1) / counts[block]
+    ends = np.append(0.0, block + share)
+    number = np.arange(motion.time.size)
+    axes = {letter: np.interp(ends, number, values) for letter, values in motion.axes.items()}
+    dense = replace(motion, time=np.interp(ends, number, motion.time), axes=axes, velocity=None, stated_blocks=None)
+    return dense, np.append(0, block)
+
+
+def _nearest_part(part: Part, x: float, y: float) -> Part:
+    """Return the part of a chuck that is nearest to a point."""
+    return min(part.apart, key=lambda one: float(one.border.distance(np.array([x]), np.array([y]))[0]))
 
 
 class _Section:
@@ -82,7 +163,23 @@ class _Section:
         for turn in (0.0, math.pi):
             radius, heights = self._heights(np.asarray(angles) + turn, RADII, raised=raised)
             sides.append(heights.max(axis=0))
-        return np.concatenate((-radius[::-1], radius)), np.concatenate((sides[1][::-1], sides[0]))
+        at, height = np.concatenate((-radius[::-1], radius)), np.concatenate((sides[1][::-1], sides[0]))
+        border, top = self._border(angles, raised=raised)
+        return np.concatenate((border, at)), np.concatenate((top, height))
+
+    def _border(self, angles: tuple[float, ...], *, raised: bool) -> tuple[Floats, Floats]:
+        """Return places and heights of the border of an outline, corners included, between some azimuths."""
+        if not self.part.leaves_air or len(angles) == 1:
+            return np.empty(0), np.empty(0)
+        x, y = self.part.border.border()
+        radius, low, high = np.hypot(x, y), min(angles), max(angles)
+        height = self.part.surface.sag(x, y) + (self.part.stock if raised else 0.0)
+        azimuth = np.arctan2(y, x) - low
+        sides = []
+        for sign, turn in ((1.0, 0.0), (-1.0, math.pi)):
+            between = np.mod(azimuth - turn, TURN) <= high - low + (TURN if angles == ALL_AROUND else 0.0)
+            sides.append((sign * radius[between], height[between]))
+        return np.concatenate([at for at, _ in sides]), np.concatenate([top for _, top in sides])
 
     def _polar(self, *, raised: bool) -> tuple[Floats, Floats]:
         """Return radii (n,) and the finished surface or stock there at all azimuths, (n_angle, n). [mm]."""
@@ -103,7 +200,7 @@ class _Section:
         With X and Z there, and "shank" or "holder" if it is that of one.
         """
         at, height = self.line(_angles(move, self.part.surface.of_revolution), raised=raised)
-        around = self.line(ALL_AROUND, raised=raised)[1] if self.tool.bodies else height
+        around = self.line(ALL_AROUND, raised=raised) if self.tool.bodies else (at, height)
         dx, _, dz = self.tool.offset
         wide = [2 * self.edge.half_width, *(math.hypot(*one.offset) + one.radius for one in self.tool.bodies.values())]
         worst = (-math.inf, math.nan, math.nan, "")
@@ -117,7 +214,7 @@ class _Section:
             worst = max(worst, (float(np.nanmax(gap, initial=-math.inf)) - z, x, z, ""), key=lambda one: one[0])
             for name, one in self.tool.bodies.items():
                 far = math.hypot(x + one.offset[0], one.offset[1])
-                top = _highest(at, around, far - one.radius, far + one.radius) - one.height
+                top = _highest(*around, far - one.radius, far + one.radius) - one.height
                 if top - z > max(TOLERANCE_MM, worst[0]) and not move.turns and math.isfinite(move.end[0]):
                     top = self._under(one, x, move.end[0], raised=raised) - one.height
                 worst = max(worst, (top - z, x, z, name), key=lambda one: one[0])

@@ -277,7 +277,7 @@ def _accepted_program(line: Pipeline, limit: float) -> list[str]:
     """Warn of a gouge or a wrong move of the program if the job accepts it; else delete the program and raise."""
     gouge = find_gouge(line.job, line.predictions[0], line.program_motion, limit)
     with line.watch.stage("check moves"):
-        wrong = find_wrong_move(line.job, line.program.files[0])
+        wrong = find_wrong_move(line.job, line.program.files[0], is_planned=True)
     sentences = [one for one in (gouge.sentence if gouge else "", wrong) if one]
     if sentences and "gouge" not in line.job.accept:
         for file in line.program.files:

@@ -6,10 +6,10 @@ import hashlib
 import mmap
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import islice, pairwise
 from os import PathLike
 from pathlib import Path
 from string import ascii_lowercase, ascii_uppercase
@@ -43,7 +43,7 @@ from turnwright.post.macro import Macros
 from turnwright.post.spindle import Spindle, origin_bytes, turning_number
 from turnwright.progress import Progress
 
-__all__ = ["Move", "read_moves", "read_nc"]
+__all__ = ["Move", "ProgramCut", "inspect_cuts", "read_moves", "read_nc"]
 
 BUFFER_BYTES = 1 << 20
 UPPERCASE = str.maketrans(ascii_lowercase, ascii_uppercase)
@@ -269,6 +269,69 @@ def read_moves(path: str | PathLike[str], machine: Machine, *, block_delete: boo
     )
 
 
+class ProgramCut(NamedTuple):
+    """A cut of a program, with C as an axis or in spindle mode, or the plunge before it.
+
+    Parameters
+    ----------
+    is_entry
+        Whether it is a plunge.
+    changes, tool
+        As of a `Move`.
+    motion
+        Its motion, see `read_nc`.
+    lines
+        First block of consecutive lines, their file, and the number of the line before them.
+    """
+
+    is_entry: bool
+    changes: int
+    tool: float
+    motion: Motion
+    lines: tuple[tuple[int, Path, int], ...]
+
+    def line(self, block: int) -> int:
+        """Return the number of the line of a block, from 0, in its file."""
+        first, path, number = next(one for one in reversed(self.lines) if one[0] <= block)
+        with path.open("rb") as file:
+            for at, line in enumerate(islice(file, number, None), number + 1):
+                first += MOVES.search(COMMENT.sub(" ", line.decode("latin-1"))) is not None
+                if first > block:
+                    return at
+        return number + 1
+
+
+def inspect_cuts(
+    path: str | PathLike[str],
+    machine: Machine,
+    inspect: Callable[[ProgramCut], None],
+    *,
+    block_delete: bool | None = None,
+) -> None:
+    """Call a function with every cut of a program and every plunge, in their order, one in memory at a time.
+
+    Cuts that are no motion, such as with C turning back, are left out: `read_nc` refuses them. Raises `ProgramError` as
+    `read_moves`.
+    """
+    path = Path(path)
+
+    def closed(cut: _Cut) -> None:
+        if np.isnan(cut.rows[[0, 1, 3], : cut.points]).any():
+            return
+        try:
+            motion = _motion(path, cut, None, machine)
+        except ProgramError:
+            return
+        inspect(ProgramCut(cut.name.endswith(ENTRY), cut.changes, cut.tool, motion, tuple(cut.lines)))
+
+    with reading(path), ThreadPoolExecutor(1) as pool:
+        reader = _Reader(
+            path, dialect_of(machine), name=None, header_pass=None, block_delete=block_delete, pool=pool, progress=None
+        )
+        reader.closed = closed
+        reader.run()
+
+
 def _pass_in_header(
     path: Path, info: ProgramInfo | None, machine: Machine, dialect: Dialect, name: str | None
 ) -> ProgramPass | None:
@@ -338,6 +401,11 @@ class _Cut:
     """How the spindle runs in a cut in spindle mode, whose durations are revolutions instead."""
     mode: SpindleMode | None = None
     """Feed and speed of its first block."""
+    lines: list[tuple[int, Path, int]] = field(default_factory=list)
+    """First block of consecutive lines, their file, and the number of the line before them; where requested"""
+    changes: int = 0
+    tool: float = 0.0
+    """As of a `Move`"""
     shifts: list[tuple[int, Floats]] = field(default_factory=list)
     """First column, and shift of the part's C, X, Y, Z relative to the program's from there on. (4,) [deg, mm]"""
 
@@ -440,6 +508,7 @@ class _Reader:
         self.moves: list[tuple[int, bool, Floats, Floats, bool, int, int, int, float]] | None = (
             None  # recorded where requested
         )
+        self.closed: Callable[[_Cut], None] | None = None  # takes each cut where requested
         self.changes = 0  # of tool, after a cut
         self.c_cuts = 0  # cuts with C as an axis
         self.work_offset = 54.0
@@ -584,8 +653,9 @@ class _Reader:
         if self.spindle.runs:
             return at, False  # the few blocks in spindle mode are read word by word
         rows, first = self._free_columns()
+        line = int(self.state[LINES])
         at, last = kernel.parse_blocks(data, at, end, self.state, self.real, rows, first)
-        self._count_blocks(rows, first, last)
+        self._count_blocks(rows, first, last, line)
         return at, last == rows.shape[1]
 
     def _require_ends(self, path: Path, loops: list[int]) -> None:
@@ -670,11 +740,13 @@ class _Reader:
     def _is_requested(self, cut: _Cut) -> bool:
         return self.requested is None or cut.name == self.requested
 
-    def _count_blocks(self, rows: Floats, first: int, last: int) -> None:
-        """Count the new blocks in columns first to last - 1, and hash them in another thread."""
+    def _count_blocks(self, rows: Floats, first: int, last: int, line: int) -> None:
+        """Count the new blocks in columns first to last - 1 after a line, and hash them in another thread."""
         cut = self.cut
         if cut is None or last == first:
             return
+        if self.closed is not None:
+            cut.lines.append((cut.blocks, self.stack[-1], line))
         cut.blocks += last - first
         if rows is self.scratch:
             return
@@ -710,6 +782,8 @@ class _Reader:
             named=self.named is not None,
             timed=timed,
             rows=_allocate(capacity, self.height),
+            changes=self.changes,
+            tool=self.tool,
         )
         cut.rows[:4, 0] = self.real[:4]
         cut.rows[4, 0] = turning
@@ -732,6 +806,8 @@ class _Reader:
         self.state[OPEN] = 0
         if cut is None:
             return
+        if self.closed is not None:
+            self.closed(cut)
         if cut.name.endswith(ENTRY):
             self.cuts -= 1  # the plunge before a cut
             return
@@ -1202,7 +1278,7 @@ class _Reader:
         rows[:4, first] = self.real[:4]
         rows[0, first] = 0.0
         rows[4, first] = mode.turns(*np.stack([before, self.real[:4]])[:, [1, 3]].T)[0]
-        self._count_blocks(rows, first, first + 1)
+        self._count_blocks(rows, first, first + 1, int(self.state[LINES]) - 1)
 
     def _cut(self, before: Floats, step: Floats) -> None:
         """Add the current block to the cut, beginning one if none is open."""
@@ -1234,4 +1310,4 @@ class _Reader:
         rows[4, first] = duration
         if self.dialect.velocities:
             rows[5:, first] = [self.speeds.get(letter, 0.0) for letter in AXES]
-        self._count_blocks(rows, first, first + 1)
+        self._count_blocks(rows, first, first + 1, int(self.state[LINES]) - 1)
