@@ -12,9 +12,9 @@ from scipy.interpolate import CubicHermiteSpline
 import turnwright as tw
 from cases import every_second
 from job_files import changed
-from proof_approach import Figures, failures, run
+from proof_approach import Case, Figures, failures, judge, run
 from turnwright.errors import GougeError, InputError, JobError, LimitError, ProgramError
-from turnwright.job import Job, approach as _approach, preview
+from turnwright.job import Job, Pipeline, approach as _approach, preview
 
 FEW = ("simulation", {"whole_part": {"radii": 11, "angles": 8}})
 DOME = (
@@ -35,6 +35,30 @@ def test_random_programs_touch_nothing_at_rest(seed):
     run(10, seed, figures)
     assert failures(figures)[:6] == [] or failures(figures) == ["jobs plunge, and jobs begin beside the blank"]
     assert figures.plunges
+
+
+def test_a_pvt_plunge_keeps_its_feed_where_c_accelerates(tmp_path):
+    """Steep waves in steps of 13.8 deg; oracle: dense contact heights, see `proof_approach`. It was 2.388 once."""
+    lathe = 'base = "nanoform"\nname = "m"\ndialect = "pmac"\n[controller]\ninterpolation = "hermite"\n'
+    (tmp_path / "pmac.toml").write_text(lathe)
+    table = {
+        "accept": ["limits"], "machine": {"file": str(tmp_path / "pmac.toml")},
+        "part": {"radius": "1.333 mm", "surface": {
+            "family": "expression", "units": "mm", "formula": "0.0179*sin(8*x)+0.01178*cos(7*y)"}},
+        "tool": {"nose_radius": "0.7125 mm", "included": "146.33 deg", "clearance": "20 deg"},
+        "strategy": {"kind": "slow tool servo", "feed": "0.02285 mm/rev", "points_per_rev": 26,
+                     "spindle_speed": "93.13 rpm", "sense": -1, "lead_in": "0.671 mm"},
+        "program": {"plunge_feed": "0.593 mm/min"},
+    }  # fmt: skip
+    case = Case(
+        table, lambda x, y: 0.0179 * np.sin(8 * x) + 0.01178 * np.cos(7 * y), 1.333, 0.0, None, 0.7125,
+        math.radians(146.33 / 2), 0.593, {"finish": 0.0},
+    )  # fmt: skip
+    figures = Figures()
+    judge(case, "pmac", Pipeline(Job.read(table), out=tmp_path).program.files[0], figures)
+    assert figures.plunges == 1
+    assert figures.block <= 1 + 1e-6
+    assert figures.gouge <= 2e-6
 
 
 @pytest.mark.parametrize(

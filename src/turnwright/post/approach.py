@@ -179,8 +179,10 @@ def _plunge(
     fits = [each for each in SUBDIVISIONS if each == 1 or _fits(each, turned, time[-1], turns, motion.machine)]
     for subdivision in [*fits, *(each for each in reversed(SUBDIVISIONS) if each not in fits)]:
         with suppress(LimitError):
-            divided = _add_velocities(plunge, turned, curves, subdivision, height / turns)
-            return _drop_close_points(from_rest_to_rest(divided)), height / turns
+            divided = _add_velocities(plunge, curves, subdivision, height / turns)
+            rested = _drop_close_points(from_rest_to_rest(divided))
+            # Where C accelerates, points lie between the steps: not on cubics through the steps, but on the curves.
+            return _on_curves(plunge, rested, curves, height / turns), height / turns
     raise ProgramError(
         f"pass {name} has too few points per revolution for a plunge with C rotating: use more, or begin it outside "
         "the blank"
@@ -296,26 +298,31 @@ def _drop_close_points(plunge: Motion) -> Motion:
     )  # fmt: skip
 
 
-def _add_velocities(
-    plunge: Motion, turned: Floats, curves: Mapping[str, CubicSpline], subdivision: int, per_rev: float
-) -> Motion:
+def _add_velocities(plunge: Motion, curves: Mapping[str, CubicSpline], subdivision: int, per_rev: float) -> Motion:
     """Return a plunge at constant speed with the velocities of its axes, each step subdivided."""
-    each = turned.size - 1
     steps = np.arange(subdivision * (plunge.time.size - 1) + 1) / subdivision
-    angle = _subdivide(turned, subdivision)
-    place = np.arange(steps.size) % (subdivision * each)
-    time = np.interp(steps, np.arange(plunge.time.size), plunge.time)
-    c = np.interp(steps, np.arange(plunge.time.size), plunge.axes["C"])
-    pace = (c[-1] - c[0]) / (time[-1] - time[0])
-    axes, velocity = {"C": c}, {"C": np.full(c.size, pace)}
+    number = np.arange(plunge.time.size)
+    time = np.interp(steps, number, plunge.time)
+    axes = {letter: np.interp(steps, number, values) for letter, values in plunge.axes.items()}
+    pace = (axes["C"][-1] - axes["C"][0]) / (time[-1] - time[0])
+    velocity = dict.fromkeys(axes, np.zeros(time.size)) | {"C": np.full(time.size, pace)}
+    return _on_curves(plunge, replace(plunge, time=time, axes=axes, velocity=velocity), curves, per_rev)
+
+
+def _on_curves(plunge: Motion, motion: Motion, curves: Mapping[str, CubicSpline], per_rev: float) -> Motion:
+    """Return a motion of a plunge with the axes but C on their curves over one turn, at its times and angles."""
+    assert motion.velocity is not None  # noqa: S101 - for the type checker
+    c, speed = motion.axes["C"], motion.velocity["C"]
+    turned = np.mod(np.abs(c - plunge.axes["C"][0]), TURN)
+    axes, velocity = {"C": np.array(c)}, {"C": speed}
     for letter, curve in curves.items():
-        axes[letter], velocity[letter] = curve(angle)[place], abs(pace) * curve(angle, 1)[place]
-    remaining_turns = np.abs(c - c[-1]) / TURN
-    axes["Z"], velocity["Z"] = axes["Z"] + per_rev * remaining_turns, velocity["Z"] - per_rev * abs(pace) / TURN
+        axes[letter], velocity[letter] = curve(turned), np.abs(speed) * curve(turned, 1)
+    axes["Z"] += per_rev * np.abs(c - c[-1]) / TURN
+    velocity["Z"] -= per_rev * np.abs(speed) / TURN
     for letter, values in axes.items():
         values[-1] = plunge.axes[letter][-1]
     return replace(
-        plunge, time=time, axes={letter: axes[letter] for letter in plunge.axes},
+        motion, axes={letter: axes[letter] for letter in plunge.axes},
         velocity={letter: velocity[letter] for letter in plunge.axes},
     )  # fmt: skip
 
