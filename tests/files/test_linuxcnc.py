@@ -19,6 +19,8 @@ pytestmark = pytest.mark.skipif(
     linuxcnc.environment() is None, reason="LinuxCNC is not here: tools/unpack_linuxcnc and TURNWRIGHT_LINUXCNC"
 )
 EXAMPLES = Path(__file__).parents[2] / "examples"
+FASTEST = ("conic_zernike", "mirror_pair", "turned_asphere")
+"""Examples of the suite: a freeform, a chuck of outlines and one in spindle mode."""
 TOOL = tw.Tool(nose_radius=0.5, included=np.deg2rad(120))
 PART = tw.Part(
     surface=tw.Sphere(radius=50.0) + tw.XYPolynomial(terms={(1, 0): 1e-3, (0, 2): 2e-3, (1, 2): 5e-4}), radius=2.0
@@ -71,9 +73,27 @@ def test_blocks_in_spindle_mode_are_those_that_linuxcnc_reads(tmp_path, dialect,
     assert np.abs(time - elapsed).max() < 1e-9 * elapsed[-1]
 
 
-@pytest.mark.proof
+@pytest.mark.parametrize("call", ["T1 M6", "T1 M6 G43", "T12\nM6\nG43 H12"])
+def test_a_tool_call_moves_nothing(tmp_path, call):
+    machine = machine_of("linuxcnc")
+    motion = motion_of(tw.SlowToolServo(feed=0.2, points_per_rev=60, spindle_rpm=60), PART, machine)
+    tw.write_nc(motion, machine, tmp_path / "part.nc", depth=None)
+    text = (tmp_path / "part.nc").read_text()
+    (tmp_path / "called.nc").write_text(text.replace("\nG21", f"\n{call}\nG21", 1))
+    plain, called = (linuxcnc.interpret(tmp_path / f"{name}.nc", tmp_path) for name in ("part", "called"))
+    assert [*called] == [*plain]
+    for one, other in zip(plain.values(), called.values(), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 @pytest.mark.parametrize("dialect", ["generic", "linuxcnc"])
-@pytest.mark.parametrize("example", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "example",
+    [
+        pytest.param(path, marks=[] if path.stem in FASTEST else [pytest.mark.proof], id=path.stem)
+        for path in sorted(EXAMPLES.glob("*.toml"))
+    ],
+)
 def test_every_example_is_read_alike(tmp_path, example, dialect):
     job = Job.load(example)
     job = replace(job, machine=replace(job.machine, dialect=dialect))

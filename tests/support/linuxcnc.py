@@ -14,11 +14,20 @@ import numpy as np
 PYTHON = Path("/usr/bin/python3")
 INCH = 25.4
 """The interpreter's unit of length. [mm]"""
+TOOLS = 99
+"""Tools of the table, all of length 0."""
 
 SCRIPT = """
 import array
+import ctypes
 import sys
 import gcode
+
+# The table of tools is in memory that LinuxCNC shares among its processes, in a file of the home folder.
+tools = ctypes.CDLL("libtooldata.so.0")
+tools._Z17tool_mmap_creatorPK13EMC_TOOL_STATi(ctypes.create_string_buffer(1 << 20), 0)
+tools._Z13tooldata_initb(False)
+tools._Z13tooldata_loadPKcPPc(sys.argv[4].encode(), None)
 
 class Canon:
     parameter_file = sys.argv[2]
@@ -35,7 +44,7 @@ class Canon:
     def get_external_length_units(self): return 1.0
     def get_axis_mask(self): return 1 + 2 + 4 + 32
     def get_block_delete(self): return 0
-    def get_tool(self, _): return (-1,) + (0.0,) * 12 + (0,)
+    def get_tool(self, index): return (index or -1,) + (0.0,) * 12 + (0,)
     def check_abort(self): return False
     def set_feed_rate(self, value): self.feed = value
     def comment(self, text):
@@ -81,10 +90,13 @@ def interpret(program, folder):
     parameters, out = folder / "parameters.var", folder / "moves.bin"
     numbers = {*range(5161, 5170), *range(5181, 5190), *range(5210, 5391)}
     parameters.write_text("".join(f"{n}\t{1.0 if n == 5220 else 0.0}\n" for n in sorted(numbers)))
+    tools = folder / "tools.tbl"
+    tools.write_text("".join(f"T{n} P{n} Z0 D1\n" for n in range(1, TOOLS + 1)))
     done = subprocess.run(
-        [PYTHON, "-c", SCRIPT, program, parameters, out], env=environment(), capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr[-500:]
+        [PYTHON, "-c", SCRIPT, program, parameters, out, tools], env={**environment(), "HOME": str(folder)},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, f"exit code {done.returncode}: {done.stderr[-500:]}"
     marks = ["", *(line for line in done.stderr.splitlines() if line.startswith(("PASS:", "interpreter:")))]
     moves = np.fromfile(out).reshape(-1, 7)
     name, cuts = "", {}
