@@ -77,6 +77,24 @@ def test_the_surface_is_that_of_the_whole_disc_within_the_limits(outline, interp
     np.testing.assert_allclose(made, disc, atol=1e-12, rtol=0)
 
 
+@pytest.mark.parametrize(
+    ("surface", "slopes"), [(tw.Toroid(radius_x=300.0, radius_y=-500.0), True), (tw.Sphere(radius=-400.0), False)]
+)
+@pytest.mark.parametrize("points_per_rev", [360, 720])
+def test_far_from_the_axis_only_the_rounding_of_c_differs(surface, slopes, points_per_rev):
+    """C of thousands of rad has steps of 2^-40 rad; an azimuth is off by up to two, times the slope around the axis."""
+    motion, whole = cut(MIRROR, surface, tw.Machine.load("nanotech-350fg"), points_per_rev=points_per_rev)
+    x, y = np.random.default_rng(0).uniform((20.0, -10.0), (60.0, 10.0), (10_000, 2)).T
+    made, disc = (tw.generate_points(one, TOOL, x=x, y=y) for one in (motion, whole))
+    zx, zy = surface.gradient(x, y)
+    around = np.abs(x * zy - y * zx).max()  # dz/dC [mm/rad]
+    assert (around > 1) == slopes
+    largest = float(np.abs(motion.axes["C"]).max())
+    assert 4096 < largest < 8192
+    assert np.spacing(largest) == 2.0**-40
+    assert np.abs(made - disc).max() <= 2 * np.spacing(largest) * around + 1e-14
+
+
 def test_an_off_axis_mirror_takes_less_than_60_percent_of_the_time_of_its_disc():
     machine = tw.Machine.load("nanotech-350fg")
     motion, whole = cut(MIRROR, tw.Conic(radius=200.0, conic=-1.0), machine)
