@@ -9,6 +9,7 @@ import re
 import numpy as np
 import pytest
 
+import proof_moves
 import turnwright as tw
 from turnwright.cli import main
 from turnwright.job import Pipeline, find_wrong_move
@@ -102,6 +103,14 @@ def test_the_tool_enters_above_every_corner(tmp_path, parts):
     file = Pipeline(job, out=tmp_path).program.files[0]
     assert depth_of(parts, *first_turns(file.read_text())) < 6e-5
     assert find_wrong_move(job, file) == ""
+
+
+def test_random_programs_stay_above_every_part():
+    """A tenth of the proof; oracle: an envelope of its own in spindle mode, on outlines and on chucks."""
+    figures = proof_moves.Figures()
+    proof_moves.run(20, 1, figures)
+    assert proof_moves.failures(figures) == []
+    assert figures.plunges
 
 
 CORNER = (((3.0, 0.0), (-1.0, 0.3), (-1.0, -0.3)), (5.0, 0.0), 0.0, (0.0, 0.0))
