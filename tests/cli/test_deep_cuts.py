@@ -113,6 +113,19 @@ def test_random_programs_stay_above_every_part():
     assert figures.plunges
 
 
+def test_the_chord_of_a_coarse_cut_is_no_gouge(tmp_path):
+    """Job 192 of the proof: most of its 84 blocks a turn in air, chords of 1.1 um. Oracle: that of the proof."""
+    random = np.random.default_rng(1)
+    for number in range(192):
+        case = proof_moves.case_of(random, ("spindle", "outline", "chuck")[number % 3])
+    job = tw.Job.read(case.table)
+    file = Pipeline(job, out=tmp_path).program.files[0]
+    figures = proof_moves.Figures()
+    proof_moves.judge(case, file, figures)
+    assert 1e-3 - case.chord < figures.depth <= 0
+    assert find_wrong_move(job, file) == ""
+
+
 CORNER = (((3.0, 0.0), (-1.0, 0.3), (-1.0, -0.3)), (5.0, 0.0), 0.0, (0.0, 0.0))
 PLUNGE = "G21 G90\nG0 X8.3 Z5 C0\nG0 C10\nG0 Z0.2\n( PASS: finish, ENTRY )\nG93\n{}( PASS: finish )\n"
 CUT = "C-14 X8.3 Z0.5 F60\nC-18 X8.3 Z0.5 F60\nG94\nG0 Z5\nM30\n"

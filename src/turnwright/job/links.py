@@ -40,8 +40,8 @@ EDGE_STEPS, MOST_EDGE_PLACES = (16, 200), 5_000_000
 WIDE_STEPS, FINE_STEP_RAD = 3.0, math.radians(0.5)
 """Step of C, over the median one of a cut, from which its block counts between its points too, and how densely."""
 
-MOST_JUDGED = 200
-"""Points of the border, the deepest first, that are compared with the chord of their block."""
+MOST_JUDGED, WIDEST_CUT_STEP_RAD = 200, math.radians(15)
+"""Places, the deepest first, that are compared with the chord of their block, and the most that such a block turns."""
 
 TURN = 2 * math.pi
 ALL_AROUND = tuple((np.arange(AZIMUTHS) * (TURN / AZIMUTHS)).tolist())
@@ -101,22 +101,26 @@ def _describe_depth(section: _Section, cut: ProgramCut, chord: float, *, at_poin
     """Return a sentence on the place where a cut is deepest below the finished surface, if that is too deep."""
     part, tool, motion = section.part, section.tool, cut.motion
     most, block, x, y = TOLERANCE_MM + chord, -1, math.nan, math.nan
+    judged: list[tuple[float, int, float, float, float]] = []  # depth, block and share of it, and where
     if at_points:
-        dense, blocks = _with_wide_blocks(motion)
+        dense, blocks, shares = _with_wide_blocks(motion)
         steps = int(np.clip(MOST_EDGE_PLACES // dense.time.size, *EDGE_STEPS))
         depths = depth_at_points(part, tool, dense, steps)
-        if depths.deepest[0] > most:
-            most, x, y = depths.deepest
-            block = int(blocks[depths.depth.argmax()])
+        judged += [
+            (float(depths.depth[k]), int(blocks[k]), float(shares[k]), float(depths.x[k]), float(depths.y[k]))
+            for k in _deepest(depths.depth, most)
+        ]
     if part.leaves_air and motion.spindle_mode is None:
         depths = depth_at_border(part, tool, motion)
-        for k in np.argsort(-depths.depth)[:MOST_JUDGED].tolist():
-            if depths.depth[k] <= most:
-                break
-            number, share = block_over(motion, tool, float(depths.x[k]), float(depths.y[k]))
-            one = _nearest_part(part, float(depths.x[k]), float(depths.y[k]))
-            if depths.depth[k] - max(chord_over(one, tool, motion, number, share), 0.0) > most:
-                most, block, x, y = float(depths.depth[k]), number, float(depths.x[k]), float(depths.y[k])
+        for k in _deepest(depths.depth, most):
+            at = float(depths.x[k]), float(depths.y[k])
+            judged.append((float(depths.depth[k]), *block_over(motion, tool, *at), *at))
+    for depth, number, share, at_x, at_y in sorted(judged, reverse=True):
+        one, allowed = _nearest_part(part, at_x, at_y), 0.0
+        if 0 < share < 1 and abs(np.diff(motion.axes["C"][number : number + 2])[0]) <= WIDEST_CUT_STEP_RAD:
+            allowed = max(chord_over(one, tool, motion, number, share), 0.0)
+        if depth > most and depth - allowed > TOLERANCE_MM + chord:
+            most, block, x, y = depth, number, at_x, at_y
     if block < 0:
         return ""
     where = ", ".join(f"{letter} {motion.axes[letter][block + 1]:.4g} mm" for letter in "XZ")
@@ -126,8 +130,14 @@ def _describe_depth(section: _Section, cut: ProgramCut, chord: float, *, at_poin
     )
 
 
-def _with_wide_blocks(motion: Motion) -> tuple[Motion, Ints]:
-    """Return a motion with points between those of blocks that turn far, and the block of each point."""
+def _deepest(depth: Floats, least: float) -> list[int]:
+    """Return the deepest places, at most `MOST_JUDGED`, that are deeper than a depth."""
+    order = np.argsort(-depth)[:MOST_JUDGED]
+    return [int(k) for k in order[depth[order] > least]]
+
+
+def _with_wide_blocks(motion: Motion) -> tuple[Motion, Ints, Floats]:
+    """Return a motion with points between those of blocks that turn far, and of each point the block and its share."""
     steps = np.abs(np.diff(motion.axes["C"]))
     counts = np.where(steps > WIDE_STEPS * np.median(steps), np.ceil(steps / FINE_STEP_RAD), 1).astype(np.int64)
     if motion.spindle_mode is not None:
@@ -138,7 +148,7 @@ def _with_wide_blocks(motion: Motion) -> tuple[Motion, Ints]:
     number = np.arange(motion.time.size)
     axes = {letter: np.interp(ends, number, values) for letter, values in motion.axes.items()}
     dense = replace(motion, time=np.interp(ends, number, motion.time), axes=axes, velocity=None, stated_blocks=None)
-    return dense, np.append(0, block)
+    return dense, np.append(0, block), np.append(0.0, share)
 
 
 def _nearest_part(part: Part, x: float, y: float) -> Part:
