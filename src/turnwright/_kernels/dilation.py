@@ -114,6 +114,23 @@ def places(edge, angle, radius, lateral, u, x, y):
 
 
 @jit
+def tangents_meet(edge, angle, radius, lateral, a, b, x, y):
+    """Fill ``x`` and ``y`` with where the tangents of a raked edge meet, in plan, at distances ``a`` and ``b``."""
+    for i in range(a.size):
+        sine, cosine = sincos(angle[i])
+        first, last = edge.rake_sin * slope(edge, a[i]), edge.rake_sin * slope(edge, b[i])
+        start, end = edge.rake_sin * height(edge, a[i]), edge.rake_sin * height(edge, b[i])
+        u = 0.5 * (a[i] + b[i])
+        if abs(last - first) > 1e-9:
+            u = (start - end + last * b[i] - first * a[i]) / (last - first)
+            u = max(a[i], min(b[i], u))
+        along = radius[i] + edge.dx + u
+        across = lateral[i] + edge.dy + start + first * (u - a[i])
+        x[i] = along * cosine - across * sine
+        y[i] = along * sine + across * cosine
+
+
+@jit
 def slopes_along(edge, angle, u, fx, fy, out):
     """Fill ``out`` with the slope of the surface along the track of the edge, per distance ``u`` from the tip."""
     for i in range(u.size):
@@ -161,7 +178,8 @@ def greatest_rise(edge, low, high, step):
 def sampled_slopes(f, step, broken, break_height, break_slope, first_break, last_break):
     """Return how much a line can rise between samples of one piece, its range of slopes, and its highest place.
 
-    Steps are steep slopes; close to the end of its domain a surface may be steeper than between any two samples.
+    Steps are steep slopes, also those of a piece that is narrower than a sample; close to the end of its domain a
+    surface may be steeper than between any two samples.
     """
     bend, steepest, falling, summit = 0.0, -np.inf, np.inf, -np.inf
     for j in range(f.size):
@@ -175,6 +193,10 @@ def sampled_slopes(f, step, broken, break_height, break_slope, first_break, last
             if second < np.inf:
                 bend = max(bend, second)
     for b in range(first_break, last_break):
+        rate = (break_height[1, b] - break_height[0, b]) / step
+        if abs(rate) < np.inf:
+            steepest, falling = max(steepest, rate), min(falling, rate)
+            summit = max(summit, break_height[0, b], break_height[1, b])
         for side in range(2):
             rate = break_slope[side, b]
             if break_height[side, b] > -np.inf == break_height[1 - side, b] and abs(rate) < np.inf:

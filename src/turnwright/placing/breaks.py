@@ -1,7 +1,8 @@
 """Where a surface has no tangent: its steps, valleys and lips between smooth pieces, and the ends of its domain.
 
 Along a line under the edge these places are located to rounding, by bisection between two samples of different pieces.
-A piece is assumed to meet a line in one interval. Outside the domain, or outside the rim, the height is -inf. The
+A piece is assumed to meet a line in one interval. A line may also run along a border for some length; there, rounding
+decides on which side of a step a point is. Outside the domain, or outside the rim, the height is -inf. The
 greatest slope of the surface (infinite at a step) decides whether the search covers the arc alone or the flanks too.
 """
 
@@ -18,7 +19,17 @@ from turnwright._kernels import dilation as kernel
 from turnwright.placing.tangent import SAMPLES_PER_PERIOD, Contact, Tips
 from turnwright.surface import Surface
 
-__all__ = ["SLOPE_OFFSET_MM", "Breaks", "SurfaceExtremes", "evaluate_heights", "find_breaks", "find_extremes"]
+__all__ = [
+    "SLOPE_OFFSET_MM",
+    "WALL_STEP_RATIO",
+    "Breaks",
+    "SurfaceExtremes",
+    "evaluate_heights",
+    "find_breaks",
+    "find_extremes",
+    "find_walls",
+    "wall_offset",
+]
 
 MAX_GRID_SAMPLES = 500_000
 """Most samples of the grid that decides whether the surface is steeper than the flanks anywhere."""
@@ -30,6 +41,15 @@ OUTSIDE = -1
 """Number of the piece outside the domain or the rim."""
 SLOPE_OFFSET_MM = 1e-9
 """Distance from a slope discontinuity or step at which the slopes on both sides are evaluated. [mm]"""
+WALL_OFFSET_MM, WALL_OFFSET_ROUNDINGS = 2e-11, 8.0
+"""Least distance to both sides of a line at which a wall along it is looked for, and the distance in roundings of the
+position that an azimuth gives. [mm]"""
+WALL_STEP_RATIO = 10.0
+"""A lower step, over that distance, is the slope of the surface."""
+WALL_SAMPLES = 8
+"""Every how many samples a wall is looked for along pieces that are not convex."""
+LEAST_BULGE_MM = 1e-6
+"""Length of a curved track below which it leaves a piece by no more than rounding."""
 
 
 class SurfaceExtremes(NamedTuple):
@@ -161,11 +181,12 @@ def _is_outside_rim(rim: float, x: Floats, y: Floats) -> Bools:
     return np.asarray(x * x + y * y > rim**2)
 
 
-def find_breaks(contact: Contact, tips: Tips, u: Floats, x: Floats, y: Floats, heights: Floats) -> Breaks:
+def find_breaks(contact: Contact, tips: Tips, u: Floats, x: Floats, y: Floats, heights: Floats) -> tuple[Breaks, Ints]:
     """Locate every slope discontinuity or step between samples of different pieces, and every end of the domain.
 
-    They are located to rounding. Each of the ``tips`` has a line of samples: ``u`` is their distance from the tip,
-    ``x`` and ``y`` their position on the part, ``heights`` the surface there. Each (rows, n) [mm]
+    They are located to rounding. The pieces of all samples are returned too. Each of the ``tips`` has a line of
+    samples: ``u`` is their distance from the tip, ``x`` and ``y`` their position on the part, ``heights`` the surface
+    there. Each (rows, n) [mm]
     """
     surface, edge = contact.surface, contact.edge
     missing = heights == -np.inf
@@ -179,15 +200,20 @@ def find_breaks(contact: Contact, tips: Tips, u: Floats, x: Floats, y: Floats, h
         x, y = contact.at_distance(tips.select(row), u[:, None])
         return x[:, 0], y[:, 0]
 
-    def piece(row: Ints, u: Floats) -> Ints:
-        x, y = locate(row, u)
+    def piece_of(x: Floats, y: Floats) -> Ints:
         # The rim is all that ends most surfaces; their heights need not be evaluated.
         outside = evaluate_heights(contact, x, y) == -np.inf if ends else _is_outside_rim(contact.rim, x, y)
         return number(x, y, outside)
 
+    def piece(row: Ints, u: Floats) -> Ints:
+        return piece_of(*locate(row, u))
+
     numbers = number(x, y, missing)
     row, after = np.nonzero(numbers[:, 1:] != numbers[:, :-1])
     between = _Intervals(row, after, u[row, after], u[row, after + 1])
+    if edge.rake_sin != 0 and surface.in_pieces:
+        bulges = _find_bulges(contact, tips, u, numbers, piece_of)
+        between = _Intervals(*(np.concatenate(both) for both in zip(between, bulges, strict=True)))
     row, after, before_at, behind_at = _split_intervals(piece, between, 4e-16 * contact.farthest, 4)
     order = np.lexsort((before_at, after, row))
     row, after = row[order], after[order]
@@ -201,7 +227,79 @@ def find_breaks(contact: Contact, tips: Tips, u: Floats, x: Floats, y: Floats, h
             _, zx, zy = surface.evaluate(*locate(row, inner), 1)
         kernel.slopes_along(edge, tips.angle[row], inner, zx, zy, slope[side])
     offsets = np.searchsorted(row, np.arange(heights.shape[0] + 1))
-    return Breaks(offsets, after, 0.5 * (sides[0] + sides[1]), height, slope)
+    return Breaks(offsets, after, 0.5 * (sides[0] + sides[1]), height, slope), numbers
+
+
+def _find_bulges(
+    contact: Contact, tips: Tips, u: Floats, numbers: Ints, piece_of: Callable[[Floats, Floats], Ints]
+) -> _Intervals:
+    """Return where a curved track leaves a piece and comes back to it between two samples, in intervals with a change.
+
+    The track of a raked edge lies between its chord and the tangents at the ends: where these meet is in the same piece
+    too unless the track may leave it. Such intervals are halved.
+    """
+    row, after = np.nonzero(numbers[:, 1:] == numbers[:, :-1])
+    number = numbers[row, after]
+    same, bulges = _Intervals(row, after, u[row, after], u[row, after + 1]), []
+    while True:
+        x, y = np.empty((2, same.row.size))
+        kernel.tangents_meet(contact.edge, *tips.select(same.row), same.a, same.b, x, y)
+        which = np.flatnonzero(piece_of(x, y) != number)
+        same, number = same.select(which), number[which]
+        middle = 0.5 * (same.a + same.b)
+        x, y = contact.at_distance(tips.select(same.row), middle[:, None])
+        outside = np.tile(piece_of(x[:, 0], y[:, 0]) != number, 2)
+        pairs = zip(same._replace(b=middle), same._replace(a=middle), strict=True)
+        same, number = _Intervals(*(np.concatenate(both) for both in pairs)), np.tile(number, 2)
+        bulges.append(same.select(outside))
+        long = ~outside & (same.b - same.a > LEAST_BULGE_MM)
+        same, number = same.select(long), number[long]
+        if not same.row.size:
+            return _Intervals(*(np.concatenate(parts) for parts in zip(*bulges, strict=True)))
+
+
+def wall_offset(contact: Contact, tips: Tips) -> float:
+    """Return how far from the plane that is meant an edge may stand by rounding, with a margin. [mm]."""
+    turned = float(np.abs(tips.angle).max(initial=1.0))
+    return max(WALL_OFFSET_MM, WALL_OFFSET_ROUNDINGS * float(np.finfo(np.float64).eps) * contact.extent * turned)
+
+
+def find_walls(contact: Contact, tips: Tips, u: Floats, numbers: Ints, across: float) -> Bools:
+    """Return which straight lines under an edge run along a step for some length, within the distance ``across``.
+
+    ``numbers`` are the pieces at distances ``u`` from each tip. (rows, n) A line that meets a convex piece only on its
+    border is inside it nowhere: one sample of each piece shows it.
+    """
+    surface, (rows, samples) = contact.surface, u.shape
+    walled = np.zeros(rows, dtype=np.bool_)
+    if not surface.in_pieces:
+        return walled
+    begins = np.ones(u.shape, dtype=np.bool_)
+    begins[:, 1:] = numbers[:, 1:] != numbers[:, :-1]
+    first = np.flatnonzero(begins)
+    places = (first + np.append(first[1:], u.size)) // 2
+    if not surface.convex_pieces:
+        places = np.union1d(places, np.flatnonzero(np.arange(u.size) % samples % WALL_SAMPLES == 0))
+    row = places // samples
+    apart, _ = _compare_sides(contact, tips.select(row), u.ravel()[places][:, None], across)
+    row = np.unique(row[apart[:, 0]])
+    if row.size:
+        # The step may vanish where the pieces were looked at.
+        apart, sides = _compare_sides(contact, tips.select(row), u[row], across)
+        z = [evaluate_heights(contact, *side) for side in sides]
+        with np.errstate(invalid="ignore"):
+            step = np.abs(z[1] - z[0])
+        walled[row] = (apart & (step > WALL_STEP_RATIO * across) & (step < np.inf)).any(axis=1)
+    return walled
+
+
+def _compare_sides(
+    contact: Contact, tips: Tips, u: Floats, across: float
+) -> tuple[Bools, tuple[tuple[Floats, Floats], ...]]:
+    """Return where the pieces on both sides of edges differ, at distances ``u`` from each tip, and x and y there."""
+    sides = tuple(contact.at_distance(tips._replace(lateral=tips.lateral + way * across), u) for way in (-1, 1))
+    numbers = [contact.surface.piece(*side) for side in sides]
+    return np.asarray(numbers[0] != numbers[1]), sides
 
 
 def _split_intervals(

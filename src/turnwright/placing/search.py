@@ -10,6 +10,9 @@ evaluations per point. The arc is sufficient where the surface is nowhere steepe
 or has a step, the window of each point is widened until no summit of the surface rises above its ends, also across the
 axis.
 
+Where a line runs along a step for some length, within rounding, the edge has material on both sides: the line is
+searched once more on each side, and the highest of all counts.
+
 Sources
 -------
 Reference solutions of the tests: brute-force dilation, and closed forms on spheres.
@@ -23,8 +26,17 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints
 from turnwright._kernels import dilation as kernel
+from turnwright.edge import Edge
 from turnwright.errors import DomainError, GougeError, InputError
-from turnwright.placing.breaks import Breaks, evaluate_heights, find_breaks, find_extremes
+from turnwright.placing.breaks import (
+    WALL_STEP_RATIO,
+    Breaks,
+    evaluate_heights,
+    find_breaks,
+    find_extremes,
+    find_walls,
+    wall_offset,
+)
 from turnwright.placing.tangent import MAX_CURVATURE_RATIO, Contact, Tips, Touch
 from turnwright.progress import Progress, run_chunks
 from turnwright.surface import Surface
@@ -35,6 +47,8 @@ SAMPLES_PER_FEATURE = 16
 SAMPLES_PER_EDGE = 128
 TANGENT_SAMPLES = 8
 """Samples of a feature, and of an edge that has one tangent on each convex piece of the surface."""
+LEVEL_SAMPLES = 2001
+"""Samples of the arc between which places where the edge is level are looked for."""
 MAX_SAMPLES = 2_000_000
 """Most samples of the tracks under the edge that are in memory together."""
 CHUNK = 8192
@@ -74,6 +88,7 @@ class _Window(NamedTuple):
     finer: float  # step where the surface curves up by ``curvature`` or more
     curvature: float  # infinite where the step is the finer one [1/mm]
     top: float  # greatest height of the surface, -inf if it is less steep than the flanks [mm]
+    across: float  # distance at which a line is searched on both sides of a wall [mm]
 
 
 class _Lines(NamedTuple):
@@ -97,7 +112,8 @@ def search(contact: Contact, tips: Tips, out: Touch, progress: Progress | None) 
     step = min(contact.feature / SAMPLES_PER_FEATURE, width / SAMPLES_PER_EDGE)
     ground = find_extremes(contact.surface, contact.extent, radial=contact.upright)
     steep = ground.steepest * (1 + abs(edge.rake_sin)) >= MAX_CURVATURE_RATIO * contact.flank
-    window = _Window(edge.low_u, edge.high_u, step, step, np.inf, ground.top if steep else -np.inf)
+    top, across = ground.top if steep else -np.inf, wall_offset(contact, tips)
+    window = _Window(edge.low_u, edge.high_u, step, step, np.inf, top, across)
     if edge.convex and contact.surface.convex_pieces and not steep:
         window = window._replace(
             step=min(contact.feature, width) / TANGENT_SAMPLES,
@@ -108,10 +124,10 @@ def search(contact: Contact, tips: Tips, out: Touch, progress: Progress | None) 
         points = np.arange(start, count, per_rev)[:, None] + np.arange(stop - start)
         points = np.minimum(points, count).T
         used = points < count
-        _search_widening(contact, window, tips, points[used], np.nonzero(used)[0], out)
+        _search_both_sides(contact, window, tips, points[used], np.nonzero(used)[0], out)
 
     def tracks(start: int, stop: int) -> None:
-        _search_widening(contact, window, tips, np.arange(start, stop), None, out)
+        _search_both_sides(contact, window, tips, np.arange(start, stop), None, out)
 
     samples = width / step
     if per_rev is not None:
@@ -139,13 +155,67 @@ def _count_points_per_rev(angle: Floats) -> int | None:
     return n if max(lag.max() - 2 * np.pi, 2 * np.pi - lag.min()) < 1e-9 else None
 
 
-def _search_widening(
+def _search_both_sides(
     contact: Contact, window: _Window, tips: Tips, points: Ints, line: Ints | None, out: Touch
 ) -> None:
-    """Find the contacts of ``points`` on the arc, or further up the flanks where the arc does not touch.
+    """Find the contacts of ``points``; those of an edge that stands along a step, on the higher side of it.
 
     ``line`` numbers the azimuth of each point, ascending; ``None`` if no two points share one.
     """
+    walled = _search_widening(contact, window, tips, points, line, out)
+    if contact.edge.rake_sin != 0 and contact.surface.in_pieces:
+        _touch_level(contact, window, tips, points, out)
+    if not walled.size:
+        return
+    along = np.isin(points, walled)
+    points, line = points[along], None if line is None else line[along]
+    some, every = tips.select(points), np.arange(points.size)
+    for side in (-window.across, window.across):
+        shifted = some._replace(lateral=some.lateral + side)
+        there = Touch(*(np.empty(points.size) for _ in out))
+        _search_widening(contact, window, shifted, every, line, there)
+        higher = there.z > out.z[points]
+        out.put(points[higher], there.select(higher))
+
+
+def _find_level(edge: Edge) -> Floats:
+    """Return where an edge is level: at its tip; with strong waviness at several places. (n,) [rad]."""
+    if edge.perfect:
+        return np.zeros(1)
+    sweep = np.linspace(edge.low, edge.high, LEVEL_SAMPLES)
+    rises = edge.trace(sweep)[3] > 0
+    turns = np.flatnonzero(rises[1:] != rises[:-1])
+    a, b, rising = sweep[turns], sweep[turns + 1], rises[turns]
+    for _ in range(50):
+        middle = 0.5 * (a + b)
+        before = (edge.trace(middle)[3] > 0) == rising
+        a, b = np.where(before, middle, a), np.where(before, b, middle)
+    return 0.5 * (a + b)
+
+
+def _touch_level(contact: Contact, window: _Window, tips: Tips, points: Ints, out: Touch) -> None:
+    """Raise tips whose raked edge touches a step along the azimuth: it does so where it is level."""
+    edge = contact.edge
+    for sweep in _find_level(edge):
+        at = np.full(points.size, sweep)
+        for side in (-window.across, window.across):
+            some = tips.select(points)
+            x, y, e = contact.under_edge(some._replace(lateral=some.lateral + side), at)
+            heights = evaluate_heights(contact, x, y)
+            z = heights - e
+            higher = (z > out.z[points] + WALL_STEP_RATIO * window.across) & (z < np.inf)
+            out.put(points[higher], Touch(z, at, x, y, heights).select(higher))
+
+
+def _search_widening(
+    contact: Contact, window: _Window, tips: Tips, points: Ints, line: Ints | None, out: Touch
+) -> Ints:
+    """Find the contacts of ``points`` on the arc, or further up the flanks where the arc does not touch.
+
+    ``line`` numbers the azimuth of each point, ascending; ``None`` if no two points share one. Return which points have
+    an edge that stands along a step for some length.
+    """
+    walled = [points[:0]]
     waiting = [(points, line, window)]
     while waiting:
         some, line, window = waiting.pop()
@@ -153,7 +223,8 @@ def _search_widening(
         if answer is None:
             waiting.append((some, line, window._replace(step=window.finer, curvature=np.inf)))
             continue
-        part, narrow = answer
+        part, narrow, along_wall = answer
+        walled.append(some[along_wall])
         if not narrow.any():
             out.put(some, part)
             continue
@@ -173,19 +244,23 @@ def _search_widening(
         wide = min(window.high - window.low, 2 * contact.extent) / window.step
         pieces = int(np.ceil(some.size * wide / (MAX_SAMPLES // 4)))
         waiting += [(piece, None, window) for piece in np.array_split(some, min(max(pieces, 1), some.size))]
+    return np.concatenate(walled)
 
 
-def _find_contacts(contact: Contact, window: _Window, tips: Tips, line: Ints | None) -> tuple[Touch, Bools] | None:
-    """Find the contacts of points on shared lines, or else on separate tracks, and which need a wider window.
+def _find_contacts(
+    contact: Contact, window: _Window, tips: Tips, line: Ints | None
+) -> tuple[Touch, Bools, Bools] | None:
+    """Find the contacts of points on shared lines, or else on separate tracks.
 
-    Return ``None`` if the step of the window is too coarse.
+    Return with them which points need a wider window, and which have an edge along a step; or ``None`` if the step of
+    the window is too coarse.
     """
     edge, size = contact.edge, tips.angle.size
     spans_part = line is not None and window.top > -np.inf
     lines = _lay_out_lines(contact, window, tips, line, spans_part=spans_part)
     x, y = contact.at_distance(lines.tips, lines.u)
     heights = evaluate_heights(contact, x, y)
-    breaks = find_breaks(contact, lines.tips, lines.u, x, y, heights)
+    breaks, numbers = find_breaks(contact, lines.tips, lines.u, x, y, heights)
     candidates, direct = _find_candidates(
         contact, window, lines, heights, breaks, -np.inf if spans_part else window.top
     )
@@ -211,7 +286,11 @@ def _find_contacts(contact: Contact, window: _Window, tips: Tips, line: Ints | N
     ended &= ~narrow
     if ended.any():
         _check_ends(contact, tips.select(ended), part.select(ended))
-    return part, narrow
+    walled = np.zeros(size, dtype=np.bool_)
+    if edge.rake_sin == 0:
+        along_wall = find_walls(contact, lines.tips, lines.u, numbers, window.across)
+        walled = np.repeat(along_wall, np.diff(lines.offsets))
+    return part, narrow, walled
 
 
 def _lay_out_lines(contact: Contact, window: _Window, tips: Tips, line: Ints | None, *, spans_part: bool) -> _Lines:
@@ -223,7 +302,7 @@ def _lay_out_lines(contact: Contact, window: _Window, tips: Tips, line: Ints | N
         # The line is the track of an edge whose tip is on the axis.
         offsets = np.append(np.flatnonzero(np.diff(line, prepend=-1)), line.size)
         count, position = offsets.size - 1, along
-        rows = Tips(tips.angle[offsets[:-1]], np.full(count, -contact.edge.dx), np.zeros(count))
+        rows = Tips(tips.angle[offsets[:-1]], np.full(count, -contact.edge.dx), tips.lateral[offsets[:-1]])
     first, last = float(position.min()) + window.low, float(position.max()) + window.high
     if spans_part:
         first, last = min(first, -contact.extent), max(last, contact.extent)
