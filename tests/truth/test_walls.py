@@ -140,3 +140,24 @@ def test_a_raked_edge_that_bulges_over_a_wall_between_samples_touches_it(rake, d
             near = heights(surface, leaning, 0.0, r, sense, places, 0.0).max()
             assert z > near - 1e-9
             assert z < max(near, highest(surface, leaning, 0.0, r, sense, (0.0,))) + 1e-8
+
+
+@pytest.mark.parametrize("rake", [0, -15])
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_contact_far_up_the_flank_of_a_sharp_nose_is_found(side, rake):
+    """The ridge stands 25 nose radii beside the tip, in a trough deeper than the flank reaches there."""
+    tool = tw.Tool(nose_radius=0.02, included=60 * DEG, rake=rake * DEG)
+    surface = tw.Expression(f"0.6*exp(-((x-1-{side}*0.5)/0.1)**2)")
+    got = touch(surface, tool, angle=[0.0, 0.1], radius=[1.0, 1.0], sense=1, rim=2.5)
+    places = np.linspace(-60, 60, 4_000_001)
+    for z, angle in zip(got.z, (0.0, 0.1), strict=True):
+        assert z == pytest.approx(heights(surface, tool, angle, 1.0, 1, places, 0.0).max(), abs=1e-10)
+    assert (side * got.sweep > 12.5).all()
+
+
+@pytest.mark.parametrize("rake", [0, -15])
+def test_a_raked_tip_on_the_axis_ignores_the_rounding_errors_there(rake):
+    """Along y = 0 the formula is flat; its step is on the axis itself, which no edge cuts."""
+    tool = tw.Tool(nose_radius=1.0, included=100 * DEG, rake=rake * DEG)
+    got = touch(tw.Expression("0.1*sin(phi)"), tool, angle=[0.0, 2 * np.pi], radius=[0.0, 1.0], sense=1, rim=2.0)
+    assert np.abs(got.z).max() < (1e-9 if rake == 0 else 0.06)

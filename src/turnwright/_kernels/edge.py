@@ -81,6 +81,11 @@ def sweeps_at(edge, u, sweep):
     """Fill ``sweep`` with where the edge stands at the distances ``u`` from its nominal tip."""
     circle = edge.coefficients.size == 1 and edge.coefficients[0, 0] == 0.0
     for i in range(u.size):
+        if u[i] < edge.low_u or u[i] > edge.high_u:  # a flank is straight
+            end = edge.low if u[i] < edge.low_u else edge.high
+            at, _, du, _, _, _ = outline(edge, end)
+            sweep[i] = end + (u[i] - at) / du
+            continue
         s = np.arcsin(max(-1.0, min(1.0, u[i] / edge.radius)))
         s = max(edge.low, min(edge.high, s))
         if not (circle and edge.low < s < edge.high):

@@ -20,6 +20,7 @@ from turnwright.placing.tangent import SAMPLES_PER_PERIOD, Contact, Tips
 from turnwright.surface import Surface
 
 __all__ = [
+    "AXIS_ZONE_MM",
     "SLOPE_OFFSET_MM",
     "WALL_STEP_RATIO",
     "Breaks",
@@ -41,6 +42,8 @@ OUTSIDE = -1
 """Number of the piece outside the domain or the rim."""
 SLOPE_OFFSET_MM = 1e-9
 """Distance from a slope discontinuity or step at which the slopes on both sides are evaluated. [mm]"""
+AXIS_ZONE_MM = 1e-6
+"""Radius around the axis that is ignored: a formula in the azimuth gives rounding errors there. [mm]"""
 WALL_OFFSET_MM, WALL_OFFSET_ROUNDINGS = 2e-11, 8.0
 """Least distance to both sides of a line at which a wall along it is looked for, and the distance in roundings of the
 position that an azimuth gives. [mm]"""

@@ -29,7 +29,7 @@ from turnwright.errors import InputError
 from turnwright.part import Part
 from turnwright.path import Path, Spiral
 from turnwright.placing.air import place_apart
-from turnwright.placing.breaks import SLOPE_OFFSET_MM
+from turnwright.placing.breaks import AXIS_ZONE_MM, SLOPE_OFFSET_MM
 from turnwright.placing.search import CHUNK, search
 from turnwright.placing.tangent import (
     Contact,
@@ -51,9 +51,6 @@ TANGENT_TOL_RAD = 1e-3
 CLEARANCE_CHECKS, MAX_CHECKS_PER_TIP = 250_000, 4
 """Places on the edge where the clearance is evaluated: over the whole path, and at most at one tip. In a longer path
 only every second tip is evaluated, or every third, and so on."""
-
-AXIS_ZONE_MM = 1e-6
-"""Radius around the axis that is ignored: a formula in the azimuth gives rounding errors there. [mm]"""
 
 STEP_TOL_MM = 1e-8
 """A greater difference in height between both sides is a step, not a ridge. [mm]"""

@@ -29,6 +29,7 @@ from turnwright._kernels import dilation as kernel
 from turnwright.edge import Edge
 from turnwright.errors import DomainError, GougeError, InputError
 from turnwright.placing.breaks import (
+    AXIS_ZONE_MM,
     WALL_STEP_RATIO,
     Breaks,
     evaluate_heights,
@@ -204,6 +205,7 @@ def _touch_level(contact: Contact, window: _Window, tips: Tips, points: Ints, ou
             heights = evaluate_heights(contact, x, y)
             z = heights - e
             higher = (z > out.z[points] + WALL_STEP_RATIO * window.across) & (z < np.inf)
+            higher &= np.hypot(x, y) > AXIS_ZONE_MM
             out.put(points[higher], Touch(z, at, x, y, heights).select(higher))
 
 
