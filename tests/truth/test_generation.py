@@ -433,3 +433,18 @@ def test_axis_under_a_wavy_edge_is_the_least_of_all_passes():
         ]
         worst = max(worst, *(abs(one - oracle) for one in made))
     assert worst < 1e-9
+
+
+def test_axis_under_a_ragged_edge_may_have_several_least_heights_between_two_points():
+    """Oracle: one straight line of the motion in 400,000 steps. Between two points the height rises and falls."""
+    sweep = np.linspace(-0.87, 0.87, 241)
+    waves = tw.WavinessTable(sweep=sweep, deviation=1e-3 * np.sin(75 * sweep))
+    tool = tw.Tool(nose_radius=0.5, included=1.74, waviness=waves)
+    share = np.linspace(0, 1, 400_001)
+    for climb in (-0.05, 0.0, 0.02, 0.06):
+        axes = {"C": np.array([0.0, 2.0]), "X": np.array([0.3, -0.5]), "Z": np.array([0.0, climb])}
+        motion = tw.Motion(time=np.array([0.0, 1.0]), axes=axes, machine=MACHINE)
+        oracle = (share * climb + tool.cutting_edge().profile(0.8 * share - 0.3)[0]).min()
+        made = tw.generate(motion, tool, x=[0.0], y=[0.0]).z[0, 0]
+        assert made == pytest.approx(oracle, abs=1e-9)
+        assert tw.generate_polar(motion, tool, radius=[0.0, 0.1], angle=[0.5]).z[0, 0] == made

@@ -613,18 +613,27 @@ def axis_height(x, z, starts, bounds, edge, gap):
             bottom = min(z[i], z[i + 1]) + edge.dz
             if bottom + least_between(edge, gap, min(first, last), max(first, last)) > lowest:
                 continue
-            # Between two points the height of the edge over the axis is convex in time: narrow down on its least.
-            a, b = 0.0, 1.0
-            while b - a > 1e-12:
-                middle = 0.5 * (a + b)
-                u = -(x[i] + middle * (x[i + 1] - x[i]) + edge.dx)
-                if (z[i + 1] - z[i]) - slope(edge, u) * (x[i + 1] - x[i]) > 0.0:
-                    b = middle
-                else:
-                    a = middle
-            for share in (0.0, 0.5 * (a + b), 1.0):
-                u = -(x[i] + share * (x[i + 1] - x[i]) + edge.dx)
-                lowest = min(lowest, z[i] + share * (z[i + 1] - z[i]) + edge.dz + height(edge, u))
+            drift, climb = x[i + 1] - x[i], z[i + 1] - z[i]
+            # The height of the edge over the axis is convex in time; of one with waves, between nodes of its profile.
+            parts, begin, end = 1, 0.0, 1.0
+            if not edge.convex and drift != 0.0:
+                one, two = (first - edge.low_u) / drift, (first - edge.high_u) / drift
+                begin, end = min(max(min(one, two), 0.0), 1.0), min(max(one, two, 0.0), 1.0)
+                nodes = (end - begin) * abs(drift) * edge.pieces_per_x / edge.base
+                parts = max(int(np.ceil(nodes)), 1)
+            for part in range(-1, parts + 1):
+                a = 0.0 if part < 0 else begin + (end - begin) * part / parts
+                b = begin if part < 0 else begin + (end - begin) * (part + 1) / parts if part < parts else 1.0
+                while b - a > 1e-12:
+                    middle = 0.5 * (a + b)
+                    if climb - slope(edge, first - middle * drift) * drift > 0.0:
+                        b = middle
+                    else:
+                        a = middle
+                share = 0.5 * (a + b)
+                lowest = min(lowest, z[i] + share * climb + edge.dz + height(edge, first - share * drift))
+            for share in (0.0, 1.0):
+                lowest = min(lowest, z[i] + share * climb + edge.dz + height(edge, first - share * drift))
     return lowest
 
 
