@@ -448,3 +448,52 @@ def test_axis_under_a_ragged_edge_may_have_several_least_heights_between_two_poi
         made = tw.generate(motion, tool, x=[0.0], y=[0.0]).z[0, 0]
         assert made == pytest.approx(oracle, abs=1e-9)
         assert tw.generate_polar(motion, tool, radius=[0.0, 0.1], angle=[0.5]).z[0, 0] == made
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+@pytest.mark.parametrize("start", [0.0, 0.3, -2.0, 1000.0])
+@pytest.mark.parametrize("edge", [tw.Tool(nose_radius=0.5), tw.Tool(nose_radius=0.5, rake=0.2)])
+def test_a_deep_turn_counts_on_both_sides_of_the_azimuth_where_turns_begin(sense, start, edge):
+    """Turns count from where the motion begins: one that is deeper than all others ends where the next begins.
+
+    Oracle: single points.
+    """
+    k = np.arange(20 * 360 + 1)
+    for deep, radius, pixel in ((4, 0.9, 2e-3), (10, 0.82, 2e-3), (15, 0.9, 2e-4)):
+        z = np.where((k > 360 * deep) & (k <= 360 * (deep + 1)), -1e-3, 0.0)
+        axes = {"C": start + sense * np.deg2rad(k), "X": 1.0 - 0.01 * k / 360, "Z": z}
+        motion = tw.Motion(time=1.0 * k, axes=axes, machine=MACHINE)
+        x, y = (one + pixel * (np.arange(40) - 17.3) for one in (radius * np.cos(start), radius * np.sin(start)))
+        across, down = (one.ravel() for one in np.meshgrid(x, y))
+        single = tw.generate_points(motion, edge, x=across, y=down)
+        np.testing.assert_allclose(tw.generate(motion, edge, x=x, y=y).z.ravel(), single, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("middle", [(0.5, 0.3), (-0.5, 0.01), (0.0, 0.0)])
+@pytest.mark.parametrize("start", [0.0, -9e4])
+def test_heights_do_not_depend_on_how_many_groups_share_a_list(monkeypatch, middle, start):
+    """Oracle: the same grid on a computer of so many cores that no groups share a list, to the last bit."""
+    motion = spiral_motion(0.9, 0.02, 50, lambda x, y: 0.05 * x * x + 0.01 * y)
+    motion = replace(motion, axes={**motion.axes, "C": start + motion.axes["C"]})
+    edge = tw.Tool(nose_radius=0.3)
+    x, y = (one + 2e-4 * np.arange(-400, 400) for one in middle)
+    shared = []
+    for groups in (0.001, 1e9):
+        monkeypatch.setattr("turnwright.generation.GROUPS_PER_CORE", groups)
+        shared.append(tw.generate(motion, edge, x=x, y=y).z)
+    np.testing.assert_array_equal(*shared)
+
+
+def test_points_beyond_the_prepared_distances_do_not_disturb_those_within():
+    """A tile holds points outside of a disc, beyond all rings. Oracle: the whole grid."""
+    motion = spiral_motion(0.3, 0.02, 7, lambda x, y: x - 0.5 * y)
+    axes = {**motion.axes, "Y": 0.05 * np.sin(3 * motion.axes["X"])}
+    motion = replace(motion, axes=axes)
+    edge = tw.Tool(nose_radius=0.05, included=np.deg2rad(48))
+    x = np.linspace(-0.1, 0.1, 301)
+    inside = np.hypot(*np.meshgrid(x, x)) < 0.03
+    ready = Prepared.of(motion, edge, None, distances=(0.0, 0.03), most_rings=10_000)
+    made = ready.fill_grid(x, x, inside=inside)
+    whole = tw.generate(motion, edge, x=x, y=x).z
+    np.testing.assert_allclose(made[inside], whole[inside], rtol=0, atol=1e-12)
+    assert np.isnan(made[~inside]).all()

@@ -68,11 +68,11 @@ def turn_bounds(c, x, y, z, sense, starts, dx, out):
 
 @jit
 def locate(c, sense, t, guess):
-    """Return i with c[i] <= t <= c[i + 1] along the motion; ``t`` lies within it."""
+    """Return i with c[i] <= t < c[i + 1] along the motion, whatever the guess; ``t`` lies within it."""
     i = min(max(guess, 0), c.size - 2)
     while i > 0 and sense * c[i] > t:
         i -= 1
-    while i < c.size - 2 and sense * c[i + 1] < t:
+    while i < c.size - 2 and sense * c[i + 1] <= t:
         i += 1
     return i
 
@@ -753,34 +753,43 @@ def useful_lateral(bounds, edge, gap, bend, most_y, rings, out, core):
 
 @jit
 def rings_between(rings, low, high):
-    """Return the first ring between the distances ``low`` and ``high`` from the axis, and the one after the last."""
-    inner = max(np.searchsorted(rings, low, side="right") - 1, 0)
+    """Return the first ring between the distances ``low`` and ``high`` from the axis, and the one after the last.
+
+    Points outside of all rings, which a tile may hold beside those that are asked for, count to the nearest.
+    """
+    inner = min(max(np.searchsorted(rings, low, side="right") - 1, 0), rings.size - 2)
     return inner, min(max(np.searchsorted(rings, high), inner + 1), rings.size - 1)
 
 
 @jit
-def gather(c, sense, starts, rings, useful, upright, low, high, middle, side, shift, hint):
+def gather(c, sense, starts, rings, useful, upright, low, high, middle, half, side, shift, hint):
     """List every pass that may matter between the distances ``low`` and ``high`` from the axis, near one azimuth.
 
-    Pass k comes from ``side`` k and passes over the azimuth a (along the motion) at a + ``shift`` k; ``hint`` k is
-    where in the motion to look. ``useful`` is of `useful_by_ring` or `useful_lateral`. Return how many there are.
+    Pass k comes from ``side`` k and passes over the azimuth a (along the motion) at a + ``shift`` k, for azimuths
+    within ``half`` of the ``middle``; ``hint`` k is where in the motion to look. ``useful`` is of `useful_by_ring` or
+    `useful_lateral`. Return how many there are.
     """
     turns = starts.size - 1
     begin = sense * c[0]
     count = 0
     for which in range(2):
-        along = middle + (np.pi if which == 1 else 0.0)
-        start = along + TURN * np.ceil((begin - along - ROUNDING) / TURN)
+        behind = np.pi if which == 1 else 0.0
+        along = middle + behind
+        turned = np.ceil((begin - along - ROUNDING) / TURN)
+        start = along + TURN * turned
         first, last = turns, -1
         for ring in range(*rings_between(rings, low, high)):
             first, last = min(first, useful[ring, which, 0]), max(last, useful[ring, which, 1])
         # At either end of the motion a pass more, which may cover some azimuths of a tile and not others; everywhere
-        # for a tool that passes over an azimuth up to a quarter turn early or late.
-        before = 1 if first == 0 or not upright else 0
-        after = 1 if last == turns - 1 or not upright else 0
+        # for a tool that passes over an azimuth up to a quarter turn early or late, and where some azimuths lie before
+        # the one at which the turns begin and some after it, so that they count their turns differently.
+        across = start - begin <= half + ROUNDING or start + half + ROUNDING >= begin + TURN
+        before = 1 if first == 0 or not upright or across else 0
+        after = 1 if last == turns - 1 or not upright or across else 0
         for m in range(max(first - before, -1), min(last + after, turns) + 1):
-            t = start + TURN * m
-            side[count], shift[count], hint[count] = which, t - middle, guess_index(c, sense, t, starts)
+            # The same number whatever the middle, so that heights do not depend on how points are grouped.
+            side[count], shift[count] = which, behind + TURN * (turned + m)
+            hint[count] = guess_index(c, sense, middle + shift[count], starts)
             count += 1
     return count
 
@@ -1056,6 +1065,13 @@ def unwrap(r, azimuth):
 
 
 @jit
+def close_together(r, azimuth):
+    """Say whether points are close together as seen from the axis, with azimuths on one branch."""
+    _, half = extent(azimuth, 0, azimuth.size)
+    return half < 0.25 and r.min() > 0.0
+
+
+@jit
 def nearer(
     c, x, y, z, sense, edge, bend, place, count, side, shift, hint, work, tilts, chosen, new_side, new_shift, new_hint,
 ):  # fmt: skip
@@ -1113,6 +1129,7 @@ def lines_near(
     off, lean = abs(edge.dy) + most_y, abs(edge.rake_sin)
     dip = max(gap - height(edge, 0.0), 0.0)  # the most that the edge is below the tip
     near, far = r - spread, r + spread
+    early = 0.5 * np.pi + np.arcsin(spread / r) + ROUNDING
     for which in range(2):
         first, last = useful[which, 0], useful[which, 1]
         behind = np.pi if which == 1 else 0.0
@@ -1121,8 +1138,8 @@ def lines_near(
             t = start + TURN * m
             if t - 2.0 > end or t + 2.0 < begin:
                 continue
-            before = min(max(int((t - 0.5 * np.pi - begin) / TURN), 0), turns - 1)
-            after = min(max(int((t + 0.5 * np.pi - begin) / TURN), 0), turns - 1)
+            before = min(max(int((t - early - begin) / TURN), 0), turns - 1)
+            after = min(max(int((t + early - begin) / TURN), 0), turns - 1)
             bottom = min(bounds[2, before], bounds[2, after]) + edge.dz
             low, high = min(bounds[0, before], bounds[0, after]), max(bounds[1, before], bounds[1, after])
             lateral = off + lean * max((ceiling - bottom) / edge.rake_cos, dip)
@@ -1272,7 +1289,7 @@ def fill_groups(
     if y is not None:
         lines, floor, floors = np.empty((MAX_LINES, 9)), np.empty(MAX_LINES), np.empty(MAX_LINES)
     in_block = -1
-    if shared and number > 1 and unwrap(r, azimuth):
+    if shared and number > 1 and close_together(r, azimuth):
         rc, hr = extent(r, 0, r.size)
         ac, ha = extent(azimuth, 0, r.size)
         free = True
@@ -1280,7 +1297,7 @@ def fill_groups(
             free = free and (upright or not core[ring])
         if free:
             n = gather(
-                c, sense, starts, rings, useful, upright, rc - hr, rc + hr, ac, lists[0, 0], shifts[0], lists[0, 1]
+                c, sense, starts, rings, useful, upright, rc - hr, rc + hr, ac, ha, lists[0, 0], shifts[0], lists[0, 1]
             )  # fmt: skip
             in_block = nearer(
                 c, x, y, z, sense, edge, bend, (rc, hr, ac, ha), n, lists[0, 0], shifts[0], lists[0, 1],
@@ -1319,7 +1336,7 @@ def fill_groups(
                         )  # fmt: skip
                         continue
                 n = gather(
-                    c, sense, starts, rings, useful, upright, r[i], r[i], azimuth[i], lists[0, 0], shifts[0],
+                    c, sense, starts, rings, useful, upright, r[i], r[i], azimuth[i], 0.0, lists[0, 0], shifts[0],
                     lists[0, 1],
                 )  # fmt: skip
                 out[i] = FAR
@@ -1334,7 +1351,7 @@ def fill_groups(
         if in_block < 0:
             source = 0
             n = gather(
-                c, sense, starts, rings, useful, upright, rc - hr, rc + hr, ac, lists[0, 0], shifts[0], lists[0, 1]
+                c, sense, starts, rings, useful, upright, rc - hr, rc + hr, ac, ha, lists[0, 0], shifts[0], lists[0, 1]
             )  # fmt: skip
         n = nearer(
             c, x, y, z, sense, edge, bend, (rc, hr, ac, ha), n, lists[source, 0], shifts[source], lists[source, 1],

@@ -169,10 +169,10 @@ class Layout:
                 yield tile
 
     def distances(self) -> tuple[float, float]:
-        """Return the least and the greatest distance of a pixel from the axis. [mm]."""
+        """Return the least and the greatest distance of a pixel from the axis, as in a map of one piece. [mm]."""
         axes = [np.abs(axis) for axis in self.axes()]
         low, high = (float(np.hypot(*(pick(axis) for axis in axes))) for pick in (np.min, np.max))
-        return low, high if self.radius is None else min(high, self.radius * (1 + 1e-9))
+        return low, high
 
 
 def tile_sides(requested: int, sides: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
