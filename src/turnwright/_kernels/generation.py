@@ -755,7 +755,7 @@ def useful_lateral(bounds, edge, gap, bend, most_y, rings, out, core):
 def rings_between(rings, low, high):
     """Return the first ring between the distances ``low`` and ``high`` from the axis, and the one after the last.
 
-    Points outside of all rings, which a tile may hold beside those that are asked for, count to the nearest.
+    Points outside of all rings, which a tile may hold next to those that are asked for, count to the nearest.
     """
     inner = min(max(np.searchsorted(rings, low, side="right") - 1, 0), rings.size - 2)
     return inner, min(max(np.searchsorted(rings, high), inner + 1), rings.size - 1)
