@@ -25,6 +25,17 @@ hypothesis.settings.register_profile("turnwright", deadline=None)
 hypothesis.settings.load_profile("turnwright")
 
 
+DRAWN = {"test_report.py", "test_show.py", "test_tolerance_commands.py"}
+"""Tests of the command line that look at figures, or print them as well as build them."""
+
+
+@pytest.fixture(autouse=True)
+def figures_are_built_and_not_printed(request, monkeypatch):
+    """Leave out the printing of the figures of reports, a third of the time of the tests of the command line."""
+    if request.path.parent.name == "cli" and request.path.name not in DRAWN:
+        monkeypatch.setattr("turnwright.report.figures._print_svg", lambda _canvas: "<svg></svg>")
+
+
 @pytest.fixture
 def signals_heard():
     """Let processes that a test starts hear Ctrl-C and a hangup where its own parent ignores them: nohup, make test &.
