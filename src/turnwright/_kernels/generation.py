@@ -503,6 +503,24 @@ def lowest_on_line(line, edge, bend, sense, r, phase, first, last, pieces, lowes
     return lowest
 
 
+@jit_inline
+def misses(blocks, k, edge, gap, lean, dip, sense, r, phase, half, spread, ceiling):
+    """Return whether the edge passes over no point within ``spread`` of one, below ``ceiling``, on lines of a block.
+
+    The lines turn ``half`` to either side of ``phase`` from the point. ``lean`` and ``dip`` are of `core_height`.
+    """
+    sine, cosine = sincos(phase)
+    along = r * half * (abs(sine) + 0.5 * half) + spread
+    across = r * half * (abs(cosine) + 0.5 * half) + spread
+    low, high = r * cosine - along - blocks[1, k], r * cosine + along - blocks[0, k]
+    rise = (ceiling - blocks[4, k] - edge.dz) / edge.rake_cos
+    if least_between(edge, gap, low, high) > rise:
+        return True
+    rise = min(rise, max(height(edge, low), height(edge, high)) + gap)
+    across += 0.5 * (blocks[3, k] - blocks[2, k]) + lean * max(rise, dip) + ROUNDING * (1.0 + r)
+    return abs(-sense * r * sine - edge.dy - 0.5 * (blocks[2, k] + blocks[3, k])) > across
+
+
 @jit
 def core_height(
     c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r, azimuth, useful,
@@ -560,16 +578,7 @@ def core_height(
                 block += 1
                 phase = sense * c[i] - base
                 half = 0.5 * (sense * c[stop] - base - phase)
-                sine, cosine = sincos(phase + half)
-                half += ROUNDING
-                along, across = r * half * (abs(sine) + 0.5 * half), r * half * (abs(cosine) + 0.5 * half)
-                low, high = r * cosine - along - blocks[1, k], r * cosine + along - blocks[0, k]
-                rise = (lowest - blocks[4, k] - edge.dz) / edge.rake_cos
-                if least_between(edge, gap, low, high) > rise:
-                    continue
-                rise = min(rise, max(height(edge, low), height(edge, high)) + gap)
-                across += 0.5 * (blocks[3, k] - blocks[2, k]) + lean * max(rise, dip) + ROUNDING * (1.0 + r)
-                if abs(-sense * r * sine - edge.dy - 0.5 * (blocks[2, k] + blocks[3, k])) > across:
+                if misses(blocks, k, edge, gap, lean, dip, sense, r, phase + half, half + ROUNDING, 0.0, lowest):
                     continue
                 for j in range(i, stop):
                     following = sense * c[j + 1] - base
@@ -1161,17 +1170,7 @@ def lines_near(
                 block += 1
                 phase = sense * c[i] - base
                 half = 0.5 * (sense * c[stop] - base - phase)
-                sine, cosine = sincos(phase + half)
-                half += ROUNDING
-                along = r * half * (abs(sine) + 0.5 * half) + spread
-                across = r * half * (abs(cosine) + 0.5 * half) + spread
-                low, high = r * cosine - along - blocks[1, k], r * cosine + along - blocks[0, k]
-                rise = (ceiling - blocks[4, k] - edge.dz) / edge.rake_cos
-                if least_between(edge, gap, low, high) > rise:
-                    continue
-                rise = min(rise, max(height(edge, low), height(edge, high)) + gap)
-                across += 0.5 * (blocks[3, k] - blocks[2, k]) + lean * max(rise, dip) + ROUNDING * (1.0 + r)
-                if abs(-sense * r * sine - edge.dy - 0.5 * (blocks[2, k] + blocks[3, k])) > across:
+                if misses(blocks, k, edge, gap, lean, dip, sense, r, phase + half, half + ROUNDING, spread, ceiling):
                     continue
                 for j in range(i, stop):
                     if count == floor.size:
