@@ -311,12 +311,11 @@ def generate(
         If a grid axis does not ascend.
     """
     x, y = _check_ascending(x, "x"), _check_ascending(y, "y")
-    distances = _distances(x, y)
-    ready = Prepared.of(motion, tool, machine, distances=distances, most_rings=x.size * y.size)
+    ready = Prepared.of(motion, tool, machine, distances=grid_distances(x, y), most_rings=x.size * y.size)
     return HeightMap(z=ready.fill_grid(x, y, progress=progress), x=x, y=y, name="generated")
 
 
-def _distances(x: Floats, y: Floats) -> tuple[float, float]:
+def grid_distances(x: Floats, y: Floats) -> tuple[float, float]:
     """Return the least and the greatest distance of the points of a grid from the axis. [mm]."""
     return float(np.hypot(abs(x).min(), abs(y).min())), float(np.hypot(abs(x).max(), abs(y).max()))
 

@@ -13,6 +13,7 @@ from turnwright import _validate as validate
 from turnwright._arrays import Bools, Floats
 from turnwright._validate import positive
 from turnwright.errors import InputError
+from turnwright.generation import grid_distances
 
 __all__ = ["DEFAULT_TILE_PIXELS", "MAX_TILE_PIXELS", "MIN_TILE_PIXELS", "TILE_LEVELS", "Layout", "Tile", "tile_sides"]
 
@@ -170,9 +171,7 @@ class Layout:
 
     def distances(self) -> tuple[float, float]:
         """Return the least and the greatest distance of a pixel from the axis, as in a map of one piece. [mm]."""
-        axes = [np.abs(axis) for axis in self.axes()]
-        low, high = (float(np.hypot(*(pick(axis) for axis in axes))) for pick in (np.min, np.max))
-        return low, high
+        return grid_distances(*self.axes())
 
 
 def tile_sides(requested: int, sides: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
