@@ -257,8 +257,7 @@ def check_cumulative(angle: NDArray[np.float64], name: str) -> None:
     step = span / (angle.size - 1)
     if span + step < 360 * (1 - 1e-9):
         return
-    steps = np.abs(np.diff(angle))
-    is_coarse_and_even = step >= MIN_DEGREE_STEP and np.ptp(steps) < 1e-6 * step
+    is_coarse_and_even = step >= MIN_DEGREE_STEP and np.ptp(np.abs(np.diff(angle))) < 1e-6 * step
     counts = [span / 360, 360 / step] if is_coarse_and_even else [span / 360]
     if any(abs(count - round(count)) <= 1e-12 * count for count in counts):
         raise InputError(

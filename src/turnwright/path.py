@@ -85,6 +85,8 @@ class Spiral(Compared):
         check_numbers(self)
         freeze(self, ("angle", "radius"), ("y", "radius_rate", "y_rate", "lift"))
         object.__setattr__(self, "sense", _sense(self.angle, "a spiral"))
+        if abs(self.angle[-1] - self.angle[0]) < np.pi / 2 * (self.angle.size - 1):
+            return  # half of the steps above half a turn would make a longer spiral
         step = float(np.median(np.abs(np.diff(self.angle))))
         # Sampled points of a spiral may be full turns apart.
         if step > np.pi * (1 + 1e-9) and abs(np.remainder(step + 1, 2 * np.pi) - 1) > 1e-6:
@@ -300,6 +302,12 @@ class Motion(Compared):
     @property
     def blocks(self) -> Ints:
         """Indices of the points that are blocks of the lathe's program: `stated_blocks`, or `block_points`. (m,)."""
+        points = self.block_points
+        return np.arange(self.time.size) if isinstance(points, slice) else points
+
+    @property
+    def block_points(self) -> Ints | slice:
+        """As `blocks`, a slice where all points are blocks."""
         return block_points(self.time, self.axes) if self.stated_blocks is None else self.stated_blocks
 
     @property
@@ -328,17 +336,17 @@ class Motion(Compared):
         )
 
 
-def block_points(time: Floats, axes: Mapping[str, Floats]) -> Ints:
-    """Return the indices of the points that are blocks of the lathe's program. (m,).
+def block_points(time: Floats, axes: Mapping[str, Floats]) -> Ints | slice:
+    """Return the indices of the points that are blocks of the lathe's program (m,), a slice if all are.
 
     Without a fast tool, all points are. With a fast tool, which has its own table of heights, the lathe takes every
     second, fourth, eighth point and so on, as long as each of its axes stays within 0.1 nm of the straight line between
     two blocks. The last block may be shorter; a controller with spline interpolation deviates slightly there. The angle
     may be given in place of the time.
     """
-    every = np.arange(time.size)
     if not FAST.keys() & axes.keys():
-        return every
+        return slice(None)
+    every = np.arange(time.size)
     points, stride = every, 2
     while stride < time.size:
         fewer = np.append(every[:-1:stride], time.size - 1)

@@ -19,7 +19,7 @@ from turnwright.job.depths import block_over, chord_over, depth_at_border, depth
 from turnwright.job.schema import Job
 from turnwright.part import Part
 from turnwright.path import Motion
-from turnwright.post import Move, ProgramCut, ProgramWarning, inspect_cuts, read_moves
+from turnwright.post import Move, ProgramCut, ProgramWarning, read_moves
 from turnwright.tool import Shank, Tool
 from turnwright.units import say_length
 
@@ -61,7 +61,23 @@ def find_wrong_move(job: Job, file: File, *, block_delete: bool | None = None, i
     jobs = [next(group) for _, group in groupby(map(job.for_pass, job.passes), lambda one: one.tool)]
     sections = [_Section(job, one.tool) for one in jobs]
     called = _called_sections(job, sections)
-    moves = read_moves(file, job.machine, block_delete=block_delete)
+    chord = max(getattr(job.servo(one).spiral_strategy, "chord", None) or 0.0 for one in job.passes)
+    wrong: list[str] = []
+
+    def inspect(cut: ProgramCut) -> None:
+        if not wrong:
+            section = called.get(cut.tool, sections[min(cut.changes, len(sections) - 1)])
+            sentence = _describe_depth(section, cut, chord, at_points=cut.is_entry or not is_planned)
+            wrong.extend(filter(None, [sentence]))
+
+    # The tip of a fast tool, or in a precorrected program, is not where the program says.
+    is_tip = not job.program.fast_tool and not job.program.precorrect
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ProgramWarning)  # the reader of the program has warned
+        moves = read_moves(
+            file, job.machine, inspect=inspect if is_tip else None, block_delete=block_delete,
+            only_plunges=is_planned and not any(one.part.leaves_air for one in sections),
+        )  # fmt: skip
     last_cut = max((move.spindle_cut for move in moves), default=0)
     is_cut = False  # whether anything has touched the stock before
     for move in moves:
@@ -80,20 +96,6 @@ def find_wrong_move(job: Job, file: File, *, block_delete: bool | None = None, i
             return (
                 f"line {move.line} moves the tool to {where}{how}, {which} the {what}: correct its approach or retract"
             )
-    if job.program.fast_tool or job.program.precorrect:  # the tip is not where the program says
-        return ""
-    chord = max(getattr(job.servo(one).spiral_strategy, "chord", None) or 0.0 for one in job.passes)
-    wrong: list[str] = []
-
-    def inspect(cut: ProgramCut) -> None:
-        if not wrong:
-            section = called.get(cut.tool, sections[min(cut.changes, len(sections) - 1)])
-            sentence = _describe_depth(section, cut, chord, at_points=cut.is_entry or not is_planned)
-            wrong.extend(filter(None, [sentence]))
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ProgramWarning)  # the reader of the moves has warned
-        inspect_cuts(file, job.machine, inspect, block_delete=block_delete)
     return wrong[0] if wrong else ""
 
 

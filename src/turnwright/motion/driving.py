@@ -239,7 +239,7 @@ def _find_omega_in_cuts(course: Course, air: Floats, machine: Machine) -> float:
 
 def _find_demands(course: Course, machine: Machine) -> list[LimitDemand]:
     """Return the demands of a part of a motion, all of whose points are in the program."""
-    every = np.arange(course.time.size)
+    every = slice(None)
     peaks = find_axis_peaks(course, every, machine, (False, False))
     return find_limit_demands(course, every, peaks, machine, bands=False)
 

@@ -14,6 +14,7 @@ from turnwright._arrays import Floats, Ints, only_read
 from turnwright._kernels import limits as limits_kernel, tracking as tracking_kernel
 from turnwright.machine import FAST, ROTARY, Axis, Machine, blend_blocks
 from turnwright.path import Motion, block_points
+from turnwright.progress import run_chunks
 from turnwright.speed_profile import time_over_angle
 
 __all__ = [
@@ -48,6 +49,9 @@ DEFAULT_RESIDUAL = 1e-5
 
 HANN_POWER = 3 / 8
 """Mean square of the Hann window."""
+
+MANY_POINTS = 100_000
+"""Points of a motion from which its axes are searched for peaks at the same time."""
 
 BINDING_UTILISATION = 0.99
 """Utilisation from which a limit counts as binding."""
@@ -168,10 +172,11 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
     are a parabola and a straight line. [Troutman2016]_ Table 7.1.
     """
     course = Course(motion.time, motion.axes, motion.velocity or {})
-    peaks = find_axis_peaks(course, motion.blocks, machine)
+    blocks = motion.block_points
+    peaks = find_axis_peaks(course, blocks, machine)
     if motion.spindle_mode is not None:
         machine = machine.in_spindle_mode()
-    demands = find_limit_demands(course, motion.blocks, peaks, machine)
+    demands = find_limit_demands(course, blocks, peaks, machine)
     length, slowest = float(motion.time[-1] - motion.time[0]), STATED_SPEED
     if machine.controller.interpolation == "linuxcnc" and motion.spindle_mode is None:
         length = float(blend_blocks(motion.time, motion.axes, machine).time[-1])
@@ -233,14 +238,14 @@ def _cutting_rpm(motion: Motion) -> float:
 
 
 def find_limit_demands(
-    course: Course, blocks: Ints, peaks: Mapping[str, _AxisPeaks], machine: Machine, *, bands: bool = True
+    course: Course, blocks: Ints | slice, peaks: Mapping[str, _AxisPeaks], machine: Machine, *, bands: bool = True
 ) -> list[LimitDemand]:
     """Return the demands of a course on every stated limit of a machine, the block rate first."""
     number, shortest = limits_kernel.shortest(only_read(course.time[blocks]))
     rad_per_s = TURN / 60
     top, at = peaks["C"]
     demands = [
-        LimitDemand("block rate", 1, 1 / shortest, machine.block_rate_hz, "blocks/s", int(blocks[number])),
+        LimitDemand("block rate", 1, 1 / shortest, machine.block_rate_hz, "blocks/s", _point(blocks, number)),
         LimitDemand("spindle speed", 1, top["speed"] / rad_per_s, machine.spindle_rpm, "rev/min", at["speed"]),
     ]
     for letter, (top, at) in peaks.items():
@@ -386,28 +391,38 @@ def _find_frequency(time: Floats, angle: Floats, position: Floats, axis: Axis) -
 
 
 def find_axis_peaks(
-    course: Course, blocks: Ints, machine: Machine, ends: tuple[bool, bool] = (True, True)
+    course: Course, blocks: Ints | slice, machine: Machine, ends: tuple[bool, bool] = (True, True)
 ) -> dict[str, _AxisPeaks]:
     """Return travel and peaks of every axis; of a fast tool from all points, else from the blocks."""
-    peaks = {}
-    for letter, position in course.axes.items():
+    time, is_fast_tool = course.time[blocks], bool(FAST.keys() & course.axes.keys())
+
+    def peaks_of(letter: str) -> _AxisPeaks:
         if letter in FAST:  # its own controller interpolates linearly
-            peaks[letter] = _find_peaks(course.time, position, None)
-            continue
-        time, points = course.time[blocks], position[blocks]
+            return _find_peaks(course.time, course.axes[letter], None)
+        points = course.axes[letter][blocks]
         velocity = None
         if machine.controller.interpolation == "hermite":
-            velocity = np.empty(time.size)
-            if letter in course.velocity:
-                velocity[:] = course.velocity[letter][blocks]
-            else:
+            velocity = course.velocity[letter][blocks] if letter in course.velocity else np.empty(time.size)
+            if letter not in course.velocity:
                 tracking_kernel.rates(only_read(time), only_read(points), velocity)
-            if FAST.keys() & course.axes.keys() or letter not in course.velocity:
+            if is_fast_tool or letter not in course.velocity:
                 # The program of such a motion accelerates and decelerates within one block.
+                velocity = velocity.copy()
                 velocity[[0, -1]] = np.where(ends, 0.0, velocity[[0, -1]])
         top, at = _find_peaks(time, points, velocity)
-        peaks[letter] = top, {name: int(blocks[point]) for name, point in at.items()}
-    return peaks
+        return top, {name: _point(blocks, number) for name, number in at.items()}
+
+    letters, peaks = list(course.axes), {}
+
+    def work(first: int, _stop: int) -> None:
+        peaks[letters[first]] = peaks_of(letters[first])
+
+    run_chunks(work, len(letters), 1, threads=None if course.time.size > MANY_POINTS else 1)
+    return {letter: peaks[letter] for letter in letters}
+
+
+def _point(blocks: Ints | slice, number: int) -> int:
+    return int(number) if isinstance(blocks, slice) else int(blocks[number])
 
 
 def _find_peaks(time: Floats, position: Floats, velocity: Floats | None) -> _AxisPeaks:

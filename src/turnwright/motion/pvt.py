@@ -161,7 +161,7 @@ def _add_ramps(course: Course, machine: Machine, *, stated: bool) -> _RampedCour
 
 def _find_demands(course: Course, machine: Machine) -> list[LimitDemand]:
     """Return the demands of a course without a fast tool on all limits except the bandwidths."""
-    every = np.arange(course.time.size)
+    every = slice(None)
     return find_limit_demands(course, every, find_axis_peaks(course, every, machine), machine, bands=False)
 
 

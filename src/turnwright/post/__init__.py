@@ -23,7 +23,7 @@ from turnwright.post.header import (
     inspect_nc,
     stop_instructions,
 )
-from turnwright.post.reader import Move, ProgramCut, inspect_cuts, read_moves, read_nc
+from turnwright.post.reader import Move, ProgramCut, read_moves, read_nc
 from turnwright.post.spindle import require_spindle_modes
 from turnwright.post.sync import FastToolFiles, read_fast_tool, write_fast_tool
 from turnwright.post.table import read_table
@@ -53,7 +53,6 @@ __all__ = [
     "entry_path",
     "entry_shares",
     "entry_words",
-    "inspect_cuts",
     "inspect_nc",
     "plan_approach",
     "read_fast_tool",

@@ -43,7 +43,7 @@ from turnwright.post.macro import Macros
 from turnwright.post.spindle import Spindle, origin_bytes, turning_number
 from turnwright.progress import Progress
 
-__all__ = ["Move", "ProgramCut", "inspect_cuts", "read_moves", "read_nc"]
+__all__ = ["Move", "ProgramCut", "read_moves", "read_nc"]
 
 BUFFER_BYTES = 1 << 20
 UPPERCASE = str.maketrans(ascii_lowercase, ascii_uppercase)
@@ -240,35 +240,6 @@ class Move(NamedTuple):
     tool: float
 
 
-def read_moves(path: str | PathLike[str], machine: Machine, *, block_delete: bool | None = None) -> tuple[Move, ...]:
-    """Return the moves of a whole program in their order, without the blocks of cuts with C as an axis, see `read_nc`.
-
-    Raises
-    ------
-    ProgramError
-        As `read_nc`; and if there are more than `MAX_MOVES`.
-    """
-    path, signs = Path(path), axis_signs(machine)
-    with reading(path), ThreadPoolExecutor(1) as pool:
-        reader = _Reader(
-            path, dialect_of(machine), name=NO_NAME, header_pass=None, block_delete=block_delete, pool=pool,
-            progress=None,
-        )  # fmt: skip
-        reader.moves = []
-        reader.run()
-        moves = reader.moves
-
-    def place(position: Floats) -> tuple[float, float, float]:
-        c, x, _, z = position.tolist()
-        turned = np.deg2rad(c) * signs["C"] - signs["C"] * machine.convention.clocking
-        return float(turned), x * signs["X"], z * signs["Z"]
-
-    return tuple(
-        Move(line, rapid, place(start), place(end), turns, cuts, spindle_cut, changes, tool)
-        for line, rapid, start, end, turns, cuts, spindle_cut, changes, tool in moves
-    )
-
-
 class ProgramCut(NamedTuple):
     """A cut of a program, with C as an axis or in spindle mode, or the plunge before it.
 
@@ -301,19 +272,25 @@ class ProgramCut(NamedTuple):
         return number + 1
 
 
-def inspect_cuts(
+def read_moves(
     path: str | PathLike[str],
     machine: Machine,
-    inspect: Callable[[ProgramCut], None],
     *,
+    inspect: Callable[[ProgramCut], None] | None = None,
+    only_plunges: bool = False,
     block_delete: bool | None = None,
-) -> None:
-    """Call a function with every cut of a program and every plunge, in their order, one in memory at a time.
+) -> tuple[Move, ...]:
+    """Return the moves of a whole program in their order, without the blocks of cuts with C as an axis, see `read_nc`.
 
-    Cuts that are no motion, such as with C turning back, are left out: `read_nc` refuses them. Raises `ProgramError` as
-    `read_moves`.
+    ``inspect`` is called with every cut and every plunge on the way, one in memory at a time, or with the plunges
+    alone. Cuts that are no motion, such as with C turning back, are left out: `read_nc` refuses them.
+
+    Raises
+    ------
+    ProgramError
+        As `read_nc`; and if there are more than `MAX_MOVES`.
     """
-    path = Path(path)
+    path, signs = Path(path), axis_signs(machine)
 
     def closed(cut: _Cut) -> None:
         if np.isnan(cut.rows[[0, 1, 3], : cut.points]).any():
@@ -322,14 +299,29 @@ def inspect_cuts(
             motion = _motion(path, cut, None, machine)
         except ProgramError:
             return
+        assert inspect is not None  # noqa: S101 - for the type checker
         inspect(ProgramCut(cut.name.endswith(ENTRY), cut.changes, cut.tool, motion, tuple(cut.lines)))
 
     with reading(path), ThreadPoolExecutor(1) as pool:
         reader = _Reader(
-            path, dialect_of(machine), name=None, header_pass=None, block_delete=block_delete, pool=pool, progress=None
-        )
-        reader.closed = closed
+            path, dialect_of(machine), name=NO_NAME if inspect is None or only_plunges else None, header_pass=None,
+            block_delete=block_delete, pool=pool, progress=None,
+        )  # fmt: skip
+        reader.moves = []
+        if inspect is not None:
+            reader.closed, reader.only_plunges = closed, only_plunges
         reader.run()
+        moves = reader.moves
+
+    def place(position: Floats) -> tuple[float, float, float]:
+        c, x, _, z = position.tolist()
+        turned = np.deg2rad(c) * signs["C"] - signs["C"] * machine.convention.clocking
+        return float(turned), x * signs["X"], z * signs["Z"]
+
+    return tuple(
+        Move(line, rapid, place(start), place(end), turns, cuts, spindle_cut, changes, tool)
+        for line, rapid, start, end, turns, cuts, spindle_cut, changes, tool in moves
+    )
 
 
 def _pass_in_header(
@@ -509,6 +501,7 @@ class _Reader:
             None  # recorded where requested
         )
         self.closed: Callable[[_Cut], None] | None = None  # takes each cut where requested
+        self.only_plunges = False
         self.changes = 0  # of tool, after a cut
         self.c_cuts = 0  # cuts with C as an axis
         self.work_offset = 54.0
@@ -738,14 +731,14 @@ class _Reader:
         return cut.rows, cut.points
 
     def _is_requested(self, cut: _Cut) -> bool:
-        return self.requested is None or cut.name == self.requested
+        return self.requested in (None, cut.name) or (self.only_plunges and cut.name.endswith(ENTRY))
 
     def _count_blocks(self, rows: Floats, first: int, last: int, line: int) -> None:
         """Count the new blocks in columns first to last - 1 after a line, and hash them in another thread."""
         cut = self.cut
         if cut is None or last == first:
             return
-        if self.closed is not None:
+        if self.closed is not None and self._is_requested(cut):
             cut.lines.append((cut.blocks, self.stack[-1], line))
         cut.blocks += last - first
         if rows is self.scratch:
@@ -806,7 +799,7 @@ class _Reader:
         self.state[OPEN] = 0
         if cut is None:
             return
-        if self.closed is not None:
+        if self.closed is not None and self._is_requested(cut):
             self.closed(cut)
         if cut.name.endswith(ENTRY):
             self.cuts -= 1  # the plunge before a cut
