@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import groupby
@@ -16,14 +15,16 @@ import numpy as np
 from turnwright._arrays import Floats, Ints
 from turnwright.job.approach import blank_heights
 from turnwright.job.depths import block_over, chord_over, depth_at_border, depth_at_points
+from turnwright.job.programs import read_back
 from turnwright.job.schema import Job
 from turnwright.part import Part
 from turnwright.path import Motion
-from turnwright.post import Move, ProgramCut, ProgramWarning, read_moves
+from turnwright.post import Move, ProgramCut, read_cut_and_moves, read_moves
+from turnwright.progress import Progress
 from turnwright.tool import Shank, Tool
 from turnwright.units import say_length
 
-__all__ = ["find_wrong_move"]
+__all__ = ["find_wrong_move", "read_and_check"]
 
 TOLERANCE_MM = 1e-3
 """Depth below the material up to which a move is not refused; covers the steps of the comparison."""
@@ -47,7 +48,7 @@ TURN = 2 * math.pi
 ALL_AROUND = tuple((np.arange(AZIMUTHS) * (TURN / AZIMUTHS)).tolist())
 
 
-def find_wrong_move(job: Job, file: File, *, block_delete: bool | None = None, is_planned: bool = False) -> str:
+def find_wrong_move(job: Job, file: File, *, block_delete: bool | None = None) -> str:
     """Return a sentence on the first move that brings the tool below the part, or in rapid or at rest into the stock.
 
     Moves outside the cuts with C as an axis are those of `turnwright.post.read_moves`, as straight lines. The tool is
@@ -55,48 +56,77 @@ def find_wrong_move(job: Job, file: File, *, block_delete: bool | None = None, i
     at its clear aperture, stock at the blank if the job states one.
 
     In the cuts the edge is compared with the finished surface at every point, and on the borders of an outline or a
-    chuck between the points too; of a program that was planned for the job, points only in the plunges. Empty if there
-    is none.
+    chuck between the points too. Empty if there is none.
     """
-    jobs = [next(group) for _, group in groupby(map(job.for_pass, job.passes), lambda one: one.tool)]
-    sections = [_Section(job, one.tool) for one in jobs]
-    called = _called_sections(job, sections)
-    chord = max(getattr(job.servo(one).spiral_strategy, "chord", None) or 0.0 for one in job.passes)
-    wrong: list[str] = []
+    check = _Check(job, is_planned=False)
+    moves = read_moves(file, job.machine, inspect=check.inspect if check.is_tip else None, block_delete=block_delete)
+    return check.judge(moves)
 
-    def inspect(cut: ProgramCut) -> None:
-        if not wrong:
-            section = called.get(cut.tool, sections[min(cut.changes, len(sections) - 1)])
-            sentence = _describe_depth(section, cut, chord, at_points=cut.is_entry or not is_planned)
-            wrong.extend(filter(None, [sentence]))
 
-    # The tip of a fast tool, or in a precorrected program, is not where the program says.
-    is_tip = not job.program.fast_tool and not job.program.precorrect
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ProgramWarning)  # the reader of the program has warned
-        moves = read_moves(
-            file, job.machine, inspect=inspect if is_tip else None, block_delete=block_delete,
-            only_plunges=is_planned and not any(one.part.leaves_air for one in sections),
-        )  # fmt: skip
-    last_cut = max((move.spindle_cut for move in moves), default=0)
-    is_cut = False  # whether anything has touched the stock before
-    for move in moves:
-        section = called.get(move.tool, sections[min(move.changes, len(sections) - 1)])
-        raised = not is_cut and not move.cuts and not move.spindle_cut and (move.is_rapid or not move.turns)
-        if move.spindle_cut:
-            is_cut = is_cut or section.depth(move, raised=True)[0] > TOLERANCE_MM
-            if move.spindle_cut == last_cut:
-                continue
-        depth, x, z, body = section.depth(move, raised=raised)
-        if depth > TOLERANCE_MM:
-            what = "stock" if raised and section.depth(move, raised=False)[0] <= TOLERANCE_MM else "finished surface"
-            how = " in rapid" if move.is_rapid else "" if move.turns else " with the part at rest"
-            where = f"X {x:.4g} mm, Z {z:.4g} mm" if math.isfinite(x) else f"Z {z:.4g} mm while X is not known"
-            which = f"{say_length(depth)} below" if not body else f"which brings its {body} {say_length(depth)} into"
-            return (
-                f"line {move.line} moves the tool to {where}{how}, {which} the {what}: correct its approach or retract"
-            )
-    return wrong[0] if wrong else ""
+def read_and_check(job: Job, file: File, name: str, update: Progress | None = None) -> tuple[Motion, Callable[[], str]]:
+    """Read a pass of a program that was planned for a job; return it, and a function that finds a wrong move.
+
+    The function returns the sentence of `find_wrong_move`. In the cuts the edge is compared with the finished surface
+    on borders, at points only in the plunges.
+    """
+    check, machine = _Check(job, is_planned=True), job.machine
+    inspect = check.inspect if check.is_tip else None
+    if job.program.fast_tool is None and not (check.is_tip and check.has_borders):
+        motion, moves = read_cut_and_moves(file, machine, name=name, inspect=inspect, progress=update)
+        return motion, lambda: check.judge(moves)
+    motion = read_back(job, file, name, update)
+    return motion, lambda: check.judge(read_moves(file, machine, inspect=inspect))
+
+
+class _Check:
+    """The comparison of the moves of a program with the part."""
+
+    def __init__(self, job: Job, *, is_planned: bool) -> None:
+        jobs = [next(group) for _, group in groupby(map(job.for_pass, job.passes), lambda one: one.tool)]
+        self.sections = [_Section(job, one.tool) for one in jobs]
+        self.called = _called_sections(job, self.sections)
+        self.chord = max(getattr(job.servo(one).spiral_strategy, "chord", None) or 0.0 for one in job.passes)
+        self.is_planned = is_planned
+        # The tip of a fast tool, or in a precorrected program, is not where the program says.
+        self.is_tip = not job.program.fast_tool and not job.program.precorrect
+        self.has_borders = any(one.part.leaves_air for one in self.sections)
+        self.wrong = ""
+
+    def inspect(self, cut: ProgramCut) -> None:
+        """Note the deepest place of a cut or plunge, if it is too deep."""
+        if not self.wrong:
+            section, at_points = self._section(cut), cut.is_entry or not self.is_planned
+            self.wrong = _describe_depth(section, cut, self.chord, at_points=at_points)
+
+    def judge(self, moves: Sequence[Move]) -> str:
+        """Return a sentence on the first wrong move, or else on the first cut that is too deep."""
+        last_cut = max((move.spindle_cut for move in moves), default=0)
+        is_cut = False  # whether anything has touched the stock before
+        for move in moves:
+            section = self._section(move)
+            raised = not is_cut and not move.cuts and not move.spindle_cut and (move.is_rapid or not move.turns)
+            if move.spindle_cut:
+                is_cut = is_cut or section.depth(move, raised=True)[0] > TOLERANCE_MM
+                if move.spindle_cut == last_cut:
+                    continue
+            depth, x, z, body = section.depth(move, raised=raised)
+            if depth > TOLERANCE_MM:
+                what = (
+                    "stock" if raised and section.depth(move, raised=False)[0] <= TOLERANCE_MM else "finished surface"
+                )
+                how = " in rapid" if move.is_rapid else "" if move.turns else " with the part at rest"
+                where = f"X {x:.4g} mm, Z {z:.4g} mm" if math.isfinite(x) else f"Z {z:.4g} mm while X is not known"
+                which = (
+                    f"{say_length(depth)} below" if not body else f"which brings its {body} {say_length(depth)} into"
+                )
+                return (
+                    f"line {move.line} moves the tool to {where}{how}, {which} the {what}: correct its approach or "
+                    "retract"
+                )
+        return self.wrong
+
+    def _section(self, of: Move | ProgramCut) -> _Section:
+        return self.called.get(of.tool, self.sections[min(of.changes, len(self.sections) - 1)])
 
 
 def _describe_depth(section: _Section, cut: ProgramCut, chord: float, *, at_points: bool) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 import weakref
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from os import PathLike
@@ -20,11 +20,12 @@ from turnwright.job.approach import Entry, entries_of
 from turnwright.job.contributions import ErrorBreakdown, break_down_error
 from turnwright.job.cut_range import cut_range, trim
 from turnwright.job.cutting import PassChips, chips_of
+from turnwright.job.links import read_and_check
 from turnwright.job.optics import OpticalPerformance, predict_optics
 from turnwright.job.pass_plan import PassPlan, Watch
 from turnwright.job.predicting import predict
 from turnwright.job.prediction import Prediction
-from turnwright.job.programs import read_back, write_programs
+from turnwright.job.programs import write_programs
 from turnwright.job.result import Pass
 from turnwright.job.schema import Job, PassTable
 from turnwright.job.verdict import WHOLE
@@ -272,12 +273,22 @@ class Pipeline:
         """The program of all passes, in the folder of the pipeline."""
         return self.write({cut.name: cut.motion for cut in self.cuts()})
 
-    @cached_property
+    @property
     def program_motion(self) -> Motion:
         """The motion of the finishing pass, read back from the program on disk."""
+        return self._program_read[0]
+
+    @cached_property
+    def _program_read(self) -> tuple[Motion, Callable[[], str]]:
         file, name = self.program.files[0], self.job.passes[-1].names(self._stock)[-1]
         with self.watch.stage("read program") as update:
-            return read_back(self.job, file, name, update)
+            return read_and_check(self.job, file, name, update)
+
+    def find_wrong_move(self) -> str:
+        """Return a sentence on the first wrong move of the program on disk, see `turnwright.job.find_wrong_move`."""
+        find = self._program_read[1]
+        with self.watch.stage("check moves"):
+            return find()
 
     @property
     def _stock(self) -> float:

@@ -21,7 +21,6 @@ from turnwright.job.contributions import has_servos
 from turnwright.job.cut_range import cut_range
 from turnwright.job.cutting import PassChips, predicted_chips
 from turnwright.job.gouge import find_gouge
-from turnwright.job.links import find_wrong_move
 from turnwright.job.optics import OpticalPerformance
 from turnwright.job.pass_plan import PassPlan
 from turnwright.job.pipeline import Cut, Pipeline, describe_gouge
@@ -276,9 +275,7 @@ def _or_accept(sentence: str, what: str) -> str:
 def _accepted_program(line: Pipeline, limit: float) -> list[str]:
     """Warn of a gouge or a wrong move of the program if the job accepts it; else delete the program and raise."""
     gouge = find_gouge(line.job, line.predictions[0], line.program_motion, limit)
-    with line.watch.stage("check moves"):
-        wrong = find_wrong_move(line.job, line.program.files[0], is_planned=True)
-    sentences = [one for one in (gouge.sentence if gouge else "", wrong) if one]
+    sentences = [one for one in (gouge.sentence if gouge else "", line.find_wrong_move()) if one]
     if sentences and "gouge" not in line.job.accept:
         for file in line.program.files:
             file.unlink()

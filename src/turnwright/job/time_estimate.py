@@ -63,11 +63,11 @@ def steps_of_run(job: Job) -> tuple[Step, ...]:
     steps += [
         Step(stage="approach", work=APPROACH_S),
         Step(stage="write program", work=WRITE_S * program_points),
-        Step(stage="read program", work=READ_S * points),
+        Step(stage="read program", work=READ_S * program_points),
         Step(stage="compare", work=0.2),
     ]
     steps += steps_of_prediction(job)
-    steps.append(Step(stage="check moves", work=0.2 + READ_S * program_points))
+    steps.append(Step(stage="check moves", work=0.2))
     if job.optics is not None:
         steps.append(Step(stage="optics", work=OPTICS_S))
     return (*steps, Step(stage="report", work=REPORT_S))

@@ -23,7 +23,7 @@ from turnwright.post.header import (
     inspect_nc,
     stop_instructions,
 )
-from turnwright.post.reader import Move, ProgramCut, read_moves, read_nc
+from turnwright.post.reader import Move, ProgramCut, read_cut_and_moves, read_moves, read_nc
 from turnwright.post.spindle import require_spindle_modes
 from turnwright.post.sync import FastToolFiles, read_fast_tool, write_fast_tool
 from turnwright.post.table import read_table
@@ -55,6 +55,7 @@ __all__ = [
     "entry_words",
     "inspect_nc",
     "plan_approach",
+    "read_cut_and_moves",
     "read_fast_tool",
     "read_moves",
     "read_nc",

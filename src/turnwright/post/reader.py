@@ -43,7 +43,7 @@ from turnwright.post.macro import Macros
 from turnwright.post.spindle import Spindle, origin_bytes, turning_number
 from turnwright.progress import Progress
 
-__all__ = ["Move", "ProgramCut", "read_moves", "read_nc"]
+__all__ = ["Move", "ProgramCut", "read_cut_and_moves", "read_moves", "read_nc"]
 
 BUFFER_BYTES = 1 << 20
 UPPERCASE = str.maketrans(ascii_lowercase, ascii_uppercase)
@@ -179,7 +179,18 @@ def read_nc(
     feeds, 3.3.1 and 2.2.3 for the end of a program and for block delete. LinuxCNC, `convert_feed_mode`: G94 ends the F
     in force.
     """
-    path = Path(path)
+    return _read_cut(Path(path), machine, name, block_delete, progress)[0]
+
+
+def _read_cut(
+    path: Path,
+    machine: Machine,
+    name: str | None,
+    block_delete: bool | None,
+    progress: Progress | None,
+    watch: _Watch | None = None,
+) -> tuple[Motion, tuple[Move, ...]]:
+    """Return the motion of a pass, and the moves of the whole program if they are watched."""
     dialect = dialect_of(machine)
     with reading(path):
         info = read_info(path)
@@ -189,21 +200,21 @@ def read_nc(
         header_pass = _pass_in_header(path, info, machine, dialect, name)
         with ThreadPoolExecutor(1) as pool:
             reader = _Reader(
-                path, dialect, name=header_pass.name if header_pass else name, header_pass=header_pass,
-                block_delete=block_delete, pool=pool, progress=progress,
+                path, machine, name=header_pass.name if header_pass else name, header_pass=header_pass,
+                block_delete=block_delete, pool=pool, progress=progress, watch=watch,
             )  # fmt: skip
             reader.run()
             cut, digest = reader.finish()
     for warning in reader.warnings:
-        warnings.warn(warning, ProgramWarning, stacklevel=2)
+        warnings.warn(warning, ProgramWarning, stacklevel=3)
     if header_pass is not None and digest != header_pass.hash:
         warnings.warn(
             f"{path}: pass {_shorten(header_pass.name)} has the hash {digest[:12]}..., the header states "
             f"{header_pass.hash[:12]}...: it was edited or damaged",
             ProgramWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
-    return _motion(path, cut, header_pass, machine)
+    return _motion(path, cut, header_pass, machine), reader.listed_moves
 
 
 class Move(NamedTuple):
@@ -272,6 +283,13 @@ class ProgramCut(NamedTuple):
         return number + 1
 
 
+class _Watch(NamedTuple):
+    """What is reported of a program besides the requested cut: all moves outside cuts, and cuts or only plunges."""
+
+    inspect: Callable[[ProgramCut], None] | None
+    only_plunges: bool
+
+
 def read_moves(
     path: str | PathLike[str],
     machine: Machine,
@@ -290,38 +308,29 @@ def read_moves(
     ProgramError
         As `read_nc`; and if there are more than `MAX_MOVES`.
     """
-    path, signs = Path(path), axis_signs(machine)
-
-    def closed(cut: _Cut) -> None:
-        if np.isnan(cut.rows[[0, 1, 3], : cut.points]).any():
-            return
-        try:
-            motion = _motion(path, cut, None, machine)
-        except ProgramError:
-            return
-        assert inspect is not None  # noqa: S101 - for the type checker
-        inspect(ProgramCut(cut.name.endswith(ENTRY), cut.changes, cut.tool, motion, tuple(cut.lines)))
-
+    path = Path(path)
     with reading(path), ThreadPoolExecutor(1) as pool:
         reader = _Reader(
-            path, dialect_of(machine), name=NO_NAME if inspect is None or only_plunges else None, header_pass=None,
-            block_delete=block_delete, pool=pool, progress=None,
+            path, machine, name=NO_NAME if inspect is None or only_plunges else None, header_pass=None,
+            block_delete=block_delete, pool=pool, progress=None, watch=_Watch(inspect, only_plunges),
         )  # fmt: skip
-        reader.moves = []
-        if inspect is not None:
-            reader.closed, reader.only_plunges = closed, only_plunges
         reader.run()
-        moves = reader.moves
+    return reader.listed_moves
 
-    def place(position: Floats) -> tuple[float, float, float]:
-        c, x, _, z = position.tolist()
-        turned = np.deg2rad(c) * signs["C"] - signs["C"] * machine.convention.clocking
-        return float(turned), x * signs["X"], z * signs["Z"]
 
-    return tuple(
-        Move(line, rapid, place(start), place(end), turns, cuts, spindle_cut, changes, tool)
-        for line, rapid, start, end, turns, cuts, spindle_cut, changes, tool in moves
-    )
+def read_cut_and_moves(
+    path: str | PathLike[str],
+    machine: Machine,
+    *,
+    name: str,
+    inspect: Callable[[ProgramCut], None] | None = None,
+    progress: Progress | None = None,
+) -> tuple[Motion, tuple[Move, ...]]:
+    """Return one pass of a program as `read_nc`, and all moves as `read_moves`, with one reading of its files.
+
+    ``inspect`` is called with the plunges alone.
+    """
+    return _read_cut(Path(path), machine, name, None, progress, _Watch(inspect, only_plunges=True))
 
 
 def _pass_in_header(
@@ -475,20 +484,22 @@ class _Reader:
     def __init__(
         self,
         path: Path,
-        dialect: Dialect,
+        machine: Machine,
         *,
         name: str | None,
         header_pass: ProgramPass | None,
         block_delete: bool | None,
         pool: ThreadPoolExecutor,
         progress: Progress | None,
+        watch: _Watch | None,
     ) -> None:
-        self.path, self.dialect, self.requested, self.header_pass = path, dialect, name, header_pass
+        self.path, self.machine, self.requested, self.header_pass = path, machine, name, header_pass
+        self.dialect, self.watch = dialect_of(machine), watch
         self.block_delete, self.pool, self.progress = block_delete, pool, progress
         self.state: Ints = np.zeros(6, dtype=np.int64)
         self.state[[LINEAR, FEED_MODE]] = 1, 94
-        self.state[FEED_UNIT] = dialect.time_code
-        self.height = 9 if dialect.velocities else 5
+        self.state[FEED_UNIT] = self.dialect.time_code
+        self.height = 9 if self.dialect.velocities else 5
         self.speeds: dict[str, float] = {}  # velocities of the current block
         self.real: Floats = np.full(5, np.nan)  # C, X, Y, Z and F
         self.time_feed = np.nan  # F of G93, saved while G94 is active
@@ -497,11 +508,7 @@ class _Reader:
         self.begun: set[str] = set()  # axes whose first coordinate was set by G92
         self.lost: set[str] = set()  # axes whose position in the part's coordinates is unknown
         self.spindle = Spindle()
-        self.moves: list[tuple[int, bool, Floats, Floats, bool, int, int, int, float]] | None = (
-            None  # recorded where requested
-        )
-        self.closed: Callable[[_Cut], None] | None = None  # takes each cut where requested
-        self.only_plunges = False
+        self.moves: list[tuple[int, bool, Floats, Floats, bool, int, int, int, float]] = []  # if there is a watch
         self.changes = 0  # of tool, after a cut
         self.c_cuts = 0  # cuts with C as an axis
         self.work_offset = 54.0
@@ -731,14 +738,42 @@ class _Reader:
         return cut.rows, cut.points
 
     def _is_requested(self, cut: _Cut) -> bool:
-        return self.requested in (None, cut.name) or (self.only_plunges and cut.name.endswith(ENTRY))
+        return self.requested in (None, cut.name) or self._is_inspected(cut)
+
+    def _is_inspected(self, cut: _Cut) -> bool:
+        watch = self.watch
+        return watch is not None and watch.inspect is not None and (not watch.only_plunges or cut.name.endswith(ENTRY))
+
+    def _inspect(self, cut: _Cut) -> None:
+        assert self.watch is not None and self.watch.inspect is not None  # noqa: S101, PT018 - for the type checker
+        if np.isnan(cut.rows[[0, 1, 3], : cut.points]).any():
+            return
+        try:
+            motion = _motion(self.path, cut, None, self.machine)
+        except ProgramError:
+            return
+        self.watch.inspect(ProgramCut(cut.name.endswith(ENTRY), cut.changes, cut.tool, motion, tuple(cut.lines)))
+
+    @property
+    def listed_moves(self) -> tuple[Move, ...]:
+        """The moves outside cuts, if there is a watch, in the axes of the part."""
+        signs, clocking = axis_signs(self.machine), self.machine.convention.clocking
+
+        def place(position: Floats) -> tuple[float, float, float]:
+            c, x, _, z = position.tolist()
+            return float(np.deg2rad(c) * signs["C"] - signs["C"] * clocking), x * signs["X"], z * signs["Z"]
+
+        return tuple(
+            Move(line, rapid, place(start), place(end), turns, cuts, spindle_cut, changes, tool)
+            for line, rapid, start, end, turns, cuts, spindle_cut, changes, tool in self.moves
+        )
 
     def _count_blocks(self, rows: Floats, first: int, last: int, line: int) -> None:
         """Count the new blocks in columns first to last - 1 after a line, and hash them in another thread."""
         cut = self.cut
         if cut is None or last == first:
             return
-        if self.closed is not None and self._is_requested(cut):
+        if self._is_inspected(cut):
             cut.lines.append((cut.blocks, self.stack[-1], line))
         cut.blocks += last - first
         if rows is self.scratch:
@@ -799,8 +834,8 @@ class _Reader:
         self.state[OPEN] = 0
         if cut is None:
             return
-        if self.closed is not None and self._is_requested(cut):
-            self.closed(cut)
+        if self._is_inspected(cut):
+            self._inspect(cut)
         if cut.name.endswith(ENTRY):
             self.cuts -= 1  # the plunge before a cut
             return
@@ -965,7 +1000,7 @@ class _Reader:
                 f"calls {_shorten(name)}, which is not in the same folder",
                 "put all files of the program into one folder",
             )
-        if self.header_pass is not None:
+        if self.header_pass is not None and self.watch is None:
             # Sub-programs of other passes are skipped: each names its pass in its first lines.
             with path.open("rb") as file:
                 marker = _pass_name(file.read(512).decode("latin-1"))
@@ -1217,7 +1252,7 @@ class _Reader:
             self._note_move(before, turns=self.spindle.runs or bool(abs(step[0]) > 0))
 
     def _note_move(self, before: Floats, *, turns: bool) -> None:
-        if self.moves is None:
+        if self.watch is None:
             return
         if len(self.moves) == MAX_MOVES:
             raise self._error(f"is the {MAX_MOVES:,}th move outside a cut", "give a program of fewer passes")
