@@ -301,11 +301,19 @@ class Part(TableModel):
             return made
         return replace(made, z=np.where(self.covers(*made.points()), made.z, np.nan))
 
+    def finished(self, made: HeightMap) -> HeightMap:
+        """Return the finished surface on the grid of a map, nan where that is, and outside an outline."""
+        made.require_calibrated()
+        x, y = made.points()
+        if self.outline is not None:
+            return replace(made, z=self.heights(x, y))
+        z, there = np.full(made.z.shape, np.nan), ~np.isnan(made.z)
+        z[there] = self.surface.sag(x[there], y[there])
+        return replace(made, z=z)
+
     def form_error(self, made: HeightMap) -> HeightMap:
         """Return a map minus the finished surface, nan outside an outline; a disc is evaluated wherever the map is."""
-        if self.outline is None:
-            return made.minus(self.surface)
-        return replace(made, z=made.z - self.heights(*made.points()), name=f"{made.name} error".strip())
+        return made.minus(self.finished(made))
 
     @property
     def design(self) -> Part:

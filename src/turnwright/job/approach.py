@@ -367,8 +367,8 @@ def blank_heights(part: Part, radius: Floats, angle: Floats, wider: float) -> Fl
         z[:, radius > shaped.reach + wider] = -np.inf
     else:
         rim = part.reach * (1 - 1e-12)
-        inside = np.minimum(radius, rim)
-        z = np.array(part.surface.sag(inside * cosine, inside * sine))
+        inside, column = np.unique(np.minimum(radius, rim), return_inverse=True)
+        z = part.surface.sag(inside * cosine, inside * sine)[:, column]
         zx, zy = part.surface.gradient(rim * cosine[:, 0], rim * sine[:, 0])
         slope = np.maximum(zx * cosine[:, 0] + zy * sine[:, 0], 0.0)
         z += part.stock + slope[:, None] * np.maximum(radius - rim, 0.0)

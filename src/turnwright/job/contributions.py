@@ -150,7 +150,7 @@ def break_down_error(
         return generate_polar(one, tool, radius=radius, angle=angle)
 
     report(0, 6)
-    exact, cusp_nm = _exact_surface(spiral, part, tool, machine, radius, angle)
+    exact, finished, cusp_nm = _exact_surface(spiral, part, tool, machine, radius, angle)
     program_motion, ideal = program_motion or motion, without_servos(machine)
     steady = machine.controller.interpolation == "linear"
     sent = made(motion if steady else interpolate_motion(motion, ideal), 1)
@@ -161,7 +161,8 @@ def break_down_error(
     if has_servos(machine):
         moved = interpolate_motion(program_motion, machine)
         real = made(moved, 4)
-    error = part.form_error(real)
+    # The finished surface on all these lines costs more than one of the surfaces.
+    error = real.minus(finished) if not np.isnan(finished.z[~np.isnan(real.z)]).any() else part.form_error(real)
     report(5, 6)
     if pv_nm is None:
         form = find_extremes(moved, tool, part, known=error)
@@ -169,7 +170,7 @@ def break_down_error(
     report(6, 6)
     return ErrorBreakdown(
         cusp_nm=cusp_nm,
-        cusp_away_nm=pv_nm_of(part.form_error(exact).z[:, radius > 2 * feed]),
+        cusp_away_nm=pv_nm_of(exact.minus(finished).z[:, radius > 2 * feed]),
         chord_nm=max_difference_nm(part.crop(planned), part.crop(exact)),
         rounding_nm=max_difference_nm(part.crop(rounded), part.crop(sent)),
         tracking_nm=max_difference_nm(part.crop(real), part.crop(rounded if nominal is None else planned)),
@@ -182,22 +183,23 @@ def break_down_error(
 
 def exact_cusps(spiral: Spiral, part: Part, tool: Tool, machine: Machine) -> tuple[HeightMap, float]:
     """Return the error of an exact path on lines across all revolutions [mm], and its PV, the axis included. [nm]."""
-    surface, pv_nm = _exact_surface(spiral, part, tool, machine, *lines(part, spiral.feed, spiral.angle))
-    return part.form_error(surface), pv_nm
+    surface, finished, pv_nm = _exact_surface(spiral, part, tool, machine, *lines(part, spiral.feed, spiral.angle))
+    return surface.minus(finished), pv_nm
 
 
 def _exact_surface(
     spiral: Spiral, part: Part, tool: Tool, machine: Machine, radius: Floats, angle: Floats
-) -> tuple[HeightMap, float]:
-    """Return the surface of an exact path on lines [mm], and the PV of its error, the axis included. [nm]."""
+) -> tuple[HeightMap, HeightMap, float]:
+    """Return the surface of an exact path on lines and the finished surface [mm], and PV with the axis. [nm]."""
     zone, reach = _axis_zone(part, tool, spiral.feed)
     motion = exact_motion(spiral, part, tool, machine, angle, dense_to=reach)
     surface = generate_polar(motion, tool, radius=radius, angle=angle)
     extremes = find_extremes(motion, tool, replace(part, radius=zone, outline=None)) if zone else None
-    errors = part.form_error(surface).z.ravel()
+    finished = part.finished(surface)
+    errors = surface.minus(finished).z.ravel()
     if extremes is not None:
         errors = np.append(errors, [extremes.highest.error, extremes.lowest.error])
-    return surface, pv_nm_of(errors)
+    return surface, finished, pv_nm_of(errors)
 
 
 def _axis_zone(part: Part, tool: Tool, feed: float) -> tuple[float, float]:

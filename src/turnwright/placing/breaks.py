@@ -29,6 +29,7 @@ __all__ = [
     "find_breaks",
     "find_extremes",
     "find_walls",
+    "sample_surface",
     "wall_offset",
 ]
 
@@ -168,36 +169,42 @@ def _find_largest_jump(
     )
 
 
-def evaluate_heights(contact: Contact, x: Floats, y: Floats) -> Floats:
-    """Return the surface's heights, -inf outside its domain and outside the rim."""
+def sample_surface(contact: Contact, x: Floats, y: Floats) -> tuple[Floats, Ints | None]:
+    """Return the surface's heights, -inf outside its domain and outside the rim, and its pieces."""
     with np.errstate(all="ignore"):
-        heights = contact.surface.evaluate(x, y, 0)[0]
-    inside = contact.surface.inside(x, y)
-    missing = np.isnan(heights) if inside is None else ~inside | np.isnan(heights)
+        heights, pieces = contact.surface.sample(x, y)
+    missing = np.isnan(heights)
     if contact.rim < np.inf:
         missing |= _is_outside_rim(contact.rim, x, y)
     heights[missing] = -np.inf
-    return heights
+    return heights, pieces
+
+
+def evaluate_heights(contact: Contact, x: Floats, y: Floats) -> Floats:
+    """Return the surface's heights, -inf outside its domain and outside the rim."""
+    return sample_surface(contact, x, y)[0]
 
 
 def _is_outside_rim(rim: float, x: Floats, y: Floats) -> Bools:
     return np.asarray(x * x + y * y > rim**2)
 
 
-def find_breaks(contact: Contact, tips: Tips, u: Floats, x: Floats, y: Floats, heights: Floats) -> tuple[Breaks, Ints]:
+def find_breaks(
+    contact: Contact, tips: Tips, u: Floats, x: Floats, y: Floats, sampled: tuple[Floats, Ints | None]
+) -> tuple[Breaks, Ints]:
     """Locate every slope discontinuity or step between samples of different pieces, and every end of the domain.
 
     They are located to rounding. The pieces of all samples are returned too. Each of the ``tips`` has a line of
-    samples: ``u`` is their distance from the tip, ``x`` and ``y`` their position on the part, ``heights`` the surface
-    there. Each (rows, n) [mm]
+    samples: ``u`` is their distance from the tip, ``x`` and ``y`` their position on the part, ``sampled`` the surface
+    there, see `sample_surface`. Each (rows, n) [mm]
     """
     surface, edge = contact.surface, contact.edge
+    heights, pieces = sampled
     missing = heights == -np.inf
     ends = bool((missing & ~_is_outside_rim(contact.rim, x, y)).any())
 
-    def number(x: Floats, y: Floats, outside: Bools) -> Ints:
-        numbers = surface.piece(x, y)
-        return np.where(outside, OUTSIDE, 0 if numbers is None else numbers)
+    def number(pieces: Ints | None, outside: Bools) -> Ints:
+        return np.where(outside, OUTSIDE, 0 if pieces is None else pieces)
 
     def locate(row: Ints, u: Floats) -> tuple[Floats, Floats]:
         x, y = contact.at_distance(tips.select(row), u[:, None])
@@ -205,13 +212,15 @@ def find_breaks(contact: Contact, tips: Tips, u: Floats, x: Floats, y: Floats, h
 
     def piece_of(x: Floats, y: Floats) -> Ints:
         # The rim is all that ends most surfaces; their heights need not be evaluated.
-        outside = evaluate_heights(contact, x, y) == -np.inf if ends else _is_outside_rim(contact.rim, x, y)
-        return number(x, y, outside)
+        if not ends:
+            return number(surface.piece(x, y), _is_outside_rim(contact.rim, x, y))
+        heights, pieces = sample_surface(contact, x, y)
+        return number(pieces, heights == -np.inf)
 
     def piece(row: Ints, u: Floats) -> Ints:
         return piece_of(*locate(row, u))
 
-    numbers = number(x, y, missing)
+    numbers = number(pieces, missing)
     row, after = np.nonzero(numbers[:, 1:] != numbers[:, :-1])
     between = _Intervals(row, after, u[row, after], u[row, after + 1])
     if edge.rake_sin != 0 and surface.in_pieces:
@@ -280,9 +289,11 @@ def find_walls(contact: Contact, tips: Tips, u: Floats, numbers: Ints, across: f
     begins = np.ones(u.shape, dtype=np.bool_)
     begins[:, 1:] = numbers[:, 1:] != numbers[:, :-1]
     first = np.flatnonzero(begins)
-    places = (first + np.append(first[1:], u.size)) // 2
+    looked = np.zeros(u.shape, dtype=np.bool_)
+    looked.ravel()[(first + np.append(first[1:], u.size)) // 2] = True
     if not surface.convex_pieces:
-        places = np.union1d(places, np.flatnonzero(np.arange(u.size) % samples % WALL_SAMPLES == 0))
+        looked[:, ::WALL_SAMPLES] = True
+    places = np.flatnonzero(looked)
     row = places // samples
     apart, _ = _compare_sides(contact, tips.select(row), u.ravel()[places][:, None], across)
     row = np.unique(row[apart[:, 0]])

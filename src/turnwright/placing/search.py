@@ -36,6 +36,7 @@ from turnwright.placing.breaks import (
     find_breaks,
     find_extremes,
     find_walls,
+    sample_surface,
     wall_offset,
 )
 from turnwright.placing.tangent import MAX_CURVATURE_RATIO, Contact, Tips, Touch
@@ -261,10 +262,10 @@ def _find_contacts(
     spans_part = line is not None and window.top > -np.inf
     lines = _lay_out_lines(contact, window, tips, line, spans_part=spans_part)
     x, y = contact.at_distance(lines.tips, lines.u)
-    heights = evaluate_heights(contact, x, y)
-    breaks, numbers = find_breaks(contact, lines.tips, lines.u, x, y, heights)
+    sampled = sample_surface(contact, x, y)
+    breaks, numbers = find_breaks(contact, lines.tips, lines.u, x, y, sampled)
     candidates, direct = _find_candidates(
-        contact, window, lines, heights, breaks, -np.inf if spans_part else window.top
+        contact, window, lines, sampled[0], breaks, -np.inf if spans_part else window.top
     )
     if candidates is None:
         return None

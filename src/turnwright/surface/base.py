@@ -16,6 +16,7 @@ from turnwright._tables import TableModel, forget_adapters
 from turnwright._validate import IN_RAD, check_angle
 from turnwright.errors import DomainError
 from turnwright.pose import Pose
+from turnwright.progress import run_chunks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -32,6 +33,9 @@ FAMILIES: dict[str, type[Any]] = {}
 
 COSTLIEST = 4500
 """Largest cost of a surface per point, in additions; 400 of them with derivatives take about a microsecond."""
+
+CHUNK_POINTS = 1 << 15
+"""Points of a surface that are evaluated at a time."""
 
 PLAIN_COST = 20
 """Cost per point of a surface in closed form, in additions."""
@@ -169,6 +173,14 @@ class Surface(Family, Value, ABC):
         """
         return None
 
+    def sample(self, x: Floats, y: Floats) -> tuple[Floats, Ints | None]:
+        """Return the height, nan outside the domain, and the `piece`, which may take less than one after the other."""
+        z = self.evaluate(x, y, 0)[0]
+        inside = self.inside(x, y)
+        if inside is not None:
+            z[~inside] = np.nan
+        return z, self.piece(x, y)
+
     @property
     def in_pieces(self) -> bool:
         """Whether the surface has several smooth pieces, like a lens array."""
@@ -228,14 +240,29 @@ class Surface(Family, Value, ABC):
         x, y = np.asarray(x, dtype=np.float64, order="C"), np.asarray(y, dtype=np.float64, order="C")
         if x.shape != y.shape:
             x, y = (np.array(one, order="C") for one in np.broadcast_arrays(x, y))
-        inside = self.inside(x, y)
-        if inside is not None and not inside.all():
-            first = np.flatnonzero(~inside.ravel())[0]
+        flat_x, flat_y = x.ravel(), y.ravel()
+        values = np.empty(((order + 1) * (order + 2) // 2, x.size))
+        outside: list[Ints] = []
+
+        def work(start: int, stop: int) -> None:
+            part_x, part_y = flat_x[start:stop], flat_y[start:stop]
+            inside = self.inside(part_x, part_y)
+            if inside is None or inside.all():
+                for value, made in zip(values, self.evaluate(part_x, part_y, order), strict=True):
+                    value[start:stop] = made
+            else:
+                outside.append(start + np.flatnonzero(~inside))
+
+        # Few points at a time stay in the cache of a core.
+        run_chunks(work, x.size, CHUNK_POINTS)
+        if outside:
+            first = min(int(points[0]) for points in outside)
             raise DomainError(
-                f"{type(self).__name__} is not defined at x = {x.ravel()[first]:.6g} mm, y = {y.ravel()[first]:.6g} mm "
-                f"({np.count_nonzero(~inside)} of {x.size} points), its domain is {self.domain}: stay inside it"
+                f"{type(self).__name__} is not defined at x = {flat_x[first]:.6g} mm, y = {flat_y[first]:.6g} mm "
+                f"({sum(points.size for points in outside)} of {x.size} points), its domain is {self.domain}: stay "
+                "inside it"
             )
-        return self.evaluate(x, y, order)
+        return tuple(value.reshape(x.shape) for value in values)
 
     def require_disc(self, radius: float, what: str) -> None:
         """Raise unless the surface is defined everywhere in the disc of ``radius`` except possibly on the axis.

@@ -101,15 +101,12 @@ class Sum(Surface):
 
     def piece(self, x: Floats, y: Floats) -> Ints | None:
         """Return a number for each combination of the terms' pieces; convex pieces intersect in convex pieces."""
-        parts = [part for term in self.terms if (part := term.piece(x, y)) is not None]
-        if not parts:
-            return None
-        # Each term's number gets an equal part of the 63 bits: two terms may have 2**31 pieces each.
-        bits = 63 // len(parts)
-        number = parts[0]
-        for part in parts[1:]:
-            number = (number << bits) + part
-        return number
+        return _combined([part for term in self.terms if (part := term.piece(x, y)) is not None])
+
+    def sample(self, x: Floats, y: Floats) -> tuple[Floats, Ints | None]:
+        """Return the sum of the terms' heights, and the piece. See `Surface.sample`."""
+        heights, pieces = zip(*(term.sample(x, y) for term in self.terms), strict=True)
+        return sum(heights[1:], heights[0]), _combined([piece for piece in pieces if piece is not None])
 
     @property
     def convex_pieces(self) -> bool:
@@ -237,6 +234,14 @@ class Placed(Surface):
         number = self.surface.piece(u, v)
         return None if number is None else number.reshape(x.shape)
 
+    def sample(self, x: Floats, y: Floats) -> tuple[Floats, Ints | None]:
+        """Return height and piece of the moved surface. See `Surface.sample`."""
+        if self.tilt != (0.0, 0.0):
+            return Surface.sample(self, x, y)
+        u, v, _ = self._local(x, y)
+        z, number = self.surface.sample(u, v)
+        return (z + self.shift[2]).reshape(x.shape), None if number is None else number.reshape(x.shape)
+
     @property
     def convex_pieces(self) -> bool:
         """Whether the pieces of a level surface are convex; those of a tilted one meet along curves."""
@@ -307,11 +312,14 @@ class Placed(Surface):
 
         Without tilt the returned height is 0; with tilt it is nan where no intersection was found. Each (n,).
         """
-        dx, dy = x.ravel() - self.shift[0], y.ravel() - self.shift[1]
+        dx, dy = (at.ravel() - shift if shift else at.ravel() for at, shift in zip((x, y), self.shift, strict=False))
+        level = self.tilt == (0.0, 0.0)
+        if level and self.rotation == 0:
+            return dx, dy, np.broadcast_to(0.0, dx.shape)
         turn = self.pose.matrix
         u, v = turn[0, 0] * dx + turn[1, 0] * dy, turn[0, 1] * dx + turn[1, 1] * dy
-        if self.tilt == (0.0, 0.0):
-            return u, v, np.zeros_like(u)
+        if level:
+            return u, v, np.broadcast_to(0.0, u.shape)
         # The vertical line through (x, y), in the surface's frame: (u, v, w) + t (lu, lv, lw); t is the height.
         w = turn[0, 2] * dx + turn[1, 2] * dy
         lu, lv, lw = turn[2]
@@ -369,3 +377,15 @@ class Placed(Surface):
             gap = np.where(inside, gap, np.nan)
             up = np.where(inside, up, np.nan)
         return gap, up
+
+
+def _combined(parts: list[Ints]) -> Ints | None:
+    """Return a number for each combination of pieces."""
+    if not parts:
+        return None
+    # Each number gets an equal part of the 63 bits: two surfaces may have 2**31 pieces each.
+    bits = 63 // len(parts)
+    number = parts[0]
+    for part in parts[1:]:
+        number = (number << bits) + part
+    return number

@@ -324,6 +324,18 @@ class LensArray(Surface):
         )
         return inside.reshape(x.shape)
 
+    def sample(self, x: Floats, y: Floats) -> tuple[Floats, Ints | None]:
+        """Return the height, nan outside the domain, and the piece. See `Surface.sample`."""
+        index, u, v = self._cell(x, y)
+        z, _ = self.lenslet.sample(u, v)
+        if self.surround is not None:
+            outside = np.flatnonzero(index == self.centres.shape[0])
+            if isinstance(self.surround, Surface):
+                z[outside], _ = self.surround.sample(x.ravel()[outside], y.ravel()[outside])
+            else:
+                z[outside] = float(self.surround)
+        return z.reshape(x.shape), index.reshape(x.shape)
+
     def poles(self, x: Floats, y: Floats, reach: float) -> tuple[Floats, Floats]:
         """Return the poles of the lenslet in each lens, and of the surround outside them. See `Surface.poles`."""
         index, u, v = self._cell(x, y)
