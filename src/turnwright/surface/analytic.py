@@ -31,6 +31,7 @@ __all__ = [
     "check_radius",
     "even_coefficients",
     "even_power",
+    "farthest",
     "index_of",
     "indices_of",
     "read_terms",
@@ -166,6 +167,11 @@ def summed(x: Floats, y: Floats, order: int, *steps: tuple[Any, ...]) -> tuple[F
     return tuple(row.reshape(x.shape) for row in out)
 
 
+def farthest(values: Floats) -> float:
+    """Return the largest magnitude of some values, nan if one is nan."""
+    return max(float(values.max()), -float(values.min())) if values.size else 0.0
+
+
 def changing_length(sizes: Mapping[int, float]) -> float:
     """Estimate the length over which the curvature of a polynomial changes by its own size.
 
@@ -228,7 +234,11 @@ class OnConic(Surface):
 
     def inside(self, x: Floats, y: Floats) -> Bools | None:
         """Return where the conic is defined."""
-        return None if self._squared <= 0 else 1 - self._squared * (x * x + y * y) > 0
+        if self._squared <= 0:
+            return None
+        if 1 - self._squared * sum(farthest(at) ** 2 for at in (x, y)) > 0:  # most points are far inside
+            return np.ones(x.shape, dtype=np.bool_)
+        return 1 - self._squared * (x * x + y * y) > 0
 
     @property
     def of_revolution(self) -> bool:

@@ -17,6 +17,7 @@ from turnwright.surface.analytic import (
     check_radius,
     even_coefficients,
     even_power,
+    farthest,
     index_of,
     read_terms,
     summed,
@@ -89,10 +90,20 @@ class Toroid(Surface):
         squared = 1 - (1 + self.conic) * x * x / self.radius_x**2
         with np.errstate(invalid="ignore"):
             height = x * x / self.radius_x / (1 + np.sqrt(squared))
-        return squared, height + np.polynomial.polynomial.polyval(x * x, self._coefficients)
+        if self.terms:
+            height = height + np.polynomial.polynomial.polyval(x * x, self._coefficients)
+        return squared, height
 
     def inside(self, x: Floats, y: Floats) -> Bools | None:
         """Return the mask of points where neither the arc nor the circle around the line is vertical."""
+        if not self.terms:
+            # The height of the arc grows with |x|: where all corners of a rectangle are inside, all of it is.
+            corners = self._within(np.array([0.0, farthest(x)]), np.full(2, farthest(y)))
+            if corners.all():
+                return np.ones(x.shape, dtype=np.bool_)
+        return self._within(x, y)
+
+    def _within(self, x: Floats, y: Floats) -> Bools:
         squared, height = self._arc(x)
         return np.asarray((squared > 0) & (1 - height / self.radius_y > np.abs(y / self.radius_y)))
 
