@@ -108,7 +108,8 @@ def require_heights(path: Path, heights: Floats) -> None:
 
 def too_high(heights: Floats) -> str:
     """Return what is wrong with heights that are too large for any part; empty if nothing is."""
-    highest = float(np.nanmax(np.abs(heights), initial=0.0))
+    ends = (np.fmax.reduce(heights, axis=None, initial=0.0), -np.fmin.reduce(heights, axis=None, initial=0.0))
+    highest = float(max(ends))
     return f"has heights of up to {highest:.3g} mm, the limit is {MAX_HEIGHT_MM:g} mm" * (highest > MAX_HEIGHT_MM)
 
 
@@ -130,7 +131,8 @@ def check_inflated_size(path: Path, packed: int, claimed: int) -> None:
 
 def finite_or_missing(heights: Floats) -> Floats:
     """Return heights with infinite values replaced by nan."""
-    return np.where(np.isfinite(heights), heights, np.nan)
+    infinite = np.isinf(heights)
+    return np.where(infinite, np.nan, heights) if infinite.any() else heights
 
 
 def words(raw: bytes) -> str:

@@ -38,7 +38,7 @@ def read(path: Path, data: bytes) -> HeightMap:
     along_x = header.x_scale * 1e3
     return grid_map(
         path,
-        np.array(file.data * 1e3),
+        np.asarray(file.data * 1e3),
         (along_x, header.y_scale * 1e3 if rows > 1 else along_x),
         metadata={
             "format": f"ISO 25178-71 .sdf, {header.magic}",
