@@ -68,7 +68,7 @@ def linear_again():
 @pytest.fixture
 def kept(tmp_path, monkeypatch):
     """The folder of a kernel that is kept for two signatures."""
-    monkeypatch.setattr(compiling, "_cache_folder", lambda _module: tmp_path)
+    monkeypatch.setattr(compiling, "cache_folder", lambda _module: tmp_path)
     assert linear_again() == 0
     assert linear_again() == 2
     assert len(list(tmp_path.iterdir())) == 2
@@ -119,7 +119,7 @@ def first(pair):
 
 def test_a_kernel_of_a_named_tuple_is_kept_by_its_fields(tmp_path, monkeypatch):
     """numba's type of a named tuple has its name and the types of its fields, so that exchanged ones look alike."""
-    monkeypatch.setattr(compiling, "_cache_folder", lambda _module: tmp_path)
+    monkeypatch.setattr(compiling, "cache_folder", lambda _module: tmp_path)
     for fields, hits in (("first second", 0), ("first second", 1), ("second first", 0)):
         pair = namedtuple("Pair", fields)  # noqa: PYI024 - two of one name, in turn
         monkeypatch.setattr(sys.modules[__name__], "Pair", pair, raising=False)
@@ -130,7 +130,7 @@ def test_a_kernel_of_a_named_tuple_is_kept_by_its_fields(tmp_path, monkeypatch):
 
 def test_a_place_that_takes_no_file_costs_only_time(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("no folder")
-    monkeypatch.setattr(compiling, "_cache_folder", lambda _module: tmp_path / "file" / "kernels")
+    monkeypatch.setattr(compiling, "cache_folder", lambda _module: tmp_path / "file" / "kernels")
     assert linear_again() == 0
     assert linear_again() == 0
 

@@ -4,16 +4,21 @@ numba's disk cache notices an edited function but not an edited callee in anothe
 old code. So each module has a cache folder named after a hash of its source and of the kernels that it imports: an edit
 starts new folders for that module and for those that call it, and keeps the others. The files are our own, not
 numba's: numba runs whatever its files contain, and fails if one is truncated or the disk is full.
+
+numba compiles one kernel at a time in a process. On a machine that has none yet, a second process can compile those of
+a module while the first one compiles others; the disk cache then brings what it has compiled.
 """
 
 from __future__ import annotations
 
+import atexit
 import functools
 import hashlib
 import logging
 import os
 import pickle  # noqa: TID251 - of compiled code only, which numba writes so
 import re
+import subprocess
 import sys
 import uuid
 from collections.abc import Callable
@@ -25,11 +30,17 @@ import numba
 import platformdirs
 from numba.core import compiler, serialize
 
-__all__ = ["compiled"]
+__all__ = ["cache_folder", "compile_ahead", "compiled"]
 
 _CALLED = re.compile(r"^from turnwright\._kernels\.(\w+) import", re.MULTILINE)
 
 _LOG = logging.getLogger(__name__)
+
+LONGEST_S = 120.0
+"""Time after which a second process is no longer waited for."""
+
+_running: dict[str, subprocess.Popen[bytes]] = {}
+"""The process that compiles the kernels of a module."""
 
 CHECKSUM = hashlib.sha256().digest_size
 """Bytes before the code in a file."""
@@ -50,12 +61,41 @@ def _digest(folder: Path, name: str) -> str:
 
 
 @functools.cache
-def _cache_folder(module: str) -> Path:
+def cache_folder(module: str) -> Path:
     """Return the cache folder of the kernels of a module, for this version of Python."""
     name = module.rpartition(".")[2]
     base = os.environ.get("NUMBA_CACHE_DIR") or platformdirs.user_cache_dir("turnwright")
     digest = _digest(Path(__file__).parent, name)
     return Path(base) / f"kernels-{name}-{digest}" / str(sys.implementation.cache_tag)
+
+
+def compile_ahead(module: str, code: str) -> None:
+    """Start a process with Python code that compiles the kernels of a module, unless it has a cache folder already."""
+    folder = cache_folder(module)
+    if module in _running or folder.exists() or not sys.executable:
+        return
+    try:
+        folder.mkdir(parents=True)
+        process = subprocess.Popen(  # noqa: S603 - this Python
+            [sys.executable, "-c", code],
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+    except OSError:  # each kernel is then compiled where it is called
+        return
+    _running[module] = process
+    atexit.register(process.kill)
+
+
+def _was_compiled_ahead(module: str) -> bool:
+    """Wait for the process that compiles the kernels of a module; return whether there was one."""
+    process = _running.pop(module, None)
+    if process is None:
+        return False
+    try:
+        process.wait(LONGEST_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+    return True
 
 
 class _Cache:
@@ -66,12 +106,20 @@ class _Cache:
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        self.cache_path = str(_cache_folder(function.__module__))
+        self.cache_path = str(cache_folder(function.__module__))
         self._module, self._name = function.__module__.rpartition(".")[2], function.__qualname__
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Return the compiled code for a signature, or ``None`` if it must be compiled, which is logged."""
         context.refresh()
+        code = self._load(signature, context)
+        if code is None:
+            _LOG.info("compiling %s, once on this machine", self._module)
+            if _was_compiled_ahead(self._module):
+                code = self._load(signature, context)
+        return code
+
+    def _load(self, signature: Any, context: Any) -> Any:
         key = _key(signature, context.codegen())
         try:
             data = self._file(key).read_bytes()
@@ -81,7 +129,6 @@ class _Cache:
                     return compiler.CompileResult._rebuild(context, *code)  # noqa: SLF001 - as numba does
         except Exception:  # noqa: BLE001, S110 - whatever is wrong with it, it can be compiled
             pass
-        _LOG.info("compiling %s, once on this machine", self._module)
         return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:

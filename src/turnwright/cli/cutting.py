@@ -60,9 +60,10 @@ def run(
         run_batch(jobs, out, session, force=force, workers=workers)
         return
     with new_folder(out, session, force=force) as folder:
-        from turnwright.job import Job, steps_of_run  # noqa: PLC0415 - costly
+        from turnwright.job import Job, compile_simulation_ahead, steps_of_run  # noqa: PLC0415 - costly
 
         recipe = Job.load(jobs[0])
+        compile_simulation_ahead()
         with show_progress(session.stop, steps_of_run(recipe)) as progress:
             result = run_into(folder, recipe, progress)
     for cut in result.passes:

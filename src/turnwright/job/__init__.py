@@ -6,6 +6,7 @@ from turnwright.job.contributions import ErrorBreakdown, break_down_error, has_s
 from turnwright.job.correction import Correction, correct
 from turnwright.job.cusps import CuspLight
 from turnwright.job.finish_terms import Finish, finish
+from turnwright.job.first_run import compile_simulation, compile_simulation_ahead
 from turnwright.job.links import find_wrong_move
 from turnwright.job.measurement import Measured, diagnose, measure, read_measurement
 from turnwright.job.optics import OpticalPerformance, measured_optics
@@ -65,6 +66,8 @@ __all__ = [
     "as_tables",
     "break_down_error",
     "compare",
+    "compile_simulation",
+    "compile_simulation_ahead",
     "context_of",
     "correct",
     "diagnose",

@@ -1,0 +1,62 @@
+"""The first run on a machine: a second process compiles the kernels of the simulation."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from turnwright._kernels import compiling
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "li2018_sine_grid.toml"
+
+
+@pytest.fixture
+def kernels(tmp_path, monkeypatch):
+    """An empty folder of compiled kernels."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    compiling.cache_folder.cache_clear()
+    yield tmp_path
+    compiling.cache_folder.cache_clear()
+
+
+def test_one_process_is_started_and_waited_for(kernels, tmp_path):
+    note = tmp_path / "note"
+    code = f"import time; time.sleep(0.5); open({str(note)!r}, 'a').write('compiled ')"
+    compiling.compile_ahead("generation", code)
+    compiling.compile_ahead("generation", code)
+    begin = time.perf_counter()
+    assert compiling._was_compiled_ahead("generation")
+    assert note.read_text() == "compiled "
+    assert time.perf_counter() - begin > 0.1
+    assert not compiling._was_compiled_ahead("generation")
+    compiling.compile_ahead("generation", code)  # its folder is there
+    assert not compiling._was_compiled_ahead("generation")
+
+
+def test_a_folder_that_cannot_be_written_starts_nothing(kernels, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
+    compiling.cache_folder.cache_clear()
+    compiling.compile_ahead("generation", "raise SystemExit")
+    assert not compiling._was_compiled_ahead("generation")
+
+
+@pytest.mark.proof
+def test_a_run_compiles_no_kernel_of_the_simulation_after_that(kernels, tmp_path):
+    """The files of its kernels are those of `compile_simulation`, so all their signatures are right."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(kernels)}
+
+    def python(*arguments):
+        subprocess.run([sys.executable, *arguments], check=True, env=environment, capture_output=True)
+
+    def simulation():
+        return {file.name for file in kernels.glob("kernels-generation-*/*/*.kernel")}
+
+    python("-c", "from turnwright.job import compile_simulation; compile_simulation()")
+    before = simulation()
+    assert len(before) > 10
+    python("-m", "turnwright", "run", str(EXAMPLE), "--out", str(tmp_path / "out"))
+    assert simulation() == before
