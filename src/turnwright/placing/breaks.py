@@ -16,7 +16,7 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints
 from turnwright._kernels import dilation as kernel
-from turnwright.placing.tangent import SAMPLES_PER_PERIOD, Contact, Tips
+from turnwright.placing.tangent import SAMPLES_PER_PERIOD, Contact, SurfaceKey, Tips
 from turnwright.surface import Surface
 
 __all__ = [
@@ -85,30 +85,17 @@ class _Intervals(NamedTuple):
         return _Intervals(self.row[which], self.after[which], self.a[which], self.b[which])
 
 
-class _SurfaceKey:
-    """Key of a cache: a surface that is compared by identity, which is fast."""
-
-    def __init__(self, surface: Surface) -> None:
-        self.surface = surface
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _SurfaceKey) and self.surface is other.surface
-
-    def __hash__(self) -> int:
-        return id(self.surface)
-
-
 def find_extremes(surface: Surface, radius: float, *, radial: bool) -> SurfaceExtremes:
     """Return the extremes of a surface, sampled along diameters.
 
     With ``radial`` the edge lies in the radial plane and only slopes along the radius count; otherwise the edge passes
     the axis at a distance and slopes in every direction count.
     """
-    return _find_extremes_cached(_SurfaceKey(surface), radius, radial=radial)
+    return _find_extremes_cached(SurfaceKey(surface), radius, radial=radial)
 
 
 @lru_cache(maxsize=8)
-def _find_extremes_cached(same: _SurfaceKey, radius: float, *, radial: bool) -> SurfaceExtremes:
+def _find_extremes_cached(same: SurfaceKey, radius: float, *, radial: bool) -> SurfaceExtremes:
     surface = same.surface
     spacing = min(surface.feature_size / SAMPLES_PER_PERIOD, radius / MIN_RADIAL_SAMPLES)
     spacing = max(spacing, radius * float(np.sqrt(2 * np.pi / MAX_GRID_SAMPLES)))

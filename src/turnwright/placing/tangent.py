@@ -12,6 +12,7 @@ tangent solution and the error of a wavy edge. Reference solutions of the tests:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,16 @@ from turnwright.edge import Edge
 from turnwright.errors import GougeError
 from turnwright.surface import Surface
 
-__all__ = ["Contact", "Tips", "Touch", "find_curvature_limit", "find_tangents", "find_tangents_through", "follow"]
+__all__ = [
+    "Contact",
+    "SurfaceKey",
+    "Tips",
+    "Touch",
+    "find_curvature_limit",
+    "find_tangents",
+    "find_tangents_through",
+    "follow",
+]
 
 MAX_CURVATURE_RATIO = 0.9
 """A single tangent is assumed where the surface has at most this fraction of the edge's curvature."""
@@ -132,52 +142,80 @@ class Contact:
         return value, first, top, step, bend
 
 
+class SurfaceKey:
+    """Key of a cache: a surface that is compared by identity, which is fast."""
+
+    def __init__(self, surface: Surface) -> None:
+        self.surface = surface
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, SurfaceKey) and self.surface is other.surface
+
+    def __hash__(self) -> int:
+        return id(self.surface)
+
+
 def find_curvature_limit(contact: Contact) -> float | None:
     """Return the limit of the surface's curvature, or ``None`` if a grid over the part exceeds it."""
-    if not contact.edge.convex or contact.surface.in_pieces:
+    edge = contact.edge
+    if not edge.convex or contact.surface.in_pieces:
         return None
-    limit = MAX_CURVATURE_RATIO * contact.edge.least_curvature()
+    limit = MAX_CURVATURE_RATIO * edge.least_curvature()
+    reach, fine = contact.extent + edge.half_width, contact.feature / SAMPLES_PER_PERIOD
+    lean = None if contact.upright else (abs(edge.rake_sin), edge.radius)
+    greatest = _greatest_slope_and_curvature(
+        SurfaceKey(contact.surface), reach, fine, lean, has_rim=contact.rim < np.inf
+    )
+    # The flanks are straight: the surface cannot reach them only if it is nowhere as steep as they are.
+    unique = greatest is not None and greatest[0] < MAX_CURVATURE_RATIO * contact.flank and greatest[1] < limit
+    return limit if unique else None
+
+
+@lru_cache(maxsize=16)  # a run places on the same surface again and again
+def _greatest_slope_and_curvature(
+    same: SurfaceKey, reach: float, fine: float, lean: tuple[float, float] | None, *, has_rim: bool
+) -> tuple[float, float] | None:
+    """Return the greatest slope and upward curvature that count for an edge, on a grid; ``None`` if it is too fine.
+
+    ``lean`` is the sine of the rake and the radius of an edge out of the radial plane.
+    """
     # The grid resolves the surface's features; where that takes too many samples, the search is as fast.
-    reach, fine = contact.extent + contact.edge.half_width, contact.feature / SAMPLES_PER_PERIOD
     rings = max(97, int(np.ceil(reach / fine))) if fine > 0 else MAX_GRID_SAMPLES
     spokes = max(120, int(np.ceil(2 * np.pi * reach / fine))) if fine > 0 else MAX_GRID_SAMPLES
     if rings * spokes > MAX_GRID_SAMPLES:
         return None
     ring = np.linspace(0, reach, rings)
+    # With a rim, the tangent must be unique as far as the arc reaches; otherwise every tip is searched for.
+    elsewhere = np.inf if has_rim else -np.inf
     steepest, sharpest, change = 0.0, -np.inf, 0.0
     for angle in np.array_split(np.linspace(0, 2 * np.pi, spokes, endpoint=False), -(-rings * spokes // 65536)):
         c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-        slope, bend = _evaluate_slope_and_curvature(contact, ring * c, ring * s, c, s)
+        inside = same.surface.inside(ring * c, ring * s)
+        with np.errstate(all="ignore"):
+            slope, bend = _slope_and_curvature(same.surface, ring * c, ring * s, c, s, lean)
+            valid = np.isfinite(bend) & np.isfinite(slope)
+        if inside is not None:
+            valid &= inside
+        slope, bend = np.where(valid, slope, 0.0), np.where(valid, bend, elsewhere)
         steepest = max(steepest, float(slope.max(initial=0.0)))
         sharpest = max(sharpest, float(bend.max(initial=-np.inf)))
         # Between the rings the curvature may be greater by about its change from ring to ring.
         with np.errstate(invalid="ignore"):
             steps = np.abs(np.diff(bend, axis=1))
         change = max(change, float(steps[np.isfinite(steps)].max(initial=0.0)))
-    # The flanks are straight: the surface cannot reach them only if it is nowhere as steep as they are.
-    return limit if steepest < MAX_CURVATURE_RATIO * contact.flank and sharpest + change < limit else None
+    return steepest, sharpest + change
 
 
-def _evaluate_slope_and_curvature(
-    contact: Contact, x: Floats, y: Floats, c: Floats, s: Floats
+def _slope_and_curvature(
+    surface: Surface, x: Floats, y: Floats, c: Floats, s: Floats, lean: tuple[float, float] | None
 ) -> tuple[Floats, Floats]:
-    """Return the greatest slope and upward curvature at (x, y) that count for an edge at azimuth (c, s)."""
-    inside = contact.surface.inside(x, y)
-    with np.errstate(all="ignore"):
-        _, zx, zy, zxx, zxy, zyy = contact.surface.evaluate(x, y, 2)
-    slope, bend = np.abs(zx * c + zy * s), zxx * c * c + 2 * zxy * c * s + zyy * s * s
-    if not contact.upright:
-        # Out of the radial plane every direction counts, and the slope across the plane adds to that of a raked edge.
-        slope, lean = np.hypot(zx, zy), abs(contact.edge.rake_sin)
-        mean, half = 0.5 * (zxx + zyy), np.hypot(0.5 * (zxx - zyy), zxy)
-        bend = (mean + half) * (1 + lean) ** 2 + slope * lean / contact.edge.radius
-        slope = slope * (1 + lean)
-    valid = np.isfinite(bend) & np.isfinite(slope)
-    if inside is not None:
-        valid &= inside
-    # With a rim, the tangent must be unique as far as the arc reaches; otherwise every tip is searched for.
-    elsewhere = np.inf if contact.rim < np.inf else -np.inf
-    return np.where(valid, slope, 0.0), np.where(valid, bend, elsewhere)
+    _, zx, zy, zxx, zxy, zyy = surface.evaluate(x, y, 2)
+    if lean is None:
+        return np.abs(zx * c + zy * s), zxx * c * c + 2 * zxy * c * s + zyy * s * s
+    # Out of the radial plane every direction counts, and the slope across the plane adds to that of a raked edge.
+    slope, (rake_sin, radius) = np.hypot(zx, zy), lean
+    mean, half = 0.5 * (zxx + zyy), np.hypot(0.5 * (zxx - zyy), zxy)
+    return slope * (1 + rake_sin), (mean + half) * (1 + rake_sin) ** 2 + slope * rake_sin / radius
 
 
 def find_tangents(contact: Contact, limit: float, tips: Tips, out: Touch) -> bool:
