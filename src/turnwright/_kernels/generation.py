@@ -523,14 +523,15 @@ def misses(blocks, k, edge, gap, lean, dip, sense, r, phase, half, spread, ceili
 
 @jit
 def core_height(
-    c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r, azimuth, useful,
+    c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r, azimuth, useful, pieces, line,
 ):  # fmt: skip
     """Return the height at one point that a turn may pass over at any number of moments.
 
     Such a point is close to the axis, or Y moves about as fast as the part. From either side the edge can pass over the
     point only while the lateral distance of the point from the plane through the axis is at most that of the edge:
     within a quarter turn, or much less. Each such stretch of each turn of ``useful`` (2, 2), see `useful_lateral`, is
-    searched block by block (see `block_bounds`) and line by line, those likely to be lowest first.
+    searched block by block (see `block_bounds`) and line by line, those likely to be lowest first. ``pieces`` (64, 2)
+    and ``line`` (6,) are scratch.
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
     turns, lines = bounds.shape[1], c.size - 1
@@ -539,7 +540,6 @@ def core_height(
     size = r + edge.base + abs(edge.dx) + abs(edge.dy) + most_y + max(abs(bounds[1, 0]), abs(bounds[0, turns - 1]))
     if edge.rake_sin * edge.dy >= 0.0 and r + 64.0 * EPSILON * size < abs(edge.dy) - lean * dip - most_y:
         return FAR  # the lateral distance of the edge from the axis is always larger
-    pieces, line = np.empty((64, 2)), np.empty(6)
     lowest = FAR
     for which in range(2):
         side = -1.0 if which == 1 else 1.0
@@ -771,6 +771,30 @@ def rings_between(rings, low, high):
 
 
 @jit
+def turns_near(c, sense, starts, rings, useful, upright, low, high, middle, half, which):
+    """Return (behind, turned, first, last) of the turns whose passes from one side may matter, see `gather`.
+
+    Turn m passes over the azimuth a at a + ``behind`` + TURN (``turned`` + m).
+    """
+    turns = starts.size - 1
+    begin = sense * c[0]
+    behind = np.pi if which == 1 else 0.0
+    along = middle + behind
+    turned = np.ceil((begin - along - ROUNDING) / TURN)
+    start = along + TURN * turned
+    first, last = turns, -1
+    for ring in range(*rings_between(rings, low, high)):
+        first, last = min(first, useful[ring, which, 0]), max(last, useful[ring, which, 1])
+    # At either end of the motion a pass more, which may cover some azimuths of a tile and not others; everywhere
+    # for a tool that passes over an azimuth up to a quarter turn early or late, and where some azimuths lie before
+    # the one at which the turns begin and some after it, so that they count their turns differently.
+    across = start - begin <= half + ROUNDING or start + half + ROUNDING >= begin + TURN
+    before = 1 if first == 0 or not upright or across else 0
+    after = 1 if last == turns - 1 or not upright or across else 0
+    return behind, turned, max(first - before, -1), min(last + after, turns)
+
+
+@jit
 def gather(c, sense, starts, rings, useful, upright, low, high, middle, half, side, shift, hint):
     """List every pass that may matter between the distances ``low`` and ``high`` from the axis, near one azimuth.
 
@@ -778,29 +802,44 @@ def gather(c, sense, starts, rings, useful, upright, low, high, middle, half, si
     within ``half`` of the ``middle``; ``hint`` k is where in the motion to look. ``useful`` is of `useful_by_ring` or
     `useful_lateral`. Return how many there are.
     """
-    turns = starts.size - 1
-    begin = sense * c[0]
     count = 0
     for which in range(2):
-        behind = np.pi if which == 1 else 0.0
-        along = middle + behind
-        turned = np.ceil((begin - along - ROUNDING) / TURN)
-        start = along + TURN * turned
-        first, last = turns, -1
-        for ring in range(*rings_between(rings, low, high)):
-            first, last = min(first, useful[ring, which, 0]), max(last, useful[ring, which, 1])
-        # At either end of the motion a pass more, which may cover some azimuths of a tile and not others; everywhere
-        # for a tool that passes over an azimuth up to a quarter turn early or late, and where some azimuths lie before
-        # the one at which the turns begin and some after it, so that they count their turns differently.
-        across = start - begin <= half + ROUNDING or start + half + ROUNDING >= begin + TURN
-        before = 1 if first == 0 or not upright or across else 0
-        after = 1 if last == turns - 1 or not upright or across else 0
-        for m in range(max(first - before, -1), min(last + after, turns) + 1):
+        behind, turned, first, last = turns_near(
+            c, sense, starts, rings, useful, upright, low, high, middle, half, which
+        )
+        for m in range(first, last + 1):
             # The same number whatever the middle, so that heights do not depend on how points are grouped.
             side[count], shift[count] = which, behind + TURN * (turned + m)
             hint[count] = guess_index(c, sense, middle + shift[count], starts)
             count += 1
     return count
+
+
+@jit
+def height_alone(
+    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, r, azimuth, pieces, line,
+):  # fmt: skip
+    """Return the height at one point off the axis, by all passes that may matter there.
+
+    ``pieces`` and ``line`` are scratch for `core_height`.
+    """
+    if y is not None:
+        ring, _ = rings_between(rings, r, r)
+        if core[ring]:
+            return core_height(
+                c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r, azimuth, useful[ring], pieces,
+                line,
+            )  # fmt: skip
+    lowest = FAR
+    for which in range(2):
+        behind, turned, first, last = turns_near(
+            c, sense, starts, rings, useful, y is None, r, r, azimuth, 0.0, which
+        )  # fmt: skip
+        for m in range(first, last + 1):
+            t = azimuth + (behind + TURN * (turned + m))
+            h, _, _, _, _ = pass_at(c, x, y, z, sense, edge, t, r, which, guess_index(c, sense, t, starts))
+            lowest = min(lowest, h)
+    return lowest
 
 
 @jit
@@ -1206,6 +1245,7 @@ def fill_by_lines(
     spread = hr + (rc + hr) * ha + ROUNDING * rc
     inner, outer = rings_between(rings, rc - hr, rc + hr)
     range_of = useful[inner].copy()
+    pieces, scratch = np.empty((64, 2)), np.empty(6)
     for ring in range(inner + 1, outer):
         for which in range(2):
             range_of[which, 0] = min(range_of[which, 0], useful[ring, which, 0])
@@ -1217,6 +1257,7 @@ def fill_by_lines(
         for k in (0, r.size - 1):
             h = core_height(
                 c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r[k], azimuth[k], range_of,
+                pieces, scratch,
             )  # fmt: skip
             lowest, highest = min(lowest, h), max(highest, h)
         if highest < FAR:
@@ -1225,7 +1266,6 @@ def fill_by_lines(
                 c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, rc, ac, spread, range_of, ceiling,
                 lines, floor,
             )  # fmt: skip
-    pieces = np.empty((64, 2))
     near = np.empty(max(count, 1), np.int64)
     for tile in range(tiles.size - 1):
         part = slice(tiles[tile], tiles[tile + 1])
@@ -1258,6 +1298,7 @@ def fill_by_lines(
                 ring, _ = rings_between(rings, r[i], r[i])
                 lowest = core_height(
                     c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r[i], azimuth[i], useful[ring],
+                    pieces, scratch,
                 )  # fmt: skip
             out[i] = lowest
 
@@ -1284,6 +1325,7 @@ def fill_groups(
     for tile in range(groups[0], groups[number]):
         most = max(most, offsets[tile + 1] - offsets[tile])
     tip, level = np.empty(most), np.empty(most)
+    pieces, line = np.empty((64, 2)), np.empty(6)
     upright = y is None
     if y is not None:
         lines, floor, floors = np.empty((MAX_LINES, 9)), np.empty(MAX_LINES), np.empty(MAX_LINES)
@@ -1322,29 +1364,14 @@ def fill_groups(
                 continue
         if not together:
             for i in range(origin, end):
-                if y is None:
+                if y is None:  # noqa: SIM102 - alone, so that numba leaves out what follows
                     if r[i] == 0.0:
                         out[i] = axis_height(x, z, starts, bounds, edge, gap)
                         continue
-                else:
-                    ring, _ = rings_between(rings, r[i], r[i])
-                    if core[ring]:
-                        out[i] = core_height(
-                            c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r[i],
-                            azimuth[i], useful[ring],
-                        )  # fmt: skip
-                        continue
-                n = gather(
-                    c, sense, starts, rings, useful, upright, r[i], r[i], azimuth[i], 0.0, lists[0, 0], shifts[0],
-                    lists[0, 1],
+                out[i] = height_alone(
+                    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, r[i],
+                    azimuth[i], pieces, line,
                 )  # fmt: skip
-                out[i] = FAR
-                only = slice(i, i + 1)
-                for k in range(n):
-                    lower_each(
-                        c, x, y, z, sense, edge, shifts[0, k], lists[0, 0, k], lists[0, 1, k], r[only], azimuth[only],
-                        out[only],
-                    )  # fmt: skip
             continue
         n, source = in_block, 1
         if in_block < 0:
