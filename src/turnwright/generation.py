@@ -13,7 +13,8 @@ backplots on a polar grid with a linear tool table.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Ints, frozen, only_read, same_length
 from turnwright._kernels import generation as kernel
-from turnwright._validate import check_azimuths
+from turnwright._validate import check_azimuths, one_of
 from turnwright.edge import Edge
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
@@ -178,17 +179,20 @@ class Prepared:
     useful: Ints
     core: Bools
     most_y: float
+    card: Any = None  # the `Card` that computes the grids, if the processors do not
 
     @classmethod
     def of(
-        cls, motion: Motion, tool: Tool, machine: Machine | None, *, distances: tuple[float, float], most_rings: int
-    ) -> Prepared:
+        cls, motion: Motion, tool: Tool, machine: Machine | None, *, distances: tuple[float, float], most_rings: int,
+        device: str = "cpu",
+    ) -> Prepared:  # fmt: skip
         """Prepare for the points between two ``distances`` from the axis [mm], with so many rings at most."""
-        return _prepare(_cut(motion, tool, machine), *distances, most_rings)
+        require_device(device)
+        return _prepare(_cut(motion, tool, machine), *distances, most_rings, device)
 
     def narrowed(self, distances: tuple[float, float], most_rings: int) -> Prepared:
         """Prepare what is prepared already for a smaller range of distances [mm], at a small part of the cost."""
-        return _prepare(self.cut, *distances, most_rings)
+        return _prepare(self.cut, *distances, most_rings, "cpu" if self.card is None else "cuda")
 
     def sides(self, steps: tuple[float, float]) -> tuple[int, int]:
         """Return how many points of a grid with such steps [mm] go in one tile, along rows and columns."""
@@ -211,19 +215,28 @@ class Prepared:
         if sides is None:
             sides = self.sides((_mean_step(rows) * (float(columns[-1]) if polar else 1.0), _mean_step(columns)))
         wanted = _any_of(inside, 4 * sides[0], 4 * sides[1], (rows.size, columns.size))
+        z = np.empty((rows.size, columns.size)) if inside is None else np.full((rows.size, columns.size), np.nan)
+        if self.card is None:
+            self._fill_grid(columns, rows, polar, sides, wanted, threads, z, progress)
+        else:
+            self.card.fill_grid(columns, rows, polar, sides, wanted, z, progress)
+        if inside is not None:
+            z[~inside] = np.nan
+        return _finish(z)
+
+    def _fill_grid(
+        self, columns: Floats, rows: Floats, polar: bool, sides: tuple[int, int], wanted: Bools, threads: int | None,
+        z: Floats, progress: Progress | None,
+    ) -> None:  # fmt: skip
         # The list of passes is shortened for several groups at once, where the grid has enough of them for all cores.
         several = 4 if wanted.size >= 16 * GROUPS_PER_CORE * cores() else 1
         blocks = -(-wanted.shape[0] // several) * -(-wanted.shape[1] // several)
-        z = np.empty((rows.size, columns.size)) if inside is None else np.full((rows.size, columns.size), np.nan)
         columns, rows = only_read(columns), only_read(rows)
 
         def work(start: int, stop: int) -> None:
             kernel.grid(*self._arguments, columns, rows, polar, sides, wanted, several, True, start, stop, z)
 
         run_chunks(work, blocks, int(np.clip(blocks // 32, 1, 64)), progress, threads=threads)
-        if inside is not None:
-            z[~inside] = np.nan
-        return _finish(z)
 
     @property
     def _arguments(self) -> tuple[Any, ...]:
@@ -242,7 +255,7 @@ def _any_of(inside: Bools | None, tall: int, wide: int, shape: tuple[int, int]) 
     return np.logical_or.reduceat(np.logical_or.reduceat(inside, starts[0], axis=0), starts[1], axis=1)
 
 
-def _prepare(cut: _Cut, low: float, high: float, most_rings: int) -> Prepared:
+def _prepare(cut: _Cut, low: float, high: float, most_rings: int, device: str = "cpu") -> Prepared:
     """Settle once for each of some hundred rings which turns can matter at all."""
     high = high * (1 + 1e-9) + 1e-9
     low = min(low, high) * (1 - 1e-9)
@@ -258,7 +271,18 @@ def _prepare(cut: _Cut, low: float, high: float, most_rings: int) -> Prepared:
         kernel.useful_by_ring(cut.bounds, cut.edge, rings, useful)
     else:
         kernel.useful_lateral(cut.bounds, cut.edge, cut.gap, cut.bend, most_y, rings, useful, core)
-    return Prepared(cut, blocks, rings, useful, core, most_y)
+    ready = Prepared(cut, blocks, rings, useful, core, most_y)
+    return ready if device == "cpu" else replace(ready, card=_on_card(ready))
+
+
+def _on_card(ready: Prepared) -> Any:
+    """Return what is prepared in the memory of the graphics card."""
+    from turnwright._kernels.cuda import Card  # noqa: PLC0415 - numba is costly to import
+
+    cut, on_axis = ready.cut, kernel.FAR
+    if cut.upright:
+        on_axis = kernel.axis_height(cut.x, cut.z, cut.starts, cut.bounds, cut.edge, cut.gap)
+    return Card(ready._arguments, cut.y, on_axis)  # noqa: SLF001 - of this module
 
 
 def _tile_sides(cut: _Cut, steps: tuple[float, float]) -> tuple[int, int]:
@@ -274,6 +298,24 @@ def _tile_sides(cut: _Cut, steps: tuple[float, float]) -> tuple[int, int]:
     return (1, MAX_SIDE) if ratio > MIN_SIDE else (MAX_SIDE, 1) if ratio * MIN_SIDE < 1 else (MIN_SIDE, MIN_SIDE)
 
 
+def require_device(device: str) -> None:
+    """Raise unless ``device`` names what can compute here: "cpu", or "cuda" for a graphics card of NVIDIA."""
+    one_of(device, "device", ("cpu", "cuda"))
+    if device == "cpu":
+        return
+    if find_spec("numba_cuda") is None:
+        raise InputError(
+            "device is \"cuda\", which needs numba-cuda, which is not installed: pip install 'turnwright[cuda]'"
+        )
+    from numba import cuda  # noqa: PLC0415 - costly to import
+
+    if not cuda.is_available():
+        raise InputError(
+            'device is "cuda", and no graphics card of NVIDIA is usable: install its driver and '
+            "pip install 'turnwright[cuda]', or choose \"cpu\""
+        )
+
+
 def generate(
     motion: Motion,
     tool: Tool,
@@ -281,6 +323,7 @@ def generate(
     x: ArrayLike,
     y: ArrayLike,
     machine: Machine | None = None,
+    device: str = "cpu",
     progress: Progress | None = None,
 ) -> HeightMap:
     """Return the surface that a motion leaves, over a rectangular grid.
@@ -295,6 +338,9 @@ def generate(
         Ascending columns (nx,) and rows (ny,). [mm]
     machine
         The *actual* machine; by default the one the motion was made for, whose errors it corrects.
+    device
+        "cpu" for all processors, or "cuda" for a graphics card of NVIDIA, whose heights are equal within 1e-12 mm and
+        which needs ``pip install 'turnwright[cuda]'``.
     progress
         Called with (done, total).
 
@@ -308,10 +354,12 @@ def generate(
     Raises
     ------
     InputError
-        If a grid axis does not ascend.
+        If a grid axis does not ascend, or ``device`` is "cuda" and there is no card.
     """
     x, y = _check_ascending(x, "x"), _check_ascending(y, "y")
-    ready = Prepared.of(motion, tool, machine, distances=grid_distances(x, y), most_rings=x.size * y.size)
+    ready = Prepared.of(
+        motion, tool, machine, distances=grid_distances(x, y), most_rings=x.size * y.size, device=device
+    )  # fmt: skip
     return HeightMap(z=ready.fill_grid(x, y, progress=progress), x=x, y=y, name="generated")
 
 
@@ -331,6 +379,7 @@ def generate_polar(
     radius: ArrayLike,
     angle: ArrayLike,
     machine: Machine | None = None,
+    device: str = "cpu",
     progress: Progress | None = None,
     out: Floats | None = None,
 ) -> HeightMap:
@@ -341,7 +390,7 @@ def generate_polar(
 
     Parameters
     ----------
-    motion, tool, machine, progress
+    motion, tool, machine, device, progress
         See `generate`.
     radius
         Ascending distances from the axis, at least 0. (n_radius,) [mm]
@@ -359,7 +408,8 @@ def generate_polar(
     Raises
     ------
     InputError
-        If a grid axis does not ascend, a radius is negative, or ``out`` has another shape.
+        If a grid axis does not ascend, a radius is negative, ``out`` has another shape, or ``device`` is "cuda" and
+        there is no card.
     """
     radius, angle = _check_ascending(radius, "radius"), _check_ascending(angle, "angle")
     check_azimuths(angle, "angle")
@@ -369,11 +419,12 @@ def generate_polar(
     z = np.empty(shape) if out is None else out
     if z.shape != shape or z.dtype != np.float64 or not z.flags.c_contiguous:
         raise InputError(f"out is {z.shape} of {z.dtype}, it must be contiguous, {shape} of float64: correct it")
+    require_device(device)
     cut = _cut(motion, tool, machine)
-    if cut.upright and cut.edge.convex:
+    if cut.upright and cut.edge.convex and device == "cpu":
         _envelopes(cut, radius, angle, z, progress)
     else:
-        ready = _prepare(cut, float(radius[0]), float(radius[-1]), z.size)
+        ready = _prepare(cut, float(radius[0]), float(radius[-1]), z.size, device)
         z[...] = ready.fill_grid(radius, angle, polar=True, progress=progress)
     return HeightMap(z=z, radius=radius, angle=angle, name="generated")
 

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["jit", "jit_exact", "jit_inline", "jit_sums"]
+__all__ = ["Kernel", "jit", "jit_exact", "jit_inline", "jit_sums"]
 
 _LOCK = threading.RLock()
 

@@ -39,10 +39,12 @@ def tile(
     cluster: Annotated[
         str | None, typer.Option(metavar="tcp://HOST:PORT", help="Dask scheduler whose workers can write the folder.")
     ] = None,
+    device: Annotated[str, typer.Option(help='"cpu", or "cuda" for a graphics card of NVIDIA.')] = "cpu",
 ) -> None:
     """Simulate the whole part at micrometre resolution."""
     session: Session = context.obj
-    from turnwright.job import Job, finishing_motion  # noqa: PLC0415 - costly
+    from turnwright.generation import require_device  # noqa: PLC0415 - costly
+    from turnwright.job import Job, finishing_motion  # noqa: PLC0415
     from turnwright.studies import (  # noqa: PLC0415
         case_key,
         generate_tiled,
@@ -55,6 +57,8 @@ def tile(
     part, store = recipe.part, out / MAP
     # Validate everything before planning, which may take minutes.
     _require_usable(out)
+    if cluster is None:
+        require_device(device)
     plan_tiles(store, step, radius=part.reach, tile=size)
     key = case_key({"job": recipe.table(whole=True), "pixel": step, "tile": size})
     _require_same_job(out, key)
@@ -71,7 +75,7 @@ def tile(
         session.partial = f"finished tiles are in {str(out)!r}: repeat the command to continue"
         tiled = generate_tiled(
             motion, recipe.actual_tool, machine=recipe.actual_machine, pixel=step, radius=part.reach,
-            minus=part.surface, store=store, tile=size, executor=workers,
+            minus=part.surface, store=store, tile=size, device=device, executor=workers,
             progress=lambda done, total: progress("tiles", done, total),
         )  # fmt: skip
         requested = recipe.roughness.form

@@ -15,7 +15,7 @@ from turnwright import _validate as validate
 from turnwright._arrays import Floats, only_read
 from turnwright._kernels import tiled as kernel
 from turnwright.errors import InputError, StudyError
-from turnwright.generation import Prepared
+from turnwright.generation import Prepared, require_device
 from turnwright.heightmap import HeightMap
 from turnwright.machine import Machine
 from turnwright.path import Motion
@@ -66,10 +66,10 @@ class _TileWriter:
 
     @classmethod
     def of(
-        cls, motion: Motion, tool: Tool, machine: Machine | None, minus: Surface | None, files: Files
+        cls, motion: Motion, tool: Tool, machine: Machine | None, minus: Surface | None, files: Files, device: str
     ) -> _TileWriter:
         layout = files.layout
-        ready = _ready(motion, tool, machine, layout)
+        ready = _ready(motion, tool, machine, layout, device)
         return cls(ready, files, minus, ready.sides(layout.pixel[::-1]), layout.axes())
 
     def heights(self, tile: Tile) -> tuple[Floats, int]:
@@ -99,9 +99,9 @@ class _TileWriter:
         self.files.records[tile.j, tile.i] = record
 
 
-def _ready(motion: Motion, tool: Tool, machine: Machine | None, layout: Layout) -> Prepared:
+def _ready(motion: Motion, tool: Tool, machine: Machine | None, layout: Layout, device: str) -> Prepared:
     return Prepared.of(
-        motion, tool, machine, distances=layout.distances(), most_rings=layout.shape[0] * layout.shape[1]
+        motion, tool, machine, distances=layout.distances(), most_rings=layout.shape[0] * layout.shape[1], device=device
     )  # fmt: skip
 
 
@@ -117,20 +117,22 @@ def generate_tiled(
     minus: Surface | None = None,
     tile: int = DEFAULT_TILE_PIXELS,
     machine: Machine | None = None,
+    device: str = "cpu",
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> TiledMap:
     r"""Return the surface that a motion generates, of any size, computed tile by tile into a store on disk.
 
-    The heights are those of `generate` on the same grid, to the last bit. Memory holds a few tiles at a time. Finished
-    tiles are kept: after a stop, a crash or a full disk, a call with the same motion, tool and grid computes only the
-    missing ones. The store is a zarr group (version 3, uncompressed) that any program can read. It also holds
-    overviews, each with half the pixels of the one before along each axis: means of 2 x 2 heights without missing ones.
+    The heights are those of `generate` on the same grid, on processors to the last bit. Memory holds a few tiles at a
+    time. Finished tiles are kept: after a stop, a crash or a full disk, a call with the same motion, tool and grid
+    computes only the missing ones. The store is a zarr group (version 3, uncompressed) that any program can read. It
+    also holds overviews, each with half the pixels of the one before along each axis: means of 2 x 2 heights without
+    missing ones.
 
     Parameters
     ----------
-    motion, tool, machine
-        See `generate`.
+    motion, tool, machine, device
+        See `generate`. A map begun on one device may be continued on another.
     pixel
         Pixel size along x and y, or one for both. [mm]
     store
@@ -145,7 +147,7 @@ def generate_tiled(
         Approximate number of pixels along a tile; it is rounded to a multiple of the groups of the generation.
     executor
         Executor of the tiles; by default threads of this process. An executor reads the motion from the store, which
-        all its workers must reach.
+        all its workers must reach; with ``device="cuda"`` each needs a graphics card.
     progress
         Called with (tiles done, all tiles).
 
@@ -157,7 +159,8 @@ def generate_tiled(
     Raises
     ------
     InputError
-        If the grid is invalid, the disk has too little space, or the store holds something else.
+        If the grid is invalid, the disk has too little space, the store holds something else, or ``device`` is "cuda"
+        and there is no card.
     DomainError
         If ``minus`` is undefined somewhere.
     StudyError
@@ -173,6 +176,8 @@ def generate_tiled(
         validate.instance_of(machine, Machine, "the machine")
     if executor is not None:
         validate.instance_of(executor, Executor, "the executor")
+    else:
+        require_device(device)
     validate.listener(progress)
     if minus is not None and not callable(getattr(minus, "sag", None)):
         raise InputError(f"the argument minus is a {type(minus).__name__}, it must be a surface: give one")
@@ -180,7 +185,7 @@ def generate_tiled(
     layout = plan_tiles(place, pixel, radius=radius, x=x, y=y, tile=tile)
     if executor is not None:
         require_reach(place, executor, arrays=True)
-    ready = _ready(motion, tool, machine, layout)
+    ready = _ready(motion, tool, machine, layout, device if executor is None else "cpu")
     sides = ready.sides(layout.pixel[::-1])
     layout = layout.in_tiles(tile_sides(tile, sides, layout.shape))
     key = _key(ready, layout, minus)
@@ -197,7 +202,7 @@ def generate_tiled(
         with ThreadPoolExecutor(cores() + 1) as pool:
             _run_tiles(lambda one: pool.submit(painter.paint, one), missing, pool, place, len(tiles), progress)
     else:
-        task, workers = _Task.of(place, key, motion, tool, machine, minus), executor
+        task, workers = _Task.of(place, key, motion, tool, machine, minus, device), executor
         _run_tiles(
             lambda one: workers.submit(_paint, task, one.j, one.i), missing, workers, place, len(tiles), progress
         )
@@ -272,22 +277,26 @@ class _Task:
     machine: Machine
     planned_for: Machine
     minus: Surface | None
+    device: str
 
     @classmethod
     def of(
-        cls, place: str, key: str, motion: Motion, tool: Tool, machine: Machine | None, minus: Surface | None
-    ) -> _Task:
+        cls, place: str, key: str, motion: Motion, tool: Tool, machine: Machine | None, minus: Surface | None,
+        device: str,
+    ) -> _Task:  # fmt: skip
         arrays = Store.open(f"{place}/{MOTION_FOLDER}")
         columns = {"time": motion.time, **motion.axes}
         names = {letter: arrays.put_array(letter, values) for letter, values in columns.items()}
         return cls(
-            place, key, arrays, names, tool, machine or motion.machine, motion.machine, minus
+            place, key, arrays, names, tool, machine or motion.machine, motion.machine, minus, device
         )  # fmt: skip
 
     def painter(self) -> _TileWriter:
         axes = {letter: self.arrays.array(name) for letter, name in self.names.items()}
         motion = Motion(time=axes.pop("time"), axes=axes, machine=self.planned_for)
-        return _TileWriter.of(motion, self.tool, self.machine, self.minus, Files.open(self.place, write=True))
+        return _TileWriter.of(
+            motion, self.tool, self.machine, self.minus, Files.open(self.place, write=True), self.device
+        )
 
 
 _latest: dict[str, _TileWriter] = {}
