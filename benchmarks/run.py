@@ -33,7 +33,8 @@ import thesis_backplotter
 from scipy import fft
 from scipy.signal import lsim, lti
 
-from turnwright.generation import generate, generate_polar
+from turnwright.errors import InputError
+from turnwright.generation import generate, generate_polar, require_device
 from turnwright.heightmap import HeightMap
 from turnwright.job import Job
 from turnwright.machine import Axis, Machine, SecondOrder
@@ -270,6 +271,28 @@ def bench_patch(table, scale):
         ours=ours, yardstick="`np.sqrt` into an existing array", theirs=root,
     )  # fmt: skip
     table.note(f"`generate` makes {x.size * y.size / median(ours):.2g} pixels a second.")
+
+
+def bench_card(table, scale):
+    """A map of 1e9 heights on a graphics card against its lower left ninth on processors, nine times."""
+    try:
+        require_device("cuda")
+    except InputError as error:
+        table.note(f"`generate` on a graphics card is not measured here: {error}.")
+        return
+    tool = Tool(nose_radius=1.5, included=np.deg2rad(120))
+    motion = cut(LENS, tool, radius=5.0, feed=0.002, points_per_rev=720)
+    x = np.linspace(-3.5, 3.5, int(31_623 * np.sqrt(scale)))
+    part = x[: x.size // 3]
+    card, processors = timed(
+        lambda: generate(motion, tool, x=x, y=x, device="cuda"), lambda: generate(motion, tool, x=part, y=part), times=3
+    )
+    table.add(
+        what=f"generate, {x.size} x {x.size} pixels on a graphics card, heights in memory", ours=card,
+        yardstick=f"nine times a ninth on {plural(cores())}", theirs=[9 * time for time in processors], faster=True,
+    )  # fmt: skip
+    maps = [generate(motion, tool, x=part[:2000], y=part[:2000], device=device).z for device in ("cpu", "cuda")]
+    table.note(f"Heights of the graphics card are within {abs(maps[0] - maps[1]).max():.1g} mm of those of processors.")
 
 
 def bench_tiling(table, scale):
@@ -561,6 +584,7 @@ BENCHES = {
     "place": bench_place,
     "polar": bench_polar,
     "patch": bench_patch,
+    "card": bench_card,
     "tiling": bench_tiling,
     "files": bench_program_files,
     "planning": bench_planning,
