@@ -2,11 +2,11 @@
 
     python benchmarks/run.py [--quick] [part ...]
 
-Every measurement is warmed up, then taken in turns with its yardstick; the table states medians,
-the ratio being that of the pairs. Arrays that are timed
-are reused: fresh memory costs a page fault every 4 KiB on either side, as much as the heights in it. The full run takes
-twenty minutes and writes RESULTS.md beside this file; ``--quick`` takes a fraction of the sizes and writes nothing, nor
-does a run of some parts only.
+Every measurement is warmed up, then taken in turns with its yardstick; the table states medians, the ratio being that
+of the pairs, and the peak of the memory of the process while it was measured, or of the command that was run (Linux
+only). Arrays that are timed are reused: fresh memory costs a page fault every 4 KiB on either side, as much as the
+heights in it. The full run takes half an hour and writes RESULTS.md next to this file; ``--quick`` takes a fraction of
+the sizes and writes nothing, nor does a run of some parts only.
 """
 
 import argparse
@@ -18,8 +18,8 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Callable
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from statistics import median
@@ -36,7 +36,7 @@ from scipy.signal import lsim, lti
 from turnwright.errors import InputError
 from turnwright.generation import generate, generate_polar, require_device
 from turnwright.heightmap import HeightMap
-from turnwright.job import Job
+from turnwright.job import Job, diagnose
 from turnwright.machine import Axis, Machine, SecondOrder
 from turnwright.metrology import (
     area_psd,
@@ -44,6 +44,7 @@ from turnwright.metrology import (
     filter_map,
     fit_zernike,
     interferogram,
+    register,
     remove_form,
     remove_outliers,
     roughness,
@@ -57,7 +58,7 @@ from turnwright.post import read_nc, write_nc
 from turnwright.progress import cores
 from turnwright.strategy import AdaptiveToolServo, SlowToolServo
 from turnwright.studies import generate_tiled, local
-from turnwright.surface import LensArray, RadialPolynomial, SineGrid, Sphere
+from turnwright.surface import Conic, LensArray, RadialPolynomial, SineGrid, Sphere
 from turnwright.tool import Tool
 from turnwright.tracking import track
 
@@ -81,6 +82,7 @@ class Row:
     theirs: list[float] | None = None  # taken in turns with ours, so that a busy moment slows both
     faster: bool = False  # whether the ratio says how many times faster, not how many times the yardstick
     limit: float | None = None
+    peak_gb: float | None = None
 
     @property
     def value(self):
@@ -97,7 +99,9 @@ class Row:
             met = self.value >= self.limit if self.faster else self.value <= self.limit
             limit = f"{'≥' if self.faster else '≤'} {self.limit:g}{' s' if self.theirs is None else ''}"
             limit += ": met" if met else ": **not met**"
-        return [self.what, seconds(median(self.ours)), self.yardstick, theirs, ratio, limit]
+        peak = self.peak_gb or getattr(self.ours, "peak_gb", None)
+        memory = "" if peak is None else f"{peak:.2f} GB"
+        return [self.what, seconds(median(self.ours)), self.yardstick, theirs, ratio, limit, memory]
 
 
 @dataclass
@@ -114,7 +118,7 @@ class Table:
         print(f"  {text}", flush=True)
 
     def markdown(self):
-        head = ["what", "time", "yardstick", "its time", "ratio", "target"]
+        head = ["what", "time", "yardstick", "its time", "ratio", "target", "peak memory"]
         lines = [" | ".join(cells) for cells in (head, ["---"] * len(head), *(row.cells() for row in self.rows))]
         return (
             "\n".join(f"| {line} |" for line in lines) + "\n\n" + "\n".join(f"- {note}" for note in self.notes) + "\n"
@@ -128,15 +132,54 @@ def seconds(value):
     return f"{value / 1e-9:.3g} ns"
 
 
+class Times(list):
+    """Seconds of a work, and the peak of the memory of this process meanwhile. [GB]."""
+
+    peak_gb: float | None = None
+
+
 def timed(*works: Callable[[], object], times=5):
     """Seconds of each work, several times in turns after one run of each to warm up."""
-    taken = [[] for _ in works]
+    taken = [Times() for _ in works]
     for turn in range(times + 1):
         for work, spent in zip(works, taken, strict=True):
+            forget_peak()
             start = perf_counter()
             work()
             if turn:
                 spent.append(perf_counter() - start)
+                spent.peak_gb = peak_gb()
+    return taken
+
+
+def forget_peak():
+    """Let the kernel of Linux begin a new peak of the memory of this process."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+
+
+def peak_gb():
+    with suppress(OSError, StopIteration):
+        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+        return int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) / 1e6
+    return None
+
+
+def commanded(*arguments, times=3):
+    """Seconds of a command, several times after one run to warm up, with the peak of its memory."""
+    taken = Times()
+    for turn in range(times + 1):
+        start = perf_counter()
+        process = subprocess.Popen(
+            [Path(sys.executable).with_name("turnwright"), *arguments], stdout=subprocess.DEVNULL
+        )
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        if process.returncode:
+            raise subprocess.CalledProcessError(process.returncode, arguments)
+        if turn:
+            taken.append(perf_counter() - start)
+            taken.peak_gb = max(taken.peak_gb or 0.0, used.ru_maxrss / 1e6)
     return taken
 
 
@@ -473,18 +516,45 @@ def bench_optics(table, scale):
 
 
 def bench_doors(table, scale):
-    command = str(Path(sys.executable).with_name("turnwright"))
-
-    def run(*arguments):
-        subprocess.run([command, *arguments], check=True, capture_output=True)
-
-    (help_,) = timed(lambda: run("--help"))
-    table.add(what="turnwright --help", ours=help_, limit=0.4)
+    """Whole commands, as a user starts them."""
+    table.add(what="turnwright --help", ours=commanded("--help", times=5), limit=0.4)
+    commands = {
+        "turnwright run, Li's sinusoidal grid, second run": ("run", "li2018_sine_grid", 3),
+        "turnwright run, the infrared lens, 13.5 million points in all": ("run", "infrared_lens", 12),
+        "turnwright compare, Li's sinusoidal grid, 5 strategies": ("compare", "li2018_sine_grid", None),
+        "turnwright compare, lenses on a torus, 7 strategies, 7 million points": ("compare", "kong2019_hybrid", None),
+    }
     with tempfile.TemporaryDirectory() as folder:
-        example = str(EXAMPLES / "li2018_sine_grid.toml")
-        again = ["run", example, "--force", "--out", str(Path(folder) / "run")]
-        (whole,) = timed(lambda: run(*again), times=3 if scale == 1 else 1)
-    table.add(what="turnwright run, Li's sinusoidal grid, second run", ours=whole, limit=5)
+        for what, (command, example, limit) in commands.items():
+            if scale < 1 and example != "li2018_sine_grid":
+                continue
+            again = (command, str(EXAMPLES / f"{example}.toml"), "--force", "--out", str(Path(folder) / "out"))
+            ours = commanded(*again, times=3 if example == "li2018_sine_grid" and scale == 1 else 1)
+            table.add(what=what, ours=ours, limit=limit)
+
+
+def bench_measured(table, scale):
+    """Registration of a map to a design, and the estimate of error sources."""
+    n, rng = int(1129 * np.sqrt(scale)), np.random.default_rng(3)
+    x = np.linspace(-5, 5, n)
+    part = Part(surface=Conic(radius=80.0, conic=-0.8).placed(shift=(3.0, 1.0, 0.0)), radius=5.0)
+    z = part.surface.placed(shift=(0.1, -0.05, 0.002), rotation=0.02).sag(x, x[:, None]) + rng.normal(0, 2e-6, (n, n))
+    z[np.hypot(x, x[:, None]) > 4.9] = np.nan
+    heights = HeightMap(x=x, y=x, z=z)
+    at_x, at_y = heights.points()
+    ours, slopes = timed(lambda: register(heights, part), lambda: part.surface.gradient(at_x, at_y), times=3)
+    table.add(
+        what=f"register {np.count_nonzero(np.isfinite(z)):.2g} points", ours=ours,
+        yardstick="heights and slopes of the same points", theirs=slopes,
+    )  # fmt: skip
+    tool = Tool(nose_radius=0.5, included=2.0)
+    made = cut(Sphere(radius=50.0), tool, radius=5.0, feed=0.005, points_per_rev=24)
+    x = np.linspace(-4.96, 4.96, int(141 * np.sqrt(scale)))
+    seen = generate(made, replace(tool, offset=(0.005, 0.0, 0.0)), x=x, y=x)
+    z = np.where(np.hypot(x, x[:, None]) < 4.96, seen.z, np.nan) + rng.normal(0, 2e-5, seen.z.shape)
+    sphere = Part(surface=Sphere(radius=50.0), radius=5.0)
+    (ours,) = timed(lambda: diagnose(replace(seen, z=z), sphere, tool, lathe(), feed=0.005), times=3)
+    table.add(what=f"diagnose a map of {x.size} x {x.size} points", ours=ours, limit=3)
 
 
 def bench_execution(table, scale):
@@ -592,6 +662,7 @@ BENCHES = {
     "metrology": bench_metrology,
     "optics": bench_optics,
     "analysis": bench_analysis,
+    "measured": bench_measured,
     "overhead": bench_execution,
     "workers": bench_workers,
     "doors": bench_doors,
