@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+from pathlib import Path
 
 import hypothesis
 import platformdirs
@@ -28,12 +29,19 @@ hypothesis.settings.load_profile("turnwright")
 DRAWN = {"test_report.py", "test_show.py", "test_tolerance_commands.py"}
 """Tests of the command line that look at figures, or print them as well as build them."""
 
+UNPRINTED = Path(__file__).parent / "support" / "unprinted"
 
-@pytest.fixture(autouse=True)
-def figures_are_built_and_not_printed(request, monkeypatch):
-    """Leave out the printing of the figures of reports, a third of the time of the tests of the command line."""
-    if request.path.parent.name == "cli" and request.path.name not in DRAWN:
-        monkeypatch.setattr("turnwright.report.figures._print_svg", lambda _canvas: "<svg></svg>")
+
+@pytest.fixture(scope="module", autouse=True)
+def figures_are_built_and_not_printed(request):
+    """Leave out the printing of the figures of reports, a third of the time of a small run, here and in processes."""
+    if request.path.parent.name not in ("cli", "web") or request.path.name in DRAWN:
+        yield
+        return
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("turnwright.report.figures._print_svg", lambda _canvas: "<svg></svg>")
+        patch.setenv("PYTHONPATH", str(UNPRINTED), prepend=os.pathsep)
+        yield
 
 
 @pytest.fixture
