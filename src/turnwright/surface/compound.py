@@ -10,7 +10,7 @@ import numpy as np
 
 from turnwright._validate import check_numbers, instance_of
 from turnwright.errors import InputError
-from turnwright.pose import Pose
+from turnwright.pose import Pose, rotation_matrix
 from turnwright.surface.base import COSTLIEST, Surface
 
 if TYPE_CHECKING:
@@ -260,12 +260,17 @@ class Placed(Surface):
     @property
     def feature_size(self) -> float:
         """Feature size of the surface, foreshortened by the tilt. [mm]."""
-        return float(self.surface.feature_size * self.pose.matrix[2, 2])
+        return float(self.surface.feature_size * self._turn[2, 2])
 
     @property
     def pose(self) -> Pose:
         """Pose of the surface's frame in the part frame."""
         return Pose(shift=self.shift, rotation=self.rotation, tilt=self.tilt)
+
+    @property
+    def _turn(self) -> Floats:
+        """The matrix of `pose`, without its checks, which cost more than the matrix. (3, 3)."""
+        return rotation_matrix(self.rotation, *self.tilt)
 
     def _level(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         u, v, _ = self._local(x, y)
@@ -285,7 +290,7 @@ class Placed(Surface):
         return z, *first, zxx, zxy, zyy
 
     def _tilted(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
-        turn = self.pose.matrix
+        turn = self._turn
         u, v, height = self._local(x, y)
         with np.errstate(all="ignore"):
             z = height + self.shift[2]
@@ -316,7 +321,7 @@ class Placed(Surface):
         level = self.tilt == (0.0, 0.0)
         if level and self.rotation == 0:
             return dx, dy, np.broadcast_to(0.0, dx.shape)
-        turn = self.pose.matrix
+        turn = self._turn
         u, v = turn[0, 0] * dx + turn[1, 0] * dy, turn[0, 1] * dx + turn[1, 1] * dy
         if level:
             return u, v, np.broadcast_to(0.0, u.shape)
@@ -340,7 +345,7 @@ class Placed(Surface):
 
         A step is accepted only if it ends in the domain, where the normal points up, and closer to the surface.
         """
-        lu, lv, lw = self.pose.matrix[2]
+        lu, lv, lw = self._turn[2]
         t = start.copy()
         height = np.full_like(t, np.nan)
         with np.errstate(all="ignore"):
@@ -370,7 +375,7 @@ class Placed(Surface):
     def _gap(self, u: Floats, v: Floats, w: Floats | float) -> tuple[Floats, Floats]:
         """Return the height of a point above the surface along its own axis, and its derivative along part z."""
         z, fu, fv = self.surface.evaluate(u, v, 1)
-        lu, lv, lw = self.pose.matrix[2]
+        lu, lv, lw = self._turn[2]
         gap, up = w - z, lw - lu * fu - lv * fv
         inside = self.surface.inside(u, v)
         if inside is not None:
