@@ -49,7 +49,7 @@ proof: $(VENV)/.testing ## carry out the acceptance proofs, thousands of cases: 
 	TURNWRIGHT_LAWS=all OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests -q -n auto -m 'proof or hypothesis' || failed=1; \
 	test -z "$$failed"
 
-fuzz: $(VENV)/.testing ## give 20,000 mutated inputs to every door; the suite gives 24
+fuzz: $(VENV)/.testing ## give 20,000 mutated inputs to every door; make proof gives 12
 	$(BIN)/python tests/proof/fuzz.py --inputs 20000
 
 fmt: setup ## format, and mend what can be mended

@@ -1,4 +1,7 @@
-"""Mutated inputs, 12 of those that make fuzz gives: each is answered soon, in little memory and in a few letters."""
+"""Mutated inputs, 12 of those that make fuzz gives: each is answered soon, in little memory and in a few letters.
+
+Before the first of them half a minute goes by: what good inputs need is compiled and imported, so it is for make proof.
+"""
 
 import os
 import subprocess
@@ -10,6 +13,7 @@ import pytest
 FUZZ = Path(__file__).parents[1] / "proof" / "fuzz.py"
 
 
+@pytest.mark.proof
 @pytest.mark.skipif(sys.platform != "linux", reason="the limits of the fuzzer are those of Linux")
 def test_mutated_inputs_are_answered(tmp_path):
     inputs = ["--inputs", "12", "--seed", "1", "--work", "0.3"]

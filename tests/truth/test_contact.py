@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+from cases import every_second
 from turnwright.placing import touch
 
 DEG = np.pi / 180
@@ -93,10 +94,9 @@ SURFACES = {
 }
 
 
-@pytest.mark.parametrize("tool", TOOLS.values(), ids=TOOLS)
-@pytest.mark.parametrize("name", SURFACES)
+@pytest.mark.parametrize(("name", "tool"), every_second(SURFACES, TOOLS))
 def test_placing_equals_brute_force_dilation(name, tool):
-    surface = SURFACES[name]
+    surface, tool = SURFACES[name], TOOLS[tool]
     sense = 1 if len(name) % 2 else -1
     where = spiral(1.5, 0.05, 90, sense)
     path = tw.place(where, tw.Part(surface=surface, radius=1.5), tool)

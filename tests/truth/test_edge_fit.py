@@ -52,7 +52,7 @@ def test_noise_flanks_and_dust_do_not_pull():
     """The uncertainty is honest: over many traces the errors of the radius are as large as it says."""
     rng = np.random.default_rng(5)
     errors, stated = [], []
-    for _ in range(16):
+    for _ in range(8):
         u, height = arc_with_flanks(0.2, np.deg2rad(58), 0.45, 1200)
         height = height + rng.normal(0, 2e-4, u.size)
         dust = rng.random(u.size) < 0.05
@@ -62,8 +62,8 @@ def test_noise_flanks_and_dust_do_not_pull():
         errors.append(fit.radius - 0.2)
         stated.append(fit.radius_std)
     assert np.median(stated) < 1e-4
-    # The root mean square of 16 normal deviates lies between 0.6 and 1.4 in 98 of 100 cases; with dust, a little more.
-    assert 0.5 < np.sqrt(np.mean((np.array(errors) / stated) ** 2)) < 1.6
+    # The root mean square of 8 normal deviates lies between 0.45 and 1.6 in 98 of 100 cases; with dust, a little more.
+    assert 0.4 < np.sqrt(np.mean((np.array(errors) / stated) ** 2)) < 1.8
 
 
 @pytest.mark.parametrize(("share", "passed"), [(1.0, 0.5), (2.0, 16 / 17), (0.5, 1 / 17)])
@@ -132,7 +132,7 @@ def test_a_measured_edge_agrees_with_the_algebraic_circle():
     assert fit.radius_std < 2e-3
 
 
-@pytest.mark.parametrize("together", [1, 5])
+@pytest.mark.parametrize("together", [pytest.param(1, marks=pytest.mark.proof), 5])
 def test_the_uncertainty_of_the_waviness_covers_its_error(together):
     """Oracle: a perfect nose under white noise, and under noise that five neighbouring points share."""
     rng, tool = np.random.default_rng(0), Tool(nose_radius=0.2, included=np.deg2rad(110))

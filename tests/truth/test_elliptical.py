@@ -139,7 +139,7 @@ def test_slow_keeps_the_y_axis_limit_at_least_displacement(found):
     lathe = tw.Machine(name="lathe", axes=axes, spindle_rpm=600.0, block_rate_hz=1e5)
     peak = {}
     for name, policy in {"slow": SLOW, "skip": replace(SKIP, shortest=1e-5)}.items():
-        servo = replace(policy, points_per_rev=7200)
+        servo = replace(policy, points_per_rev=3600)
         motion = tw.drive(tw.place(servo.spiral(PART, TOOL), PART, TOOL), servo, lathe)
         peak[name] = tw.check_limits(motion, lathe).peak_acceleration["Y"]
     assert peak["slow"] < 200.0 < 0.5 * peak["skip"]

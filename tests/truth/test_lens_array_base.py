@@ -73,7 +73,7 @@ def judged(found, centres, moved):
     return np.sqrt(np.mean(np.sum(off**2, axis=1))), np.sqrt(np.mean((off / stated) ** 2))
 
 
-@pytest.mark.parametrize(("base", "way"), [("toroid", 0.0), ("sphere", 0.6)])
+@pytest.mark.parametrize(("base", "way"), [("toroid", 0.0), pytest.param("sphere", 0.6, marks=pytest.mark.proof)])
 def test_form_of_the_base_does_not_displace_the_lenslets(base, way):
     """Without it the centres are 1.4 um off, stated within 10 nm; a toroid turns by what 0.5 um of astigmatism is."""
     heights, part, centres, moved = made(base, 1, way=way)
@@ -91,7 +91,7 @@ def test_form_of_the_base_does_not_displace_the_lenslets(base, way):
         assert judged(plain, centres, moved)[0] > 0.5e-3
 
 
-@pytest.mark.parametrize(("side", "coma"), [(206, COMA), (300, 0.0)])
+@pytest.mark.parametrize(("side", "coma"), [pytest.param(206, COMA, marks=pytest.mark.proof), (300, 0.0)])
 def test_the_lenslets_and_not_a_base_with_form_tell_the_rotation(side, coma):
     """Astigmatism at 45 deg is a turned toroid: by its base the array was 5.8 mrad off, with 11 pixels to a lens.
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+from cases import every_second
 from turnwright.placing import contact
 
 MIRROR = tw.Outline(rectangle=(40.0, 20.0), centre=(40.0, 0.0))
@@ -102,8 +103,7 @@ def test_an_off_axis_mirror_takes_less_than_60_percent_of_the_time_of_its_disc()
     assert tw.check_limits(motion, machine).ok
 
 
-@pytest.mark.parametrize("rpm", [20.0, 60.0, None])
-@pytest.mark.parametrize("name", ["generic", "nanoform"])
+@pytest.mark.parametrize(("name", "rpm"), every_second(["generic", "nanoform"], [20.0, 60.0, None]))
 def test_a_convex_mirror_takes_less_than_60_percent_of_the_time_at_any_speed(name, rpm):
     machine, servo = tw.Machine.load(name), tw.SlowToolServo(feed=0.05, spindle_rpm=rpm, points_per_rev=360)
     surface = tw.Sphere(radius=-400.0)

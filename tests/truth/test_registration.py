@@ -363,8 +363,8 @@ def test_a_flawless_part_is_flawless_however_it_was_clocked():
     "view",
     [
         {"middle": (0.0, 0.0)},
-        {"middle": (0.0, 0.0), "half": 8.0, "side": 181},
-        {},
+        pytest.param({"middle": (0.0, 0.0), "half": 8.0, "side": 181}, marks=pytest.mark.proof),
+        pytest.param({}, marks=pytest.mark.proof),
         {"half": 6.0, "beyond": 1.2},
         {"half": 3.0},
     ],

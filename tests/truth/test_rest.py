@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
+from cases import every_second
 from turnwright import (
     AdaptiveToolServo,
     Axis,
@@ -61,14 +62,15 @@ def off(motion, part, tool, each=16):
     return np.abs(z[on] - place(Spiral(angle=c[on], radius=x[on]), part, tool).z)
 
 
-@pytest.mark.parametrize("inside_out", [False, True])
-@pytest.mark.parametrize("name", PARTS)
-@pytest.mark.parametrize("servo", [
+SERVOS = (
     AdaptiveToolServo(scallop=50e-6, chord=10e-6, interpolation="hermite", spindle_rpm=30),
     AdaptiveToolServo(scallop=50e-6, chord=2e-6, interpolation="hermite", spindle_rpm=120),
     SlowToolServo(feed=0.006, points_per_rev=90, spindle_rpm=120),
     SlowToolServo(feed=0.006, chord=50e-6, spindle_rpm=60),
-])  # fmt: skip
+)
+
+
+@pytest.mark.parametrize(("servo", "name", "inside_out"), every_second(SERVOS, PARTS, [False, True]))
 def test_the_program_keeps_to_the_path_from_end_to_end(servo, name, inside_out, tmp_path):
     part, tool, servo = PARTS[name], Tool(nose_radius=0.1), replace(servo, inside_out=inside_out)
     path, motion, again = cut(servo, part, LATHE, tmp_path)

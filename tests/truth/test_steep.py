@@ -43,7 +43,7 @@ def test_scattered_azimuths_meet_the_other_side_of_the_axis():
 def test_clearance_shows_a_gouge_despite_the_search(name, monkeypatch):
     """A path 20 um too low is 20 um too low somewhere, found without the places of contact."""
     part, tool = tw.Part(surface=CASES[name].surface, radius=RADIUS), tool_of("narrow")
-    servo = tw.SlowToolServo(feed=0.02, spindle_rpm=50, points_per_rev=180)
+    servo = tw.SlowToolServo(feed=0.04, spindle_rpm=50, points_per_rev=120)
     spiral = servo.spiral(part, tool)
     assert tw.place(spiral, part, tool).clearance.min() > -1e-12
 

@@ -9,6 +9,7 @@ import scipy.special
 import sympy as sp
 from prysm.polynomials import qpoly
 
+from cases import every_second
 from surface_oracle import X, Y, disc, error, even_conic
 from turnwright.surface import Forbes
 
@@ -85,9 +86,11 @@ def test_the_mean_square_slope_is_the_sum_of_the_squares():
     assert (zx**2 + zy**2).mean() == pytest.approx(sum(a * a for a in terms.values()), rel=1e-13)
 
 
-@pytest.mark.parametrize(("radius", "conic"), [(61.5, -1.5), (-40.0, 0.0), (50.0, 0.8)])
-@pytest.mark.parametrize("kind", ["qbfs", "qcon", "q2d"])
-def test_departure_from_a_conic(kind, radius, conic):
+@pytest.mark.parametrize(
+    ("kind", "conic"), every_second(["qbfs", "qcon", "q2d"], [(61.5, -1.5), (-40.0, 0.0), (50.0, 0.8)])
+)
+def test_departure_from_a_conic(kind, conic):
+    radius, conic = conic
     c, k, norm = 1 / sp.Rational(radius), sp.Rational(conic), sp.Rational(15.5)
     u2, r2 = U2 / norm**2, U2
     secant = sp.sqrt(1 - k * c**2 * r2) / sp.sqrt(1 - (1 + k) * c**2 * r2)
