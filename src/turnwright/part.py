@@ -303,11 +303,14 @@ class Part(TableModel):
 
     def finished(self, made: HeightMap) -> HeightMap:
         """Return the finished surface on the grid of a map, nan where that is, and outside an outline."""
+        if self.outline is not None:
+            return replace(made, z=self.heights(*made.points()))
         made.require_calibrated()
         x, y = made.points()
-        if self.outline is not None:
-            return replace(made, z=self.heights(x, y))
-        z, there = np.full(made.z.shape, np.nan), ~np.isnan(made.z)
+        there = ~np.isnan(made.z)
+        if there.all():
+            return replace(made, z=self.surface.sag(x, y))
+        z = np.full(made.z.shape, np.nan)
         z[there] = self.surface.sag(x[there], y[there])
         return replace(made, z=z)
 

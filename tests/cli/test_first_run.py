@@ -32,7 +32,8 @@ def test_one_process_is_started_and_waited_for(kernels, tmp_path):
     assert note.read_text() == "compiled "
     assert time.perf_counter() - begin > 0.1
     assert not compiling._was_compiled_ahead("generation")
-    compiling.compile_ahead("generation", code)  # its folder is there
+    (compiling.cache_folder("generation") / "one.kernel").touch()
+    compiling.compile_ahead("generation", code)
     assert not compiling._was_compiled_ahead("generation")
 
 
@@ -42,6 +43,15 @@ def test_a_folder_that_cannot_be_written_starts_nothing(kernels, tmp_path, monke
     compiling.cache_folder.cache_clear()
     compiling.compile_ahead("generation", "raise SystemExit")
     assert not compiling._was_compiled_ahead("generation")
+
+
+def test_modules_in_the_folder_of_the_user_are_not_imported(kernels, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "platformdirs.py").write_text("raise SystemExit")
+    note = tmp_path / "note"
+    compiling.compile_ahead("generation", f"import platformdirs; open({str(note)!r}, 'w').write('the real one')")
+    assert compiling._was_compiled_ahead("generation")
+    assert note.read_text() == "the real one"
 
 
 @pytest.mark.proof

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from surface_oracle import computed, disc, error, even_conic, exact
-from turnwright.surface import Conic, EvenAsphere, Plane, Sphere
+from turnwright.errors import DomainError
+from turnwright.surface import Conic, EvenAsphere, Plane, Sphere, Toroid
 
 ASPHERE = {2: 1e-4, 4: -3e-6, 6: 4e-9, 10: 1e-14}
 
@@ -70,3 +71,11 @@ def test_feature_size_of_an_asphere_is_where_its_terms_meet():
     assert EvenAsphere(radius=10.0, conic=-1.0, terms={4: 1e-4}).feature_size == pytest.approx(r0, rel=1e-12)
     assert EvenAsphere(radius=10.0, conic=-1.0).feature_size == np.inf
     assert Sphere(radius=-3.0).feature_size == 3.0
+
+
+@pytest.mark.parametrize("far", [1e150, 1e200, 1e308])
+def test_coordinates_whose_squares_overflow_are_outside(far):
+    with pytest.raises(DomainError, match="not defined at x = "):
+        Sphere(radius=10.0).sag(far, 0.0)
+    with pytest.raises(DomainError, match="not defined at x = "):
+        Toroid(radius_x=60.0, radius_y=40.0).sag(0.0, -far)

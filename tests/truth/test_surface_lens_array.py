@@ -165,3 +165,14 @@ def test_the_finest_structure_counts():
     assert LensArray.square(pitch=2.0, rows=2, columns=2, lenslet=BOWL).feature_size == 0.25
     assert LensArray.square(pitch=2.0, rows=2, columns=2, lenslet=fine).feature_size == pytest.approx(0.0125)
     assert LensArray(centres=[[0, 0]], lenslet=BOWL).feature_size == np.inf
+
+
+def test_many_points_are_evaluated_as_few_are():
+    """In chunks on all cores: the same bits, and one message for all points outside."""
+    array = LensArray.square(pitch=1.0, rows=9, columns=9, lenslet=Sphere(radius=0.8))
+    x, y = np.random.default_rng(5).uniform(-4.5, 4.5, (2, 3, 40_000))
+    few = [np.stack(array.hessian(x[:, part], y[:, part])) for part in np.array_split(np.arange(40_000), 7)]
+    np.testing.assert_array_equal(np.stack(array.hessian(x, y)), np.concatenate(few, axis=2))
+    x[1, 39_000:39_010], x[0, 7] = 9.0, -8.5
+    with pytest.raises(DomainError, match=r"at x = -8.5 mm, .* \(11 of 120000 points\)"):
+        array.sag(x, y)

@@ -70,15 +70,17 @@ def cache_folder(module: str) -> Path:
 
 
 def compile_ahead(module: str, code: str) -> None:
-    """Start a process with Python code that compiles the kernels of a module, unless it has a cache folder already."""
+    """Start a process with Python code that compiles the kernels of a module, unless some are on disk already."""
     folder = cache_folder(module)
-    if module in _running or folder.exists() or not sys.executable:
+    if module in _running or any(folder.glob("*.kernel")) or not sys.executable:
         return
+    # The modules of this process, and none of the folder that the user is in.
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "PYTHONSAFEPATH": "1"}
     try:
-        folder.mkdir(parents=True)
+        folder.mkdir(parents=True, exist_ok=True)
         process = subprocess.Popen(  # noqa: S603 - this Python
             [sys.executable, "-c", code],
-            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
     except OSError:  # each kernel is then compiled where it is called
         return
@@ -95,6 +97,7 @@ def _was_compiled_ahead(module: str) -> bool:
         process.wait(LONGEST_S)
     except subprocess.TimeoutExpired:
         process.kill()
+        process.wait()
     return True
 
 

@@ -131,6 +131,7 @@ def check_inflated_size(path: Path, packed: int, claimed: int) -> None:
 
 def finite_or_missing(heights: Floats) -> Floats:
     """Return heights with infinite values replaced by nan."""
+    heights = np.asarray(heights, dtype=np.float64)
     infinite = np.isinf(heights)
     return np.where(infinite, np.nan, heights) if infinite.any() else heights
 

@@ -171,7 +171,7 @@ def find_curvature_limit(contact: Contact) -> float | None:
     return limit if unique else None
 
 
-@lru_cache(maxsize=16)  # a run places on the same surface again and again
+@lru_cache(maxsize=4)  # a run places on the same surface again and again
 def _greatest_slope_and_curvature(
     same: SurfaceKey, reach: float, fine: float, lean: tuple[float, float] | None, *, has_rim: bool
 ) -> tuple[float, float] | None:

@@ -236,9 +236,11 @@ class OnConic(Surface):
         """Return where the conic is defined."""
         if self._squared <= 0:
             return None
-        if 1 - self._squared * sum(farthest(at) ** 2 for at in (x, y)) > 0:  # most points are far inside
+        far_x, far_y = farthest(x), farthest(y)
+        if 1 - self._squared * (far_x * far_x + far_y * far_y) > 0:  # most points are far inside
             return np.ones(x.shape, dtype=np.bool_)
-        return 1 - self._squared * (x * x + y * y) > 0
+        with np.errstate(over="ignore"):
+            return 1 - self._squared * (x * x + y * y) > 0
 
     @property
     def of_revolution(self) -> bool:

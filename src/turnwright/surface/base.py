@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -35,7 +36,10 @@ COSTLIEST = 4500
 """Largest cost of a surface per point, in additions; 400 of them with derivatives take about a microsecond."""
 
 CHUNK_POINTS = 1 << 15
-"""Points of a surface that are evaluated at a time."""
+"""Points of a costly surface that are evaluated at a time."""
+
+COSTLY = 100
+"""Cost per point from which points are evaluated in chunks on all cores."""
 
 PLAIN_COST = 20
 """Cost per point of a surface in closed form, in additions."""
@@ -240,9 +244,15 @@ class Surface(Family, Value, ABC):
         x, y = np.asarray(x, dtype=np.float64, order="C"), np.asarray(y, dtype=np.float64, order="C")
         if x.shape != y.shape:
             x, y = (np.array(one, order="C") for one in np.broadcast_arrays(x, y))
+        if x.size <= CHUNK_POINTS or not (self.cost >= COSTLY or self.in_pieces):
+            inside = self.inside(x, y)
+            if inside is not None and not inside.all():
+                outside = np.flatnonzero(~inside.ravel())
+                raise self._outside(x, y, int(outside[0]), outside.size)
+            return self.evaluate(x, y, order)
         flat_x, flat_y = x.ravel(), y.ravel()
         values = np.empty(((order + 1) * (order + 2) // 2, x.size))
-        outside: list[Ints] = []
+        outsides: list[Ints] = []
 
         def work(start: int, stop: int) -> None:
             part_x, part_y = flat_x[start:stop], flat_y[start:stop]
@@ -251,18 +261,21 @@ class Surface(Family, Value, ABC):
                 for value, made in zip(values, self.evaluate(part_x, part_y, order), strict=True):
                     value[start:stop] = made
             else:
-                outside.append(start + np.flatnonzero(~inside))
+                outsides.append(start + np.flatnonzero(~inside))
 
-        # Few points at a time stay in the cache of a core.
-        run_chunks(work, x.size, CHUNK_POINTS)
-        if outside:
-            first = min(int(points[0]) for points in outside)
-            raise DomainError(
-                f"{type(self).__name__} is not defined at x = {flat_x[first]:.6g} mm, y = {flat_y[first]:.6g} mm "
-                f"({sum(points.size for points in outside)} of {x.size} points), its domain is {self.domain}: stay "
-                "inside it"
-            )
+        # Few points at a time stay in the cache of a core. A thread among others starts no further ones.
+        is_alone = threading.current_thread() is threading.main_thread()
+        run_chunks(work, x.size, CHUNK_POINTS, threads=None if is_alone else 1)
+        if outsides:
+            first = min(int(points[0]) for points in outsides)
+            raise self._outside(x, y, first, sum(points.size for points in outsides))
         return tuple(value.reshape(x.shape) for value in values)
+
+    def _outside(self, x: Floats, y: Floats, first: int, count: int) -> DomainError:
+        return DomainError(
+            f"{type(self).__name__} is not defined at x = {x.ravel()[first]:.6g} mm, y = {y.ravel()[first]:.6g} mm "
+            f"({count} of {x.size} points), its domain is {self.domain}: stay inside it"
+        )
 
     def require_disc(self, radius: float, what: str) -> None:
         """Raise unless the surface is defined everywhere in the disc of ``radius`` except possibly on the axis.

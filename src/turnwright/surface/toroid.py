@@ -87,8 +87,8 @@ class Toroid(Surface):
 
     def _arc(self, x: Floats) -> tuple[Floats, Floats]:
         """Return what the root of the arc is taken of, and the height of the arc; nan where it is vertical."""
-        squared = 1 - (1 + self.conic) * x * x / self.radius_x**2
-        with np.errstate(invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
+            squared = 1 - (1 + self.conic) * x * x / self.radius_x**2
             height = x * x / self.radius_x / (1 + np.sqrt(squared))
         if self.terms:
             height = height + np.polynomial.polynomial.polyval(x * x, self._coefficients)
