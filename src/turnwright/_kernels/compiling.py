@@ -5,8 +5,8 @@ old code. So each module has a cache folder named after a hash of its source and
 starts new folders for that module and for those that call it, and keeps the others. The files are our own, not
 numba's: numba runs whatever its files contain, and fails if one is truncated or the disk is full.
 
-numba compiles one kernel at a time in a process. On a machine that has none yet, a second process can compile those of
-a module while the first one compiles others; the disk cache then brings what it has compiled.
+numba compiles one kernel at a time in a process. On a machine that has none yet, a second process can compile some
+while the first one compiles others; the disk cache then brings what it has compiled.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import re
 import subprocess
 import sys
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -39,8 +39,8 @@ _LOG = logging.getLogger(__name__)
 LONGEST_S = 120.0
 """Time after which a second process is no longer waited for."""
 
-_running: dict[str, subprocess.Popen[bytes]] = {}
-"""The process that compiles the kernels of a module."""
+_ahead: dict[str, subprocess.Popen[bytes]] = {}
+"""The process that compiles a kernel, by the name of the kernel."""
 
 CHECKSUM = hashlib.sha256().digest_size
 """Bytes before the code in a file."""
@@ -69,10 +69,10 @@ def cache_folder(module: str) -> Path:
     return Path(base) / f"kernels-{name}-{digest}" / str(sys.implementation.cache_tag)
 
 
-def compile_ahead(module: str, code: str) -> None:
-    """Start a process with Python code that compiles the kernels of a module, unless some are on disk already."""
+def compile_ahead(module: str, kernels: Iterable[str], code: str) -> None:
+    """Start a process with Python code that compiles some kernels of a module, unless it has some on disk already."""
     folder = cache_folder(module)
-    if module in _running or any(folder.glob("*.kernel")) or not sys.executable:
+    if not _ahead.keys().isdisjoint(kernels) or any(folder.glob("*.kernel")) or not sys.executable:
         return
     # The modules of this process, and none of the folder that the user is in.
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "PYTHONSAFEPATH": "1"}
@@ -84,13 +84,13 @@ def compile_ahead(module: str, code: str) -> None:
         )  # fmt: skip
     except OSError:  # each kernel is then compiled where it is called
         return
-    _running[module] = process
+    _ahead.update(dict.fromkeys(kernels, process))
     atexit.register(process.kill)
 
 
-def _was_compiled_ahead(module: str) -> bool:
-    """Wait for the process that compiles the kernels of a module; return whether there was one."""
-    process = _running.pop(module, None)
+def _was_compiled_ahead(kernel: str) -> bool:
+    """Wait for the process that compiles a kernel; return whether there was one."""
+    process = _ahead.pop(kernel, None)
     if process is None:
         return False
     try:
@@ -118,7 +118,7 @@ class _Cache:
         code = self._load(signature, context)
         if code is None:
             _LOG.info("compiling %s, once on this machine", self._module)
-            if _was_compiled_ahead(self._module):
+            if _was_compiled_ahead(self._name):
                 code = self._load(signature, context)
         return code
 
