@@ -215,6 +215,25 @@ class HeightMap(Compared):
             attrs={**self.metadata, "units": "mm"},
         )
 
+    def of_surface(self, surface: Surface) -> HeightMap:
+        """Return the heights of a surface on the grid of this map, nan where this is.
+
+        Raises
+        ------
+        InputError
+            If this map has no lengths.
+        DomainError
+            If the surface is not defined at a point of the map.
+        """
+        self.require_calibrated()
+        x, y = self.points()
+        there = ~np.isnan(self.z)
+        if there.all():
+            return replace(self, z=surface.sag(x, y))
+        z = np.full(self.z.shape, np.nan)
+        z[there] = surface.sag(x[there], y[there])
+        return replace(self, z=z)
+
     def minus(self, other: HeightMap | Surface) -> HeightMap:
         """Return this map minus another on the same grid, or minus a surface. Measured minus nominal is the error.
 
@@ -234,12 +253,5 @@ class HeightMap(Compared):
                     raise InputError(f"the two height maps differ in {name}: resample them to one grid first")
             z = self.z - other.z
         else:
-            self.require_calibrated()
-            x, y = self.points()
-            missing = np.isnan(self.z)
-            if missing.any():
-                z = np.full(self.z.shape, np.nan)
-                z[~missing] = self.z[~missing] - other.sag(x[~missing], y[~missing])
-            else:
-                z = self.z - other.sag(x, y)
+            z = self.z - self.of_surface(other).z
         return replace(self, z=z, name=f"{self.name} error".strip())

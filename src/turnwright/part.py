@@ -305,14 +305,7 @@ class Part(TableModel):
         """Return the finished surface on the grid of a map, nan where that is, and outside an outline."""
         if self.outline is not None:
             return replace(made, z=self.heights(*made.points()))
-        made.require_calibrated()
-        x, y = made.points()
-        there = ~np.isnan(made.z)
-        if there.all():
-            return replace(made, z=self.surface.sag(x, y))
-        z = np.full(made.z.shape, np.nan)
-        z[there] = self.surface.sag(x[there], y[there])
-        return replace(made, z=z)
+        return made.of_surface(self.surface)
 
     def form_error(self, made: HeightMap) -> HeightMap:
         """Return a map minus the finished surface, nan outside an outline; a disc is evaluated wherever the map is."""
