@@ -17,9 +17,7 @@ from turnwright.motion.limits import (
     LIMIT_TOL,
     TURN,
     Course,
-    LimitDemand,
-    find_axis_peaks,
-    find_limit_demands,
+    find_demands,
     find_speed_factor,
 )
 from turnwright.motion.pvt import find_fastest_course, reach_stated_speed, slow_to_limits
@@ -222,7 +220,7 @@ def _rank_speeds(course: Course, air: Floats, machine: Machine) -> Iterable[floa
     times = {}
     for omega in (fastest * SPEED_STEP ** np.arange(SPEED_TRIALS)).tolist():
         crossed = [cross_air(course.select(one).at_speed(omega), air[one], machine) for one in samples]
-        within = all(not demand.exceeded for one in crossed for demand in _find_demands(one, machine))
+        within = all(not demand.exceeded for one in crossed for demand in find_demands(one, machine, (False, False)))
         times[omega] = (not within, sum(float(np.ptp(one.time)) for one in crossed))
     return sorted(times, key=times.__getitem__)
 
@@ -232,16 +230,9 @@ def _find_omega_in_cuts(course: Course, air: Floats, machine: Machine) -> float:
     fastest = machine.spindle_rpm * TURN / 60
     for section in cut_sections(air):
         if section.stop - section.start >= MIN_SECTION:
-            demands = _find_demands(course.select(section), machine)
+            demands = find_demands(course.select(section), machine, (False, False))
             fastest = min(fastest, *(demand.speed_factor for demand in demands))
     return fastest
-
-
-def _find_demands(course: Course, machine: Machine) -> list[LimitDemand]:
-    """Return the demands of a part of a motion, all of whose points are in the program."""
-    every = slice(None)
-    peaks = find_axis_peaks(course, every, machine, (False, False))
-    return find_limit_demands(course, every, peaks, machine, bands=False)
 
 
 def _find_omega(

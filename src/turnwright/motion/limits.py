@@ -24,9 +24,8 @@ __all__ = [
     "LimitDemand",
     "Limits",
     "check_limits",
-    "find_axis_peaks",
+    "find_demands",
     "find_first_limit",
-    "find_limit_demands",
     "find_speed_factor",
 ]
 
@@ -173,10 +172,10 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
     """
     course = Course(motion.time, motion.axes, motion.velocity or {})
     blocks = motion.block_points
-    peaks = find_axis_peaks(course, blocks, machine)
+    peaks = _find_axis_peaks(course, blocks, machine)
     if motion.spindle_mode is not None:
         machine = machine.in_spindle_mode()
-    demands = find_limit_demands(course, blocks, peaks, machine)
+    demands = _find_limit_demands(course, blocks, peaks, machine)
     length, slowest = float(motion.time[-1] - motion.time[0]), STATED_SPEED
     if machine.controller.interpolation == "linuxcnc" and motion.spindle_mode is None:
         length = float(blend_blocks(motion.time, motion.axes, machine).time[-1])
@@ -237,7 +236,7 @@ def _cutting_rpm(motion: Motion) -> float:
     return (float(np.quantile(speed, 0.1)) if crosses_air else mean) * 60 / TURN
 
 
-def find_limit_demands(
+def _find_limit_demands(
     course: Course, blocks: Ints | slice, peaks: Mapping[str, _AxisPeaks], machine: Machine, *, bands: bool = True
 ) -> list[LimitDemand]:
     """Return the demands of a course on every stated limit of a machine, the block rate first."""
@@ -292,8 +291,14 @@ def find_first_limit(course: Course, machine: Machine, ends: tuple[bool, bool] =
     ``ends`` states whether the course includes the start and the end of the motion.
     """
     blocks = block_points(course.time, course.axes)
-    demands = find_limit_demands(course, blocks, find_axis_peaks(course, blocks, machine, ends), machine)
+    demands = _find_limit_demands(course, blocks, _find_axis_peaks(course, blocks, machine, ends), machine)
     return min(demands, key=lambda demand: demand.speed_factor)
+
+
+def find_demands(course: Course, machine: Machine, ends: tuple[bool, bool] = (True, True)) -> list[LimitDemand]:
+    """Return the demands of a course, all of whose points are blocks, on all limits except the bandwidths."""
+    every = slice(None)
+    return _find_limit_demands(course, every, _find_axis_peaks(course, every, machine, ends), machine, bands=False)
 
 
 class Course(NamedTuple):
@@ -390,7 +395,7 @@ def _find_frequency(time: Floats, angle: Floats, position: Floats, axis: Axis) -
     return highest, at
 
 
-def find_axis_peaks(
+def _find_axis_peaks(
     course: Course, blocks: Ints | slice, machine: Machine, ends: tuple[bool, bool] = (True, True)
 ) -> dict[str, _AxisPeaks]:
     """Return travel and peaks of every axis; of a fast tool from all points, else from the blocks."""
@@ -402,12 +407,14 @@ def find_axis_peaks(
         points = course.axes[letter][blocks]
         velocity = None
         if machine.controller.interpolation == "hermite":
-            velocity = course.velocity[letter][blocks] if letter in course.velocity else np.empty(time.size)
-            if letter not in course.velocity:
+            if letter in course.velocity:
+                velocity = course.velocity[letter][blocks]
+                velocity = velocity.copy() if is_fast_tool else velocity
+            else:
+                velocity = np.empty(time.size)
                 tracking_kernel.rates(only_read(time), only_read(points), velocity)
             if is_fast_tool or letter not in course.velocity:
                 # The program of such a motion accelerates and decelerates within one block.
-                velocity = velocity.copy()
                 velocity[[0, -1]] = np.where(ends, 0.0, velocity[[0, -1]])
         top, at = _find_peaks(time, points, velocity)
         return top, {name: _point(blocks, number) for name, number in at.items()}

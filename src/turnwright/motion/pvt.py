@@ -16,10 +16,8 @@ from turnwright.motion.limits import (
     LIMIT_TOL,
     TURN,
     Course,
-    LimitDemand,
-    find_axis_peaks,
+    find_demands,
     find_first_limit,
-    find_limit_demands,
     find_speed_factor,
 )
 from turnwright.path import LINEARITY_TOL_MM, LINEARITY_TOL_RAD, Motion
@@ -62,7 +60,7 @@ def from_rest_to_rest(motion: Motion) -> Motion:
     assert motion.velocity is not None  # noqa: S101 - for the type checker
     course = Course(motion.time - motion.time[0], motion.axes, motion.velocity)
     ramped = _add_ramps(course, motion.machine, stated=True)
-    if ramped.speed_factor == 1 and not any(demand.exceeded for demand in _find_demands(ramped.course, motion.machine)):
+    if ramped.speed_factor == 1 and not any(demand.exceeded for demand in find_demands(ramped.course, motion.machine)):
         course = ramped.course
     else:
         fastest = find_fastest_course(course, motion.machine)
@@ -89,7 +87,7 @@ class _RampedCourse(NamedTuple):
 def reach_stated_speed(course: Course, machine: Machine, *, subject: str) -> Course:
     """Return a course from rest to rest that reaches its stated speed; ``subject`` begins the error message."""
     ramped = _add_ramps(course, machine, stated=True)
-    if ramped.speed_factor == 1 and not any(demand.exceeded for demand in _find_demands(ramped.course, machine)):
+    if ramped.speed_factor == 1 and not any(demand.exceeded for demand in find_demands(ramped.course, machine)):
         return ramped.course
     fastest = find_fastest_course(course, machine)
     highest, rpm = fastest.top_rpm, course.top_rpm
@@ -143,7 +141,7 @@ def _add_ramps(course: Course, machine: Machine, *, stated: bool) -> _RampedCour
     """
     limits = {
         demand.name: max(STATED_SPEED_UTILISATION * demand.limit, demand.value) if stated else demand.limit
-        for demand in _find_demands(course, machine)
+        for demand in find_demands(course, machine)
     }
     points = course.time.size
     begin = _find_ramp(course, machine, limits)
@@ -157,12 +155,6 @@ def _add_ramps(course: Course, machine: Machine, *, stated: bool) -> _RampedCour
     inner = slice(begin.last, points - end.last)
     ramped = begin.course.join(course.select(inner)).join(end.course.reverse())
     return _RampedCourse(ramped, inner, min(begin.speed_factor, end.speed_factor, 1.0))
-
-
-def _find_demands(course: Course, machine: Machine) -> list[LimitDemand]:
-    """Return the demands of a course without a fast tool on all limits except the bandwidths."""
-    every = slice(None)
-    return find_limit_demands(course, every, find_axis_peaks(course, every, machine), machine, bands=False)
 
 
 class _Ramp(NamedTuple):
@@ -190,7 +182,7 @@ def _find_ramp(course: Course, machine: Machine, limits: Mapping[str, float]) ->
         ramp = _make_ramp(course, last, min_block)
         if ramp is None:
             continue
-        demands = _find_demands(ramp.join(course.select(slice(last, last + 2))), machine)
+        demands = find_demands(ramp.join(course.select(slice(last, last + 2))), machine)
         speed_factor = min(demand._replace(limit=limits[demand.name]).speed_factor for demand in demands)
         if best is None or speed_factor > best.speed_factor:
             best = _Ramp(ramp, last, speed_factor)
