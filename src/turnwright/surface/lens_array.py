@@ -299,7 +299,22 @@ class LensArray(Surface):
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the height and its derivatives; on a border, of one side. See `Surface.evaluate`."""
-        index, u, v = self._cell(x, y)
+        return self._evaluate(self._cell(x, y), x, y, order)
+
+    def inside(self, x: Floats, y: Floats) -> Bools | None:
+        """Return where the lenslet, or the surround, is defined."""
+        return self._inside(self._cell(x, y), x, y)
+
+    def sample(self, x: Floats, y: Floats) -> tuple[Floats, Ints | None]:
+        """Return the height, nan outside the domain, and the piece. See `Surface.sample`."""
+        cell = self._cell(x, y)
+        (z,), inside = self._evaluate(cell, x, y, 0), self._inside(cell, x, y)
+        if inside is not None:
+            z[~inside] = np.nan
+        return z, cell[0].reshape(x.shape)
+
+    def _evaluate(self, cell: tuple[Ints, Floats, Floats], x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
+        index, u, v = cell
         parts = self.lenslet.evaluate(u, v, order)
         if self.surround is not None:
             outside = np.flatnonzero(index == self.centres.shape[0])
@@ -312,9 +327,8 @@ class LensArray(Surface):
                 part[outside] = value
         return tuple(part.reshape(x.shape) for part in parts)
 
-    def inside(self, x: Floats, y: Floats) -> Bools | None:
-        """Return where the lenslet, or the surround, is defined."""
-        index, u, v = self._cell(x, y)
+    def _inside(self, cell: tuple[Ints, Floats, Floats], x: Floats, y: Floats) -> Bools | None:
+        index, u, v = cell
         lens = self.lenslet.inside(u, v)
         around = self.surround.inside(x.ravel(), y.ravel()) if isinstance(self.surround, Surface) else None
         if lens is None and around is None:
@@ -323,18 +337,6 @@ class LensArray(Surface):
             index < self.centres.shape[0], True if lens is None else lens, True if around is None else around
         )
         return inside.reshape(x.shape)
-
-    def sample(self, x: Floats, y: Floats) -> tuple[Floats, Ints | None]:
-        """Return the height, nan outside the domain, and the piece. See `Surface.sample`."""
-        index, u, v = self._cell(x, y)
-        z, _ = self.lenslet.sample(u, v)
-        if self.surround is not None:
-            outside = np.flatnonzero(index == self.centres.shape[0])
-            if isinstance(self.surround, Surface):
-                z[outside], _ = self.surround.sample(x.ravel()[outside], y.ravel()[outside])
-            else:
-                z[outside] = float(self.surround)
-        return z.reshape(x.shape), index.reshape(x.shape)
 
     def poles(self, x: Floats, y: Floats, reach: float) -> tuple[Floats, Floats]:
         """Return the poles of the lenslet in each lens, and of the surround outside them. See `Surface.poles`."""
