@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import multiprocessing
 import os
 import signal
 import socket
@@ -21,12 +20,11 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from functools import partial
 from importlib import import_module
-from multiprocessing.connection import wait
-from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any, ParamSpec, TypeVar
 from urllib.parse import urlsplit
 
 from turnwright import _validate as validate
+from turnwright._processes import Recorded, start_worker
 from turnwright.errors import InputError, StudyError
 from turnwright.progress import THREADS, cores, free_memory_gb
 
@@ -46,7 +44,6 @@ MEMORY_GB = 2.0
 MAX_WORKERS = 1000
 """Largest number of processes of one machine: each needs a thread in this process."""
 _CONNECT_TIMEOUT_S = 5.0
-_GRACE_S = 0.7  # a worker ends within a second of its driver process
 _TERMINATE_TIMEOUT_S = 5.0  # for a worker after SIGTERM
 _REFRESH_S = 5.0
 _LIBRARIES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -130,13 +127,12 @@ class LocalPool(Executor):
         return worker
 
 
-class _Worker(SpawnContext):
-    """A standard executor with one process, which is started in this context."""
-
-    process: SpawnProcess
+class _Worker:
+    """A standard executor with one process."""
 
     def __init__(self, threads: int) -> None:
-        self.executor = ProcessPoolExecutor(1, mp_context=self, initializer=_start_worker)
+        context = Recorded()
+        self.executor = ProcessPoolExecutor(1, mp_context=context, initializer=start_worker)
         # Libraries read these when they are loaded, before any code of Turnwright runs in the worker.
         names = (THREADS, *_LIBRARIES)
         before = {name: os.environ[name] for name in names if name in os.environ}
@@ -149,11 +145,7 @@ class _Worker(SpawnContext):
             for name in names:
                 del os.environ[name]
             os.environ.update(before)
-
-    def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]  # noqa: N802 - there a class
-        """Create the process and keep a reference: the executor does not report its exit code."""
-        self.process = SpawnProcess(*args, **kwargs)
-        return self.process
+        self.process = context.processes[0]
 
     def exitcode(self) -> int | None:
         self.executor.shutdown()  # it waits for the process
@@ -166,21 +158,6 @@ def _start_error(error: Exception) -> StudyError:
         f"no worker process can be started ({' '.join(reason.split())}): start the work of a script below "
         'if __name__ == "__main__":, or use fewer workers'
     )
-
-
-def _start_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the driver process too, which ends its workers
-    threading.Thread(target=_end_with_driver, daemon=True).start()
-
-
-def _end_with_driver() -> None:
-    driver = multiprocessing.parent_process()
-    if driver is None:
-        return
-    wait([driver.sentinel])
-    os.kill(os.getpid(), signal.SIGTERM)  # the handler removes incomplete folders
-    time.sleep(_GRACE_S)
-    os._exit(1)
 
 
 class Cluster(Executor):
