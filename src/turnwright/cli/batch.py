@@ -36,14 +36,14 @@ CASE_FILE = "case.json"
 
 def run_into(folder: Path, job: Job, progress: StageProgress) -> Result:
     """Run a job and write all its results to a folder."""
-    from turnwright import job as recipe  # noqa: PLC0415 - costly
+    from turnwright import job as recipe, report  # noqa: PLC0415 - costly
 
+    report.draw_part(job)
     result = recipe.run(job, progress=progress, out=folder)
     progress("report", 0, 1)
-    from turnwright import report  # noqa: PLC0415 - imports matplotlib, needed only after a successful run
-
+    page = report.compose_report(result, folder)
     report.archive_run(result, folder)
-    report.write_report(result, folder)
+    report.write_page(page, folder)
     report.write_certificate(result, folder)
     progress("report", 1, 1)
     return result

@@ -61,10 +61,11 @@ def run(
         return
     with new_folder(out, session, force=force) as folder:
         from turnwright.job import Job, compile_simulation_ahead, steps_of_run  # noqa: PLC0415 - costly
+        from turnwright.report import draw_apart  # noqa: PLC0415
 
         recipe = Job.load(jobs[0])
         compile_simulation_ahead()
-        with show_progress(session.stop, steps_of_run(recipe)) as progress:
+        with draw_apart(), show_progress(session.stop, steps_of_run(recipe)) as progress:
             result = run_into(folder, recipe, progress)
     for cut in result.passes:
         session.echo(

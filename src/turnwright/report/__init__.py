@@ -13,11 +13,13 @@ from turnwright.report.archive import (
 )
 from turnwright.report.certificate import write_certificate
 from turnwright.report.comparison import write_comparison
+from turnwright.report.drawing import draw_apart
 from turnwright.report.figures import write_fit_picture, write_picture
 from turnwright.report.lens import write_lens_picture
 from turnwright.report.measurement import write_correction, write_diagnosis, write_measured
 from turnwright.report.optics import optics_facts, write_optics
-from turnwright.report.run import write_backplot, write_report
+from turnwright.report.page import write_page
+from turnwright.report.run import compose_report, draw_part, write_backplot, write_report
 from turnwright.report.study import write_study
 from turnwright.report.tiled import write_tiled
 from turnwright.report.tolerance import write_tolerance
@@ -30,6 +32,9 @@ __all__ = [
     "archive_optics",
     "archive_run",
     "archive_tiled",
+    "compose_report",
+    "draw_apart",
+    "draw_part",
     "optics_facts",
     "read_maps",
     "write_backplot",
@@ -42,6 +47,7 @@ __all__ = [
     "write_maps",
     "write_measured",
     "write_optics",
+    "write_page",
     "write_picture",
     "write_report",
     "write_study",

@@ -2,6 +2,8 @@
 
 Every picture is an inline SVG whose ink, line and series colours are CSS variables, so one copy serves a light page, a
 dark page and print. Data are thinned to some ten thousand points before plotting.
+
+matplotlib is imported where it is used, since the figures of a run may be drawn by other processes.
 """
 
 from __future__ import annotations
@@ -9,17 +11,12 @@ from __future__ import annotations
 import io
 import math
 import re
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import MaxNLocator
 
 from turnwright._io import write_atomic
 from turnwright.metrology import area_rms
@@ -135,6 +132,9 @@ class _Canvas:
     """A figure, and its SVG once it is rendered."""
 
     def __init__(self, width: float, height: float, dpi: int) -> None:
+        from matplotlib.figure import Figure  # noqa: PLC0415 - costly to import
+        from matplotlib.layout_engine import ConstrainedLayoutEngine  # noqa: PLC0415
+
         self.layout = ConstrainedLayoutEngine(compress=True)
         self.figure = Figure(figsize=(width, height), dpi=dpi, layout=self.layout)
         self.svg = ""
@@ -157,16 +157,32 @@ class _Canvas:
         write_atomic(file, picture.getvalue())
 
 
+def _styled(style: dict[Any, Any]) -> AbstractContextManager[None]:
+    """Return a context in which figures have a style."""
+    import matplotlib as mpl  # noqa: PLC0415 - costly to import
+
+    return mpl.rc_context(style)
+
+
+def _limit_ticks(axis: Any, **how: Any) -> None:
+    """Place few ticks, at round values."""
+    from matplotlib.ticker import MaxNLocator  # noqa: PLC0415
+
+    axis.set_major_locator(MaxNLocator(**how))
+
+
 @contextmanager
 def _canvas(width: float = 4.6, height: float = 3.7, dpi: int = 130) -> Iterator[_Canvas]:
     """Yield a figure of a given size [in]; on exit its ``svg`` is set."""
-    with mpl.rc_context(STYLE):
+    with _styled(STYLE):
         canvas = _Canvas(width, height, dpi)
         yield canvas
         canvas.svg = _print_svg(canvas)
 
 
 def _print_svg(canvas: _Canvas) -> str:
+    from matplotlib.backends.backend_svg import FigureCanvasSVG  # noqa: PLC0415 - costly to import
+
     # Lay out and print once: `savefig` would render the figure twice more.
     if canvas.figure.get_layout_engine() is canvas.layout:
         canvas.layout.execute(canvas.figure)
@@ -194,7 +210,7 @@ def _bar(canvas: _Canvas, axes: Axes, image: Any, label: str, extend: str = "nei
     bar: Any = canvas.figure.colorbar(image, ax=axes, label=label, extend=extend, shrink=0.86, aspect=24)
     bar.outline.set_linewidth(0.6)
     bar.solids.set_rasterized(True)
-    bar.ax.yaxis.set_major_locator(MaxNLocator(6))
+    _limit_ticks(bar.ax.yaxis, nbins=6)
 
 
 def _legend_above(axes: Axes, ncols: int, **how: Any) -> None:
@@ -287,7 +303,7 @@ def view(part: Part) -> Picture:
             axis.set_pane_color((0, 0, 0, 0))
             axis.line.set_color(LINE)
             axis._axinfo["grid"].update(color=LINE, linewidth=0.4)  # noqa: SLF001 - mplot3d offers no other way
-            axis.set_major_locator(MaxNLocator(4))
+            _limit_ticks(axis, nbins=4)
         axes.tick_params(pad=0)
         axes.set_xlabel("x [mm]", labelpad=0)
         axes.set_ylabel("y [mm]", labelpad=0)
@@ -527,7 +543,7 @@ def z_over_turns(turns: Sequence[Motion]) -> Picture:
         speed.set(
             xlabel="spindle angle from the start of the revolution [deg]", ylabel=f"{name} speed [mm/s]", xlim=(0, 360)
         )
-        speed.xaxis.set_major_locator(MaxNLocator(steps=[1, 3, 6, 9]))
+        _limit_ticks(speed.xaxis, steps=[1, 3, 6, 9])
         speed.set_xticks(np.arange(0, 361, 60))
         for axes in (height, speed):
             axes.grid(visible=True)
@@ -637,7 +653,7 @@ def write_fit_picture(experiment: Experiment, path: str | PathLike[str]) -> None
     """Write a picture of measured and fitted cutting forces with their residuals."""
     fit, critical = experiment.learned.fit, experiment.learned.critical
     count, nm = len(fit.components), fit.thickness * NM
-    with mpl.rc_context(PLAIN_STYLE):
+    with _styled(PLAIN_STYLE):
         canvas = _Canvas(4.2 * count, 5.6, 150)
         panels = canvas.figure.subplots(2, count, squeeze=False, sharex=True, height_ratios=(2, 1))
         for name, column, measured, fitted in zip(fit.components, panels.T, fit.measured.T, fit.fitted.T, strict=True):
@@ -659,7 +675,7 @@ def write_fit_picture(experiment: Experiment, path: str | PathLike[str]) -> None
 
 def write_picture(shown: HeightMap | Profile, path: str | PathLike[str]) -> None:
     """Write a picture of a map or a profile as ``.png``, ``.svg`` or ``.pdf``, by the suffix of the file."""
-    with mpl.rc_context(PLAIN_STYLE):
+    with _styled(PLAIN_STYLE):
         canvas = _Canvas(6.4, 3.2 if isinstance(shown, Profile) else 4.8, 160)
         if isinstance(shown, Profile):
             factor, unit = _length(float(np.ptp(shown.distance)))

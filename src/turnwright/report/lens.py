@@ -5,10 +5,20 @@ from __future__ import annotations
 from pathlib import Path as File
 from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
 
-from turnwright.report.figures import HEIGHTS, PLAIN_STYLE, _arrow, _bar, _Canvas, _fill_image, _length, _plan, _square
+from turnwright.report.figures import (
+    HEIGHTS,
+    PLAIN_STYLE,
+    _arrow,
+    _bar,
+    _Canvas,
+    _fill_image,
+    _length,
+    _plan,
+    _square,
+    _styled,
+)
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -35,7 +45,7 @@ def write_lens_picture(part: Part, surface: LensSurface, side: LensSide, path: s
     Left the section x = 0 in the frame of the lens file, with the material, the arriving light and the tool; right the
     heights of the part as the tool sees it, with an L that reads as an L in the frame of the lens file.
     """
-    with mpl.rc_context(PLAIN_STYLE):
+    with _styled(PLAIN_STYLE):
         canvas = _Canvas(9.2, 4.4, 160)
         section, plan = canvas.figure.subplots(1, 2, width_ratios=(1, 1.25))
         _draw_section(section, part, surface, side)

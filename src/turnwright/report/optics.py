@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from turnwright.report import figures as draw
+from turnwright.report import figures
+from turnwright.report.drawing import draw
 from turnwright.report.page import Page, Section, Table, page_file, write_page
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ def write_optics(job: Job, performance: OpticalPerformance, path: str | PathLike
 def optics_section(performance: OpticalPerformance) -> Section:
     """Return the section of the optical performance."""
     light, focal = performance.wavefront, performance.focal_length
+    transfers = light.mtf(focal_length=focal), _perfect(light).mtf(focal_length=focal)
     unit = "rad" if focal is None else "mm"
     orders = [
         [
@@ -56,9 +58,9 @@ def optics_section(performance: OpticalPerformance) -> Section:
         title="Optical performance",
         items=[
             Table(rows=[[name, value] for name, value in optics_facts(performance).items()], span=3),
-            draw.wavefront_map(light),
-            draw.point_spread(light.psf(focal_length=focal), light.strehl, unit),
-            draw.modulation(light.mtf(focal_length=focal), _perfect(light).mtf(focal_length=focal), f"1/{unit}"),
+            draw(figures.wavefront_map, light),
+            draw(figures.point_spread, light.psf(focal_length=focal), light.strehl, unit),
+            draw(figures.modulation, *transfers, f"1/{unit}"),
             Table(
                 title="Diffraction orders of the marks", columns=("Marks", "Order", "Angle", "Share of the light"),
                 numeric=(1, 2, 3), rows=orders, notes=[MARKS_TEXT], dense=True,

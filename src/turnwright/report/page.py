@@ -7,8 +7,10 @@ side by side in a grid of six columns, of which each takes its ``span``.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import Future
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path as File
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 
     from turnwright.job import Job
 
-__all__ = ["Cell", "Code", "Number", "Page", "Picture", "Section", "Table", "page_file", "write_page"]
+__all__ = ["Cell", "Code", "Drawing", "Number", "Page", "Picture", "Section", "Table", "page_file", "write_page"]
 
 
 class Number(NamedTuple):
@@ -42,6 +44,35 @@ class Picture(NamedTuple):
     alt: str
     title: str = ""
     span: int = 3
+
+
+class Drawing:
+    """A picture that was ordered and may not be drawn yet.
+
+    Parameters
+    ----------
+    order
+        Draws it in this process.
+    future
+        The picture from another process.
+    """
+
+    def __init__(self, order: Callable[[], Picture], future: Future[Picture] | None = None) -> None:
+        self._order, self._future = order, future
+
+    def draw_here(self) -> None:
+        """Draw it in this process if no other one has begun it."""
+        if self._future is not None and self._future.cancel():
+            self._future = Future()
+            self._future.set_result(self._order())
+
+    def picture(self) -> Picture:
+        """Return the picture when it is drawn, by this process if no other one could."""
+        if self._future is not None:
+            # A figure that cannot be drawn fails here again, for its reason.
+            with suppress(Exception):
+                return self._future.result()
+        return self._order()
 
 
 class Cell(NamedTuple):
@@ -86,7 +117,7 @@ class Section:
     source: str = ""
     text: Sequence[str] = ()
     notes: Sequence[str] = ()
-    items: Sequence[Picture | Table | Code] = ()
+    items: Sequence[Picture | Drawing | Table | Code] = ()
     is_subsection: bool = False
 
 
@@ -125,8 +156,17 @@ def write_page(page: Page, path: str | PathLike[str]) -> File:
         lstrip_blocks=True,
     )
     environment.filters["typeset"] = lambda text: re.sub(r"(?<![\w.])-(?=\d)", "\u2212", text)
+    # This process draws too, from the last one on.
+    for item in reversed([item for section in page.sections for item in section.items]):
+        if isinstance(item, Drawing):
+            item.draw_here()
+    page = replace(page, sections=[replace(one, items=[*map(_drawn, one.items)]) for one in page.sections])
     text = environment.get_template("page.html.j2").render(page=page, version=__version__)
     text = re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", "", text)  # control characters are invalid in HTML
     path = page_file(path)
     write_atomic(path, text)
     return path
+
+
+def _drawn(item: Picture | Drawing | Table | Code) -> Picture | Table | Code:
+    return item.picture() if isinstance(item, Drawing) else item

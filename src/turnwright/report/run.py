@@ -12,9 +12,10 @@ from turnwright.chuck import Chuck
 from turnwright.job import judge, part_shape
 from turnwright.path import Motion
 from turnwright.post import dialect_of, stop_instructions
-from turnwright.report import figures as draw
+from turnwright.report import figures
+from turnwright.report.drawing import draw
 from turnwright.report.optics import optics_section
-from turnwright.report.page import Cell, Code, Number, Page, Section, Table, page_file, write_page
+from turnwright.report.page import Cell, Code, Drawing, Number, Page, Section, Table, page_file, write_page
 from turnwright.units import say_length
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from turnwright.part import Part
     from turnwright.tool import Tool
 
-__all__ = ["roughness_rows", "write_backplot", "write_report"]
+__all__ = ["compose_report", "draw_part", "roughness_rows", "write_backplot", "write_report"]
 
 NM = 1e6
 TURN = 2 * math.pi
@@ -66,6 +67,17 @@ CHIP_TEXT = (
 def write_report(result: Result, path: str | PathLike[str]) -> File:
     """Write the page of a run, see `write_page`."""
     path = page_file(path)
+    return write_page(compose_report(result, path), path)
+
+
+def draw_part(job: Job) -> tuple[Drawing, Drawing]:
+    """Order the figures of the part of a job, for which no result is needed."""
+    return draw(figures.sag_map, job.part), draw(figures.view, job.part)
+
+
+def compose_report(result: Result, path: str | PathLike[str]) -> Page:
+    """Return the page of a run for a file, and order its figures."""
+    path = page_file(path)
     verdicts, program, feed = result.verdicts, result.program, result.passes[-1].feed
     failed = _missed_sentences(verdicts)
     is_rounded = result.rounding_nm > result.rounding_limit_nm
@@ -84,7 +96,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
             met = "tool access and machine limits met"
         grade, word, why = "warn" if unevaluated else "good", "Ready to cut", "; ".join([met, *unevaluated])
     count = len(result.warnings)
-    page = Page(
+    return Page(
         kind="Run",
         job=result.job,
         grade=grade,
@@ -99,16 +111,20 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
                 title="Access",
                 items=[
                     _access_table(result.access, result.findings),
-                    draw.access_map(result.part, result.access.findings),
+                    draw(figures.access_map, result.part, result.access.findings),
                 ],
             ),
             Section(
                 title="Path",
                 items=[
-                    draw.spiral(
-                        result.motion, result.revolutions[len(result.revolutions) // 2], feed, result.job.part.border
+                    draw(
+                        figures.spiral,
+                        result.motion,
+                        result.revolutions[len(result.revolutions) // 2],
+                        feed,
+                        result.job.part.border,
                     ),
-                    draw.contact(result.path),
+                    draw(figures.contact, result.path),
                     _spiral_table(
                         result.revolutions,
                         result.limits,
@@ -125,8 +141,8 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
             Section(
                 title="Axes and limits",
                 items=[
-                    draw.z_over_turns(result.revolutions),
-                    draw.axes_over_time(result.motion),
+                    draw(figures.z_over_turns, result.revolutions),
+                    draw(figures.axes_over_time, result.motion),
                     *(
                         _limit_table(cut.name, _pass_facts(cut), cut.limits, result.machine, folded=number > 0)
                         for number, cut in enumerate(reversed(result.passes))
@@ -156,7 +172,6 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
             Section(title="Run", items=[_timings(result)]),
         ],
     )
-    return write_page(page, path)
 
 
 def write_backplot(
@@ -193,15 +208,15 @@ def write_backplot(
             Section(
                 title="Path",
                 items=[
-                    draw.spiral(shown, turns[len(turns) // 2], feed, job.part.border),
+                    draw(figures.spiral, shown, turns[len(turns) // 2], feed, job.part.border),
                     _spiral_table(turns, limits, feed),
                 ],
             ),
             Section(
                 title="Axes and limits",
                 items=[
-                    draw.z_over_turns(turns),
-                    draw.axes_over_time(shown),
+                    draw(figures.z_over_turns, turns),
+                    draw(figures.axes_over_time, shown),
                     _limit_table(program.name, facts, limits, job.machine),
                 ],
             ),
@@ -230,7 +245,7 @@ def _approach(result: Result) -> Section:
     return Section(
         title="Approach",
         items=[
-            *(draw.approach_view(name, result.entries[name], result.tool) for name in names),
+            *(draw(figures.approach_view, name, result.entries[name], result.tool) for name in names),
             Table(
                 columns=columns,
                 numeric=(1, 3, 4, 5, 6),
@@ -313,7 +328,7 @@ def _chips(result: Result) -> list[Section]:
     )  # fmt: skip
     table = Table(columns=columns, numeric=range(2, 11), rows=rows, notes=[" ".join(note)], dense=True)
     pictured = dict.fromkeys(name for name in (result.passes[0].name, result.passes[-1].name) if name in result.chips)
-    maps = [draw.chip_map(name, result.part, result.chips[name], material) for name in pictured]
+    maps = [draw(figures.chip_map, name, result.part, result.chips[name], material) for name in pictured]
     return [Section(title="Uncut chip thickness", items=[*maps, table])]
 
 
@@ -428,8 +443,7 @@ def _things(job: Job) -> Section:
     return Section(
         title="Part, tool, machine",
         items=[
-            draw.sag_map(part),
-            draw.view(part),
+            *draw_part(job),
             Table(title="Part", rows=[*about_part.items(), *remarks], span=2),
             Table(title=f"Tool {tool.name}".strip(), rows=list(about_tool.items()), span=2),
             Table(title="Machine", rows=list(about_machine.items()), span=2),
@@ -683,13 +697,15 @@ def _surface(one: Prediction, feed: float, border: Outline) -> Section:
     note += " from the nominal surface" if rough.form == "none" else f" after form removal ({_form(rough.form)})"
     if radius is not None and (step := radius[1] - radius[0]) > feed / 4:
         note += f" · radial step {_length(float(step))} at a feed of {_length(feed)}/rev: cusps are aliased"
-    across = draw.rings(one.error) if one.error.polar else draw.profile(one.error, feed)
-    items = [draw.error_map(one.error, border=border), across]
+    across = draw(figures.rings, one.error) if one.error.polar else draw(figures.profile, one.error, feed)
+    items = [draw(figures.error_map, one.error, border=border), across]
     text = [note]
     if one.tracking is not None and one.tracking_nm is not None:
         pv, rms = one.tracking_nm
         text.append(f"Servo contribution: {_number(pv)} nm PV, {_number(rms)} nm rms, form included.")
-        items.append(draw.error_map(one.tracking, "Change of the surface by the servo response", border=border))
+        items.append(
+            draw(figures.error_map, one.tracking, "Change of the surface by the servo response", border=border)
+        )
     return Section(title=one.name, text=text, items=items, is_subsection=True)
 
 

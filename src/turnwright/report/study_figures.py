@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.patches import Rectangle
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from turnwright.report.figures import HEIGHTS, INK, LINE, PAPER, SERIES, _bar, _canvas, _legend_above
 from turnwright.report.page import Picture
@@ -77,6 +75,8 @@ def _axis(axes: Axes, column: Column, which: str) -> None:
 
 def _logarithmic(axes: Axes, which: str) -> None:
     """Make an axis logarithmic, with plain numbers as tick labels."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter  # noqa: PLC0415 - costly to import
+
     getattr(axes, f"set_{which}scale")("log")
     axis = getattr(axes, f"{which}axis")
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -179,6 +179,8 @@ def _mark_job(axes: Axes, field: Column, at: Floats) -> None:
 
 def _levels(known: Floats, *, log: bool) -> Floats:
     """Return round contour levels."""
+    from matplotlib.ticker import MaxNLocator  # noqa: PLC0415 - costly to import
+
     low, high = float(known.min()), float(known.max())
     if not high > low * (1 + 1e-9) + 1e-300:
         return np.array([low])
@@ -205,6 +207,8 @@ def _edges(places: Floats) -> Floats:
 
 def _hatch(axes: Axes, x: Floats, y: Floats, ok: Bools, known: Bools) -> None:
     """Hatch the cells of refused cases; cross-hatch those without a value."""
+    from matplotlib.patches import Rectangle  # noqa: PLC0415 - costly to import
+
     if ok.all():
         return
     wide, high = _edges(x), _edges(y)

@@ -1,0 +1,99 @@
+"""Figures drawn by other processes. Oracle: the same figures drawn by this one."""
+
+import subprocess
+import sys
+
+import pytest
+
+from job_files import changed
+from turnwright.job import Job, run
+from turnwright.report import compose_report, draw_apart, draw_part, drawing, figures, write_page, write_report
+from turnwright.report.page import Drawing
+
+
+@pytest.fixture(scope="module")
+def result():
+    return run(Job.read(changed()))
+
+
+@pytest.fixture(autouse=True)
+def two_cores(monkeypatch):
+    monkeypatch.setattr(drawing, "cores", lambda: 2)
+
+
+def ordered(page):
+    return [item for section in page.sections for item in section.items if isinstance(item, Drawing)]
+
+
+def has_ended(process):
+    process.join(10)
+    return not process.is_alive()
+
+
+def test_other_processes_draw_the_same_page(result, tmp_path):
+    here, apart = tmp_path / "here.html", tmp_path / "apart.html"
+    write_report(result, here)
+    with draw_apart():
+        processes = drawing._apart[-1].context.processes
+        draw_part(result.job)
+        page = compose_report(result, apart)
+        first, *_, last = ordered(page)
+        assert first.picture().svg.startswith("<svg")
+        write_page(page, apart)
+        assert first._future is drawing._apart[-1].order(figures.sag_map, result.job.part)
+        assert last._future.done()
+    assert all(map(has_ended, processes))
+    assert not drawing._apart
+    assert apart.read_text(encoding="utf-8") == here.read_text(encoding="utf-8")
+
+
+def test_figures_are_drawn_here_when_a_process_is_killed(result, tmp_path):
+    with draw_apart():
+        apart = drawing._apart[-1]
+        apart.context.processes[0].kill()
+        page = compose_report(result, tmp_path)
+        write_page(page, tmp_path / "killed.html")
+        write_page(compose_report(result, tmp_path), tmp_path / "again.html")
+    write_report(result, tmp_path / "here.html")
+    text = (tmp_path / "here.html").read_text(encoding="utf-8")
+    assert (tmp_path / "killed.html").read_text(encoding="utf-8") == text
+    assert (tmp_path / "again.html").read_text(encoding="utf-8") == text
+
+
+def test_a_figure_that_cannot_be_drawn_raises_here(result):
+    with draw_apart():
+        order = drawing.draw(figures.sag_map, None)
+        with pytest.raises(AttributeError):
+            order.picture()
+
+
+def test_an_interrupt_ends_the_processes():
+    processes = []
+
+    def interrupted():
+        with draw_apart():
+            processes.extend(drawing._apart[-1].context.processes)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert processes
+    assert all(map(has_ended, processes))
+
+
+def test_one_core_draws_alone(result, monkeypatch):
+    monkeypatch.setattr(drawing, "cores", lambda: 1)
+    with draw_apart():
+        assert not drawing._apart
+        assert draw_part(result.job)[0]._future is None
+
+
+def test_a_process_that_starts_reports_no_interrupt():
+    code = (
+        "import os, signal, time; from turnwright.report import drawing; drawing.cores = lambda: 2\n"
+        "with drawing.draw_apart():\n"
+        "    os.kill(drawing._apart[-1].context.processes[0].pid, signal.SIGINT)\n"
+        "    print(drawing._apart[-1].order(abs, -1).result())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("1\n", "")
