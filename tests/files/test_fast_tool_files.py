@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+from turnwright.post import sync
 
 TURN = 2 * np.pi
 
@@ -251,3 +252,24 @@ def test_stream_needs_no_more_blocks_than_the_lathe_program_has(tmp_path):
     assert limits.block_rate_hz == tw.check_limits(lathe, machine).block_rate_hz < machine.block_rate_hz
     assert all(one.startswith("W bandwidth") for one in limits.findings), limits.findings
     assert tw.track(again, machine).time[-1] == pytest.approx(lathe.time[-1] - lathe.time[0], rel=1e-12)
+
+
+def test_rows_are_the_numbers_that_python_reads():
+    random = np.random.default_rng(5)
+    cells = [f"{value:.{k % 13}f}" for k, value in enumerate(random.normal(0, 1e3, 3000))]
+    lines = [",".join(cells[k : k + 3]) for k in range(0, 3000, 3)]
+    expected = np.array([[float(cell) for cell in line.split(",")] for line in lines])
+    odd = (["1e-3,2,3"], ["1, 2,3"], ["123456789012345678901234567890,0.1234567890123456789012,+.5"], ["-0,1.,.5"])
+    for more in ([], *odd):
+        body = "\n".join([*lines, *more, ""]).encode()
+        table = sync._parse_rows(body, 3)
+        assert table[:1000].tobytes() == expected.tobytes()
+        assert table[1000:].tolist() == [[float(cell) for cell in line.split(",")] for line in more]
+    for wrong in ("1,2\n", "1,2,3,4\n", "1,2,x\n", "1,2,\n", "1,2,3\n4,5,6", "1,2,3\n\n4,5,6\n", ""):
+        try:
+            expected = sync.rows_of_numbers(wrong.splitlines(), ",")
+        except ValueError:
+            with pytest.raises(ValueError):  # noqa: PT011 - the reason is NumPy's
+                sync._parse_rows(wrong.encode(), 3)
+        else:
+            assert np.array_equal(sync._parse_rows(wrong.encode(), 3), expected)

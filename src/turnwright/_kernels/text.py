@@ -312,6 +312,25 @@ def number_at(data, at):
 
 
 @jit
+def parse_rows(data, end, out):
+    """Fill ``out`` (rows, columns) with lines of fixed-point numbers between commas; return how many were plain.
+
+    ``data`` is text with BEHIND letters more after its ``end``. The first line that is anything else ends the work.
+    """
+    rows, columns = out.shape
+    at, stop = U(0), U(end)
+    for row in range(rows):
+        for column in range(columns):
+            value, at = number_at(data, at)
+            mark = 10 if column == columns - 1 else 44
+            if at >= stop or data[at] != mark or np.isnan(value):
+                return row
+            out[row, column] = value
+            at += ONE
+    return rows if at == stop else rows - 1
+
+
+@jit
 def parse_blocks(data, at, end, whole, real, out, first):
     """Read plain cutting blocks until something else follows.
 

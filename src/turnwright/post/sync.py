@@ -421,9 +421,18 @@ def _read(file: Path) -> tuple[dict[str, str], list[str], Floats]:
     if hashlib.sha256(body).hexdigest() != fields["SHA256"]:
         raise ProgramError(f"{file} has rows that do not match its hash, it was damaged or edited: write it again")
     try:
-        table = rows_of_numbers(body.decode("latin-1").splitlines(), ",")
+        table = _parse_rows(body, len(names))
     except ValueError as error:
         raise ProgramError(f"{file} does not hold rows of numbers ({error}): write it again") from error
     if str(table.shape[0]) != fields["ROWS"]:
         raise ProgramError(f"{file} has {table.shape[0]} rows, its header states {fields['ROWS']}: write it again")
     return fields, names, table
+
+
+def _parse_rows(body: bytes, columns: int) -> Floats:
+    """Return the numbers of a table, (rows, columns); raise ValueError unless it holds nothing else."""
+    table = np.empty((body.count(b"\n"), columns))
+    text = np.frombuffer(body + bytes(text_kernel.BEHIND), dtype=np.uint8)
+    if len(table) and text_kernel.parse_rows(text, len(body), table) == len(table):
+        return table
+    return rows_of_numbers(body.decode("latin-1").splitlines(), ",")
