@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+from concurrent.futures import Future
 from pathlib import Path
 
 import hypothesis
@@ -42,6 +43,25 @@ def figures_are_built_and_not_printed(request):
         patch.setattr("turnwright.report.figures._print_svg", lambda _canvas: "<svg></svg>")
         patch.setenv("PYTHONPATH", str(UNPRINTED), prepend=os.pathsep)
         yield
+
+
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """Let this process do the work of local workers: each would import the program and load its kernels anew.
+
+    The processes themselves are the subject of other tests.
+    """
+    from turnwright.studies import LocalPool
+
+    def submit(_pool, function, /, *arguments, **named):
+        done = Future()
+        try:
+            done.set_result(function(*arguments, **named))
+        except Exception as error:  # noqa: BLE001 - the future raises it again
+            done.set_exception(error)
+        return done
+
+    monkeypatch.setattr(LocalPool, "submit", submit)
 
 
 @pytest.fixture

@@ -66,6 +66,7 @@ def test_check_says_which_tolerances_it_does_not_judge(tmp_path, capsys):
     assert message.count("not evaluated") == 2
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_batch_ends_with_the_gravest_code(tmp_path, capsys):
     good = job_file(tmp_path, "good", tolerances={"form_pv": "80 nm"})
     over = job_file(tmp_path, "over", tolerances={"form_pv": "40 nm"})

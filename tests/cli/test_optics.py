@@ -122,6 +122,7 @@ def test_optics_in_a_run_and_its_tolerance(tmp_path, capsys):
     assert "Optical performance" in (tmp_path / "run" / "report.html").read_text()
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_optics_in_a_study():
     """The order of a shallow cusp is the square of its height, the fourth power of the feed."""
     study = tw.studies.study(

@@ -68,6 +68,7 @@ def counted(stages):
     return stages.job.tool.nose_radius
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_the_command_leaves_table_page_and_study(job_file, tmp_path, capsys):
     out = tmp_path / "study"
     code = cli.main([
@@ -400,6 +401,7 @@ def test_a_store_in_memory_is_refused_for_other_processes(job, job_file, tmp_pat
     assert study(job, executor=threads, **asked).ok.all()
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_study_of_refused_cases_keeps_its_rows(job_file, tmp_path, capsys):
     out = tmp_path / "out"
     code = cli.main([

@@ -141,6 +141,7 @@ def test_a_worker_that_does_not_find_the_motion_ends_the_study(job, tmp_path):
     assert _draws.carry_out(case, shared, kept)["form_pv_nm"] > 0
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_the_command_writes_a_table_and_a_page(tmp_path):
     (tmp_path / "job.toml").write_text(tomli_w.dumps(JOB))
     (tmp_path / "budget.toml").write_text(BUDGET)

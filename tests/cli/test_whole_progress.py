@@ -76,6 +76,7 @@ def command_of(kind, folder, heights):
     return [kind, job] if kind == "check" else [kind, job, *out]
 
 
+@pytest.mark.usefixtures("in_this_process")
 @pytest.mark.parametrize("kind", ["run", "check", "plan", "compare", "measure", "diagnose", "correct", "tolerance"])
 def test_the_whole_run_has_one_line_that_never_falls(kind, tmp_path, lines, heights, capsys):
     assert main(command_of(kind, tmp_path, heights)) in (0, 4)
