@@ -25,11 +25,13 @@ def jobs(folder, **changes):
 
 
 COARSE = ("strategy.feed", "40 um/rev")
+BARE = ("simulation", {})
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_each_job_is_a_line_and_a_folder_and_none_is_done_twice(tmp_path, capsys):
     files = jobs(
-        tmp_path, good=[COARSE], wrong=[("tool.nose_radius", "3 apples")], other=[("strategy.feed", "50 um/rev")]
+        tmp_path, good=[COARSE], wrong=[("tool.nose_radius", "3 apples")], other=[BARE, ("strategy.feed", "50 um/rev")]
     )
     out = tmp_path / "out"
     command = ["run", *files, str(tmp_path / "gone.toml"), "--out", str(out)]
@@ -46,8 +48,8 @@ def test_each_job_is_a_line_and_a_folder_and_none_is_done_twice(tmp_path, capsys
     assert json.loads((out / "good" / "result.json").read_text())["passes"][0]["feed"] == pytest.approx(0.04)
 
     before = {file: file.stat().st_mtime_ns for file in out.rglob("*")}
-    jobs(tmp_path, other=[COARSE])
-    assert main(command) == 2
+    jobs(tmp_path, other=[BARE, COARSE])
+    assert main([*command, "--workers", "1"]) == 2
     good, wrong, other, gone, last = capsys.readouterr().out.splitlines()
     assert good.startswith("good   already done: ")
     assert other.startswith("other  failed: ")
@@ -73,37 +75,40 @@ def at_work(session):
 
 
 @pytest.mark.usefixtures("signals_heard")
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "kill -9"])
-def test_an_interrupted_study_keeps_finished_rows(how, tmp_path):
-    files = jobs(tmp_path, **{f"job{n}": [("strategy.feed", f"{40 + n} um/rev")] for n in range(2)})
+def test_an_interrupted_study_keeps_finished_rows(tmp_path):
+    """Ctrl-C in the second of three jobs, kill -9 in the third when the command is repeated; then it is finished."""
+    files = jobs(tmp_path, **{f"job{n}": [BARE, ("strategy.feed", f"{40 + n} um/rev")] for n in range(3)})
     out = tmp_path / "out"
     command = [sys.executable, "-m", "turnwright", "run", *files, "--out", str(out), "--workers", "1"]
-    process = subprocess.Popen(
-        command, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    start = time.monotonic()
-    while len(list(out.glob("*"))) < 2 or not (out / "job0").exists():  # the second is on its way
-        assert time.monotonic() - start < PATIENCE_S
-        time.sleep(0.01)
-    if how == signal.SIGINT:
-        os.killpg(process.pid, how)
-    else:
-        process.kill()
-    message = process.communicate(timeout=PATIENCE_S)[1]
-    assert process.returncode == (130 if how == signal.SIGINT else -signal.SIGKILL)
-    if how == signal.SIGINT:
-        assert message.splitlines()[-1] == (
-            f"turnwright: interrupted, finished jobs are in {out}: repeat the command to continue"
+    for done, how in ((1, signal.SIGINT), (2, signal.SIGKILL)):
+        process = subprocess.Popen(
+            command, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
-        assert "Traceback" not in message
-    while at_work(process.pid):  # its worker notices
-        assert time.monotonic() - start < PATIENCE_S
-        time.sleep(0.05)
-    assert {one.name for one in out.iterdir()} <= {"job0", "job1"}  # no half of a folder, and no hidden one
-    before = (out / "job0" / "report.html").stat().st_mtime_ns
+        start = time.monotonic()
+        while len(list(out.glob("*"))) <= done or not (out / f"job{done - 1}").exists():  # the next is on its way
+            assert time.monotonic() - start < PATIENCE_S
+            time.sleep(0.01)
+        if how == signal.SIGINT:
+            os.killpg(process.pid, how)
+        else:
+            process.kill()
+        message = process.communicate(timeout=PATIENCE_S)[1]
+        assert process.returncode == (130 if how == signal.SIGINT else -signal.SIGKILL)
+        if how == signal.SIGINT:
+            assert message.splitlines()[-1] == (
+                f"turnwright: interrupted, finished jobs are in {out}: repeat the command to continue"
+            )
+            assert "Traceback" not in message
+        while at_work(process.pid):  # its worker notices
+            assert time.monotonic() - start < PATIENCE_S
+            time.sleep(0.05)
+        # No half of a folder, and no hidden one.
+        kept = {f"job{n}" for n in range(done)}
+        assert kept <= {one.name for one in out.iterdir()} <= kept | {f"job{done}"}
+        before = {file: file.stat().st_mtime_ns for name in kept for file in (out / name).iterdir()}
     assert main(command[3:]) == 0
-    assert (out / "job0" / "report.html").stat().st_mtime_ns == before
-    assert sorted(one.name for one in out.iterdir()) == ["job0", "job1"]
+    assert {file: file.stat().st_mtime_ns for file in before} == before
+    assert sorted(one.name for one in out.iterdir()) == ["job0", "job1", "job2"]
 
 
 @pytest.mark.parametrize(
