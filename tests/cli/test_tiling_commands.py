@@ -8,7 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,7 +17,6 @@ import pytest
 import zarr
 
 import turnwright as tw
-from patience import PATIENCE_S
 from turnwright.cli import main, tiling as _tiling
 from turnwright.studies import Cluster, LocalPool
 
@@ -60,7 +59,13 @@ def made(store, **more):
     )
     motion = tw.Motion(time=1e-3 * k, axes={"C": angle, "X": x, "Z": 0 * x}, machine=machine)
     tool = tw.Tool(nose_radius=0.2, included=np.deg2rad(100))
-    return tw.studies.generate_tiled(motion, tool, pixel=0.001, store=store, radius=0.35, tile=64, **more)
+    return tw.studies.generate_tiled(motion, tool, pixel=0.0015, store=store, radius=0.35, tile=64, **more)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The map, made at once."""
+    return made(tmp_path_factory.mktemp("whole") / "map")
 
 
 @pytest.fixture
@@ -150,17 +155,22 @@ def test_impossible_tiles_are_reported_before_planning(job, tmp_path, capsys, mo
 
 
 @pytest.mark.usefixtures("signals_heard")
-def test_an_interrupt_keeps_the_finished_tiles_and_says_so(job, tmp_path):
-    out = tmp_path / "out"
-    command = [sys.executable, "-m", "turnwright", "tile", str(job), "--pixel", "0.25 um", "--tile", "64"]
-    with subprocess.Popen([*command, "--out", str(out)], stderr=subprocess.PIPE, text=True) as process:
-        until = time.monotonic() + PATIENCE_S
-        while len(chunks(out / "map.zarr")) < 5 and time.monotonic() < until:
-            time.sleep(0.05)
-        process.send_signal(signal.SIGINT)
-        message = process.stderr.read()
-    assert process.returncode == 130
-    assert message.splitlines()[-1].startswith("turnwright: interrupted, finished tiles are in")
+def test_an_interrupt_keeps_the_finished_tiles_and_says_so(job, tmp_path, capsys):
+    out, ended = tmp_path / "out", threading.Event()
+
+    def interrupt():
+        while not ended.wait(0.05):
+            if len(chunks(out / "map.zarr")) >= 5:
+                os.kill(os.getpid(), signal.SIGINT)
+                return
+
+    hand = threading.Thread(target=interrupt)
+    hand.start()
+    code = main(["tile", str(job), "--pixel", "0.25 um", "--tile", "64", "--out", str(out)])
+    ended.set()
+    hand.join()
+    assert code == 130
+    assert capsys.readouterr().err.splitlines()[-1].startswith("turnwright: interrupted, finished tiles are in")
     with pytest.raises(tw.InputError, match=r"has \d+ of \d+ tiles: repeat the call"):
         tw.studies.TiledMap.open(out / "map.zarr")
 
@@ -175,7 +185,7 @@ def test_a_disk_too_small_is_refused_beforehand(job, tmp_path, monkeypatch, caps
     assert not (tmp_path / "out").exists()
 
 
-def test_a_killed_run_goes_on_where_it_was(tmp_path):
+def test_a_killed_run_goes_on_where_it_was(whole, tmp_path):
     store = tmp_path / "map"
     script = KILLED.format(folders=FOLDERS, store=str(store))
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as process:
@@ -202,7 +212,7 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path):
     found = made(store, progress=lambda done, total: report.append((done, total)))
     assert report[0] == (len(finished), total)
     assert {file: seen for file, seen in chunks(store).items() if file in before} == before
-    assert np.array_equal(found.height_map().z, made(tmp_path / "other").height_map().z, equal_nan=True)
+    assert np.array_equal(found.height_map().z, whole.height_map().z, equal_nan=True)
     assert tw.studies.TiledMap.open(store).valid == found.valid
 
 
@@ -210,7 +220,7 @@ def place(file):
     return int(file.parent.name), int(file.name)
 
 
-def test_a_disk_that_becomes_full_keeps_what_is_finished(tmp_path, monkeypatch):
+def test_a_disk_that_becomes_full_keeps_what_is_finished(whole, tmp_path, monkeypatch):
     import zarr.storage._local as local
 
     real, written = local._put, []
@@ -230,10 +240,10 @@ def test_a_disk_that_becomes_full_keeps_what_is_finished(tmp_path, monkeypatch):
     kept = chunks(tmp_path / "map")
     assert kept
     found = made(tmp_path / "map")
-    assert np.array_equal(found.height_map().z, made(tmp_path / "other").height_map().z, equal_nan=True)
+    assert np.array_equal(found.height_map().z, whole.height_map().z, equal_nan=True)
 
 
-def test_processes_make_the_same_map_despite_a_kill(tmp_path):
+def test_processes_make_the_same_map_despite_a_kill(whole, tmp_path):
     seen = []
 
     def report(done, _total):
@@ -243,7 +253,7 @@ def test_processes_make_the_same_map_despite_a_kill(tmp_path):
 
     with tw.studies.local(2) as pool:
         found = made(tmp_path / "map", executor=pool, progress=report)
-    assert np.array_equal(found.height_map().z, made(tmp_path / "other").height_map().z, equal_nan=True)
+    assert np.array_equal(found.height_map().z, whole.height_map().z, equal_nan=True)
     assert seen == sorted(set(seen))
 
 
@@ -283,8 +293,8 @@ def test_what_is_refused(tmp_path, asked, message):
     assert not (tmp_path / "map").exists()
 
 
-def test_what_a_map_refuses(tmp_path):
-    found = made(tmp_path / "map")
+def test_what_a_map_refuses(whole, tmp_path):
+    found = whole
     for call, message in (
         (lambda: found.height_map(9), r"the level is 9, it must be a whole number, 0 to \d: give one"),
         (lambda: found.window(x=(1, 0), y=(0, 1)), "the window along x is 1 to 0, it must ascend"),
@@ -292,7 +302,7 @@ def test_what_a_map_refuses(tmp_path):
         (lambda: found.window(x=(5, 6), y=(0, 1)), "holds no pixel of the map"),
         (lambda: found.roughness(form="sphere"), "a map in tiles takes"),
         (lambda: found.area_psd(segment=2), "the width of a segment in pixels is 2, it must be"),
-        (lambda: found.area_psd(segment=700), "no segment of 700 x 700 pixels is free of gaps"),
+        (lambda: found.area_psd(segment=450), "no segment of 450 x 450 pixels is free of gaps"),
         (lambda: found.line_psd(along="radius", segment=64), "along is 'radius'"),
         (lambda: tw.studies.TiledMap.open(tmp_path), "holds no tiled map"),
     ):
