@@ -86,6 +86,12 @@ def page(small):
     return write_report(result, folder)
 
 
+@pytest.fixture
+def unprinted(monkeypatch):
+    """Leave out the printing of figures, most of the time of a page, where a test only reads its text."""
+    monkeypatch.setattr("turnwright.report.figures._print_svg", lambda _canvas: "<svg></svg>")
+
+
 def test_the_page_lies_in_the_folder_and_nothing_else_is_left(page, small):
     _, folder = small
     assert page == folder / "report.html"
@@ -113,6 +119,7 @@ def test_names_from_a_job_are_text_and_not_markup(page):
     assert SMALL["part"]["name"] in read(page).text
 
 
+@pytest.mark.usefixtures("unprinted")
 def test_no_control_character_reaches_the_page(small, tmp_path):
     result, _ = small
     text = write_report(dataclasses.replace(result, warnings=("a \x1b[2J\x00name\x9b",)), tmp_path).read_text(
@@ -179,6 +186,7 @@ def in_glass(folder, *, critical, ratio=1):
     return read(write_report(result, folder)).text, result.passes[-1].chips
 
 
+@pytest.mark.usefixtures("unprinted")
 def test_the_chips_of_every_pass_stand_in_a_table(tmp_path):
     text, chips = in_glass(tmp_path, critical='value = "600 nm"')
     thickest = f"{chips.thickest * 1e6:.3g} nm"
@@ -189,6 +197,7 @@ def test_the_chips_of_every_pass_stand_in_a_table(tmp_path):
     assert "Ready to cut" in text
 
 
+@pytest.mark.usefixtures("unprinted")
 def test_a_margin_inside_its_uncertainty_is_not_ready_to_cut(tmp_path):
     """Where a crack would be twenty times as long as the chip, what cannot be decided may stay."""
     text, chips = in_glass(tmp_path, critical='value = "450 nm"\nuncertainty = "90 nm"', ratio=20)
@@ -199,6 +208,7 @@ def test_a_margin_inside_its_uncertainty_is_not_ready_to_cut(tmp_path):
     assert "ductile regime not certain" in text
 
 
+@pytest.mark.usefixtures("unprinted")
 def test_a_tolerance_that_is_not_kept_is_the_verdict(small, tmp_path):
     result, _ = small
     strict = Job.read(SMALL | {"tolerances": {"form_pv": "1 nm", "sq": "10 um"}})
@@ -209,6 +219,7 @@ def test_a_tolerance_that_is_not_kept_is_the_verdict(small, tmp_path):
     assert "a b c" in head
 
 
+@pytest.mark.usefixtures("unprinted")
 def test_what_the_job_accepts_is_neither_good_nor_bad(small, tmp_path):
     result, _ = small
     findings = (dataclasses.replace(result.access.findings[0], ok=False), *result.access.findings[1:])
@@ -220,12 +231,14 @@ def test_what_the_job_accepts_is_neither_good_nor_bad(small, tmp_path):
     assert "not ok" in text
 
 
+@pytest.mark.usefixtures("unprinted")
 def test_a_program_that_differs_from_its_plan_is_the_verdict(small, tmp_path):
     result, _ = small
     text = read(write_report(dataclasses.replace(result, rounding_nm=9.0, rounding_limit_nm=1.0), tmp_path)).text
     assert "Not ready rounding in the program exceeds its limit" in text
 
 
+@pytest.mark.usefixtures("unprinted")
 def test_programs_that_are_gone_are_named_without_a_link(small, tmp_path):
     result, _ = small
     gone = dataclasses.replace(result.program, files=(Path("/nowhere/gone.nc"),))
@@ -265,6 +278,7 @@ def test_the_same_result_makes_the_same_page(page, small, tmp_path):
     assert plain[0] == plain[1]
 
 
+@pytest.mark.usefixtures("unprinted")
 def test_a_page_that_cannot_be_written_leaves_nothing(small, tmp_path):
     result, _ = small
     with pytest.raises(OSError, match="absent"):
@@ -285,6 +299,7 @@ def test_a_foreign_program_gets_a_page_without_a_plan(small, tmp_path):
     assert len(seen.pictures) == 9
 
 
+@pytest.mark.usefixtures("unprinted")
 def test_a_foreign_program_beyond_the_machine_says_so(small, tmp_path):
     result, _ = small
     job = Job.read(SMALL)
