@@ -45,6 +45,17 @@ def figures_are_built_and_not_printed(request):
         yield
 
 
+@pytest.fixture(scope="module", autouse=True)
+def one_warm_process(request):
+    """Let a server in this process keep one other process warm, not two: each loads the kernels of a whole page."""
+    if request.path.parent.name != "web":
+        yield
+        return
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("turnwright.web.workers.PLANNERS", 1)
+        yield
+
+
 @pytest.fixture
 def in_this_process(monkeypatch):
     """Let this process do the work of local workers: each would import the program and load its kernels anew.
