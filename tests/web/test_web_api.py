@@ -214,11 +214,20 @@ def test_a_run_tells_its_progress(dish):
     )
 
 
-def test_a_run_that_misses_a_tolerance_says_so_in_the_list(client, dish):
-    """The list put a green tick next to it."""
-    strict = changed(*DISH, ("tolerances.form_pv", "1 nm"))
-    name = client.post("/api/runs", json={"data": strict, "kind": "run"}).json()["id"]
+@pytest.fixture(scope="module")
+def strict(client):
+    """A run that misses a tolerance: its job with the text that a person wrote, its id, and the text to be kept."""
+    text = tomli_w.dumps(changed(*DISH, ("tolerances.form_pv", "1 nm"))).replace("[tool]", "# from the drawer\n[tool]")
+    job = changed(*DISH, ("tolerances.form_pv", "1 nm"), ("strategy.feed", "25 um/rev"))
+    request = {"data": job, "toml": text}
+    name = client.post("/api/runs", json={**request, "kind": "run"}).json()["id"]
     ended(client, name)
+    return request, name, text.replace("20 um/rev", "25 um/rev")
+
+
+def test_a_run_that_misses_a_tolerance_says_so_in_the_list(client, dish, strict):
+    """The list put a green tick next to it."""
+    name = strict[1]
     missed = {one["id"]: one["missed"] for one in client.get("/api/runs").json()}
     assert missed[name] is True
     assert missed[dish[0]] is False
@@ -591,18 +600,14 @@ def test_an_archive_of_a_job_is_opened_again(client):
         assert tomllib.loads(first.read("job.toml").decode()) == tomllib.loads(second.read("job.toml").decode())
 
 
-def test_a_job_is_kept_as_it_was_written(client):
+def test_a_job_is_kept_as_it_was_written(client, strict):
     """Oracle: the text itself."""
-    text = tomli_w.dumps(changed(*DISH)).replace("[tool]", "# from the drawer\n[tool]")
-    job = changed(*DISH, ("strategy.feed", "25 um/rev"))
-    wanted = text.replace("20 um/rev", "25 um/rev")
-    assert client.post("/api/job/write", json={"data": job, "toml": text}).json() == {"toml": wanted, "errors": []}
-    name = client.post("/api/runs", json={"data": job, "toml": text, "kind": "run"}).json()["id"]
-    ended(client, name)
+    request, name, wanted = strict
+    assert client.post("/api/job/write", json=request).json() == {"toml": wanted, "errors": []}
     reported = client.get(f"/api/runs/{name}").json()
     assert reported["toml"] == wanted
     assert client.get(f"/api/runs/{name}/files/written").text == wanted
-    plain = client.post("/api/runs", json={"data": job, "kind": "run"}).json()["id"]
+    plain = client.post("/api/runs", json={"data": request["data"], "kind": "run"}).json()["id"]
     assert client.get(f"/api/runs/{plain}").json()["toml"] == ""
     assert client.get(f"/api/runs/{plain}/files/written").status_code == 404
     client.post(f"/api/runs/{plain}/cancel")
