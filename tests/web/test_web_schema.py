@@ -24,7 +24,7 @@ HOST = {"Host": "127.0.0.1"}
 
 
 SETTINGS = settings(
-    max_examples=5, derandomize=True, database=None, phases=[Phase.generate],
+    max_examples=3, derandomize=True, database=None, phases=[Phase.generate],
     suppress_health_check=list(HealthCheck),
 )  # fmt: skip
 
