@@ -261,7 +261,8 @@ def test_error_not_caused_by_the_points_ends_the_search(tmp_path, monkeypatch):
         plan(Job.load(job))
 
 
-def test_a_job_that_asks_for_an_interpolation_gets_it(tmp_path):
+def test_a_job_that_asks_for_an_interpolation_gets_it(steady, tmp_path, monkeypatch):
+    monkeypatch.setattr(_plan, "_plan_interpolation", lambda *_: steady)
     job = Job.load(
         lathe(tmp_path, ("machine.interpolation", "linear"), controller='other_interpolations = { hermite = "pmac" }')
     )
