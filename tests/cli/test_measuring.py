@@ -399,7 +399,7 @@ def test_a_correction_goes_into_any_folder(shop, tmp_path, monkeypatch):
 def test_measure_and_diagnose_state_the_same_form_error(shop):
     """Also of a map of more points than the diagnosis takes, whose cells average the noise out."""
     job = Job.load(shop / "job.toml")
-    axis = np.linspace(-2, 2, 601)
+    axis = np.linspace(-2, 2, 301)
     x, y = np.meshgrid(axis, axis)
     z = tw.Sphere(radius=20.0).sag(x, y) + 20e-6 * np.hypot(x, y) ** 3
     z += 8e-6 * np.random.default_rng(1).normal(size=z.shape)
