@@ -45,6 +45,7 @@ class BruteForce:
         self.x = motion.axes["X"]
         self.z = motion.axes["Z"] + squareness * self.x
         self.u, self.v, self.e = dense_edge(tool, motion.sense)
+        self.upright = not self.v.any()
 
     def at(self, x, y):
         r, azimuth = np.hypot(x, y), self.sense * np.arctan2(y, x)
@@ -65,7 +66,7 @@ class BruteForce:
             v = np.interp(u, self.u, self.v)
             return -self.sense * sign * r * np.sin(at - t) - v, u
 
-        if (self.v == self.v[0]).all() and self.v[0] == 0:
+        if self.upright:
             at = t
         else:
             a, b = t - 1.2, t + 1.2
