@@ -37,9 +37,9 @@ def taubin(x, y):
 
 
 @pytest.mark.parametrize("up", [1, -1])
-@pytest.mark.parametrize("radius", [0.05, 0.2, 1.5])
+@pytest.mark.parametrize("radius", [0.05, pytest.param(0.2, marks=pytest.mark.proof), 1.5])
 def test_a_perfect_edge_comes_back(radius, up):
-    u, height = arc_with_flanks(radius, np.deg2rad(55), 1.6 * radius, 2000)
+    u, height = arc_with_flanks(radius, np.deg2rad(55), 1.6 * radius, 1200)
     fit = fit_edge(u + 3, up * height - 7, toward_x=1, cutoff=radius / 20)
     assert fit.radius == pytest.approx(radius, rel=1e-9)
     assert np.rad2deg(fit.sweep) == pytest.approx([-55, 55], abs=1e-3)
@@ -52,8 +52,8 @@ def test_noise_flanks_and_dust_do_not_pull():
     """The uncertainty is honest: over many traces the errors of the radius are as large as it says."""
     rng = np.random.default_rng(5)
     errors, stated = [], []
-    for _ in range(8):
-        u, height = arc_with_flanks(0.2, np.deg2rad(58), 0.45, 1200)
+    for _ in range(6):
+        u, height = arc_with_flanks(0.2, np.deg2rad(58), 0.45, 1000)
         height = height + rng.normal(0, 2e-4, u.size)
         dust = rng.random(u.size) < 0.05
         height[dust] += rng.exponential(0.01, dust.sum())
@@ -62,7 +62,7 @@ def test_noise_flanks_and_dust_do_not_pull():
         errors.append(fit.radius - 0.2)
         stated.append(fit.radius_std)
     assert np.median(stated) < 1e-4
-    # The root mean square of 8 normal deviates lies between 0.45 and 1.6 in 98 of 100 cases; with dust, a little more.
+    # The root mean square of 6 normal deviates lies between 0.4 and 1.7 in 98 of 100 cases; with dust, a little more.
     assert 0.4 < np.sqrt(np.mean((np.array(errors) / stated) ** 2)) < 1.8
 
 
@@ -136,14 +136,14 @@ def test_a_measured_edge_agrees_with_the_algebraic_circle():
 def test_the_uncertainty_of_the_waviness_covers_its_error(together):
     """Oracle: a perfect nose under white noise, and under noise that five neighbouring points share."""
     rng, tool = np.random.default_rng(0), Tool(nose_radius=0.2, included=np.deg2rad(110))
-    u, _, e = tool.edge(np.deg2rad(np.linspace(-70, 70, 2001)))
+    u, _, e = tool.edge(np.deg2rad(np.linspace(-70, 70, 1001)))
     off = []
-    for _ in range(12):
+    for _ in range(6):
         noise = np.convolve(rng.normal(size=u.size + together - 1), np.full(together, together**-0.5), "valid")
         fit = fit_edge(u, 1e-4 * noise - e, toward_x=1, cutoff=0.02)
         off.append(fit.tool.waviness.deviation / fit.waviness_std)
     assert 0.9 < np.std(np.concatenate(off)) < 1.2
-    # Some 200 independent values: 95 % of them lie inside within 1.5 %, three times that is let pass.
+    # Some 100 independent values: 95 % of them lie inside within 2.2 %, twice that is let pass.
     assert np.mean(np.abs(np.concatenate(off)) < 1.96) > 0.905
 
 
