@@ -256,19 +256,21 @@ def test_the_shank_meets_the_taller_part_of_a_chuck():
     ]
     part = tw.Part(surface=tw.Chuck(parts=parts))
     tool = tw.Tool(nose_radius=0.5, included=2.0, clearance=0.2)
-    for wide, gap in ((3.9, 2.0), (4.2, 1.0)):
-        one = shank_of(part, replace(tool, shank=tw.Shank(radius=wide, height=2.0)))
-        assert one.value == pytest.approx(gap, abs=1e-9)
+    clear = shank_of(part, replace(tool, shank=tw.Shank(radius=3.9, height=2.0)))
+    assert clear.value == pytest.approx(2.0, abs=1e-9)
     low = shank_of(part, replace(tool, shank=tw.Shank(radius=4.2, height=1.05)))
+    assert low.value == pytest.approx(0.05, abs=1e-9)
     assert not low.ok
     assert "begins 1.1 mm above the tip" in low.sentence
 
 
 @pytest.mark.parametrize(
     ("x", "y"),
-    [(10.6, -1.57), *(pytest.param(*one, marks=pytest.mark.proof) for one in ((12.44, 6.44), (16.18, -5.86), (8.3, 0))),
-     (6.0, 0.0)],
-)  # fmt: skip
+    [
+        (10.6, -1.57),
+        *(pytest.param(*one, marks=pytest.mark.proof) for one in ((12.44, 6.44), (16.18, -5.86), (8.3, 0), (6.0, 0.0))),
+    ],
+)
 def test_the_holder_meets_a_small_post_far_from_the_tip(x, y):
     """Oracle: circles. The holder of 12 mm stands over a post of 0.3 mm if the tip comes within 12.3 mm of it."""
     lens = tw.Mounted(name="lens", surface=tw.Plane(), outline=tw.Outline(disc=1.0), position=(20.0, 0.0))
