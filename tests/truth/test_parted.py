@@ -27,11 +27,11 @@ BASE = {
     "machine": {"name": "generic"},
     "strategy": {"kind": "slow tool servo", "feed": "7 um/rev", "points_per_rev": 240, "spindle_speed": "60 rpm"},
     "simulation": {
-        "whole_part": {"radii": 300, "angles": 24},
+        "whole_part": {"radii": 150, "angles": 12},
         "patches": [
-            {"name": "aside", "centre": ["0.61 mm", "-0.43 mm"], "size": ["80 um", "60 um"], "pixel": "1.3 um"},
-            {"name": "axis", "centre": ["0.01 mm", "0 mm"], "size": ["60 um", "60 um"], "pixel": "1.3 um"},
-            {"name": "rim", "centre": ["-1.40 mm", "0.1 mm"], "size": ["80 um", "80 um"], "pixel": "1.7 um"},
+            {"name": "aside", "centre": ["0.61 mm", "-0.43 mm"], "size": ["60 um", "50 um"], "pixel": "1.7 um"},
+            {"name": "axis", "centre": ["0.01 mm", "0 mm"], "size": ["60 um", "60 um"], "pixel": "1.7 um"},
+            {"name": "rim", "centre": ["-1.40 mm", "0.1 mm"], "size": ["60 um", "60 um"], "pixel": "1.9 um"},
         ],
     },
     "accept": ["nose radius", "included angle", "clearance", "valley", "step", "limits"],
@@ -73,7 +73,11 @@ def job_with(changes):
     return Job.read(data)
 
 
-@pytest.mark.parametrize("name", CASES)
+PROOF = ("outward", "overrun", "constant arc", "bowl", "actual machine")
+"""Cases of which the others are like, or harder."""
+
+
+@pytest.mark.parametrize("name", [pytest.param(one, marks=[pytest.mark.proof] * (one in PROOF)) for one in CASES])
 def test_one_part_of_the_path_leaves_the_same_surface(name):
     job = job_with(CASES[name])
     assert can_predict_window(job)
