@@ -374,7 +374,11 @@ def test_a_url_without_what_it_needs_is_one_sentence(monkeypatch):
 
 @pytest.mark.parametrize(
     ("asked", "threads"),
-    [({}, 2), ({"threads": 3}, 3), ({"workers": 2}, 1), ({"workers": 2, "threads": 2}, 2)],
+    [
+        ({}, 2),
+        *(pytest.param(*one, marks=pytest.mark.proof) for one in (({"threads": 3}, 3), ({"workers": 2}, 1))),
+        ({"workers": 2, "threads": 2}, 2),
+    ],
 )
 def test_a_worker_uses_its_share_of_the_cores(monkeypatch, asked, threads):
     monkeypatch.setattr(_executors, "cores", lambda: 5)
