@@ -43,6 +43,7 @@ class Sample:
     phases: np.ndarray
     plausible: dict = field(default_factory=dict)  # sizes of the tool's deviations
     per_rev: int = 1440  # points of the program, by which alone the program sees the part
+    pixels: int = PIXELS  # across a map
     job: Job = field(init=False)
 
     def __post_init__(self):
@@ -74,7 +75,7 @@ class Sample:
 
     def map(self, number, random):
         """Return what an instrument shows whose pixel is a feed wide."""
-        axis = np.linspace(-self.radius, self.radius, PIXELS)
+        axis = np.linspace(-self.radius, self.radius, self.pixels)
         x, y = np.meshgrid(axis, axis)
         on = np.hypot(x, y) < SEEN * self.radius
         z = np.full(x.shape, np.nan)
