@@ -19,8 +19,12 @@ pytestmark = pytest.mark.skipif(
     linuxcnc.environment() is None, reason="LinuxCNC is not here: tools/unpack_linuxcnc and TURNWRIGHT_LINUXCNC"
 )
 EXAMPLES = Path(__file__).parents[2] / "examples"
-FASTEST = ("conic_zernike", "mirror_pair", "turned_asphere")
-"""Examples of the suite: a freeform, a chuck of outlines and one in spindle mode."""
+FASTEST = {
+    "conic_zernike": ("generic",),
+    "mirror_pair": ("linuxcnc",),
+    "turned_asphere": ("generic", "linuxcnc"),
+}
+"""Examples and dialects of the suite: a freeform, a chuck of outlines and one in spindle mode."""
 TOOL = tw.Tool(nose_radius=0.5, included=np.deg2rad(120))
 PART = tw.Part(
     surface=tw.Sphere(radius=50.0) + tw.XYPolynomial(terms={(1, 0): 1e-3, (0, 2): 2e-3, (1, 2): 5e-4}), radius=2.0
@@ -86,14 +90,17 @@ def test_a_tool_call_moves_nothing(tmp_path, call):
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("dialect", ["generic", "linuxcnc"])
 @pytest.mark.parametrize(
-    "example",
+    ("example", "dialect"),
     [
-        pytest.param(path, marks=[] if path.stem in FASTEST else [pytest.mark.proof], id=path.stem)
+        pytest.param(
+            path, dialect, marks=[] if dialect in FASTEST.get(path.stem, ()) else [pytest.mark.proof],
+            id=f"{path.stem}-{dialect}",
+        )
         for path in sorted(EXAMPLES.glob("*.toml"))
+        for dialect in ("generic", "linuxcnc")
     ],
-)
+)  # fmt: skip
 def test_every_example_is_read_alike(tmp_path, example, dialect):
     job = Job.load(example)
     job = replace(job, machine=replace(job.machine, dialect=dialect))

@@ -776,7 +776,7 @@ def test_bytes_cut_or_changed_give_a_map_or_a_sentence(tmp_path, name, data):
     random = np.random.default_rng(len(data))
     file = tmp_path / name
     # Every .datx costs a process.
-    count = 8 if name.endswith("datx") else 75
+    count = 4 if name.endswith("datx") else 75
     cuts = [data[:end] for end in np.unique(random.integers(1, len(data), count // 3))]
     for _ in range(count):
         changed = bytearray(data)
