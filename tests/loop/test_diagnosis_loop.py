@@ -108,13 +108,14 @@ def test_the_rule_of_the_handbook_is_for_small_angles(ogive):
 
 @pytest.mark.parametrize("powers", [(3, 4, 5), pytest.param((1, 2, 3), marks=pytest.mark.proof)])
 def test_intervals_hold_what_they_say(powers):
-    """Offset, radius error, squareness and waviness together: in their intervals in at least 90 % of the trials.
+    """Offset, radius error, squareness and waviness together: in 90 % of their intervals, none missed twice.
 
     `tests.proof.proof_coverage` has hundreds, and `tests.proof.proof_intervals` parts that are cut by brute force.
     """
     hits, widths, left = model_trials.sources(powers, TRIALS)
     assert left == pytest.approx(np.full(TRIALS, 20), rel=0.07)
-    assert (hits >= 0.9 * TRIALS).all(), hits
+    assert (hits >= TRIALS - 1).all(), hits
+    assert hits.sum() >= 0.9 * TRIALS * hits.size, hits
     if powers == (3, 4, 5):  # and they say something
         usual = np.median(widths, axis=0)
         assert (usual[:4] < model_trials.NARROW).all(), usual
