@@ -146,6 +146,7 @@ def test_a_slot_gives_its_material_at_any_phase_and_speed(kind):
         assert one.low <= true <= one.high
 
 
+@pytest.mark.proof
 def test_a_fly_cutter_gives_back_the_coefficients():
     found, glass = learned_milling(np.random.default_rng(5), "fly", block=5e-4, brittle=False)
     assert found.cutting.value == pytest.approx(glass.cutting, rel=0.01)

@@ -246,7 +246,7 @@ def test_a_partial_scan_lists_the_places_one_pitch_off():
     assert near.pose.shift[:2] == pytest.approx([0.3, 0.2], abs=1e-3)
 
 
-@pytest.mark.parametrize("square", [True, False])
+@pytest.mark.parametrize("square", [True, pytest.param(False, marks=pytest.mark.proof)])
 def test_a_symmetric_part_lists_its_equivalent_poses(square):
     rng = np.random.default_rng(10)
     hexagonal = LensArray.hexagonal(pitch=2.0, rings=2, lenslet=Sphere(radius=10.0))
@@ -280,7 +280,7 @@ def test_displaced_lenslets_widen_the_uncertainty_as_they_should():
     assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 2
 
 
-@pytest.mark.parametrize("loss", ["huber", "tukey"])
+@pytest.mark.parametrize("loss", [pytest.param("huber", marks=pytest.mark.proof), "tukey"])
 def test_spikes_do_not_pull_a_robust_fit(loss):
     rng = np.random.default_rng(11)
     points = disc(FREEFORM, 4000, rng, radius=5.5)
