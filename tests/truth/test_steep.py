@@ -26,7 +26,7 @@ def test_placing_finds_steps_and_walls_over_the_whole_edge(name):
 def test_scattered_azimuths_meet_the_other_side_of_the_axis():
     """On the far side of the axis the formula stands higher; the flank rests on the edge of that half."""
     part, tool = tw.Part(surface=tw.Expression("0.2*sin(phi)"), radius=2.0), tool_of("narrow")
-    servo = tw.SlowToolServo(feed=0.05, spindle_rpm=50, arc_length=0.03, max_step=0.5)
+    servo = tw.SlowToolServo(feed=0.09, spindle_rpm=50, arc_length=0.03, max_step=0.5)
     path = tw.place(servo.spiral(part, tool), part, tool)
     near = np.flatnonzero(np.abs(path.radius) < 0.3)
     end, half = 0.1 * np.sin(np.pi / 6), np.pi / 6
