@@ -170,13 +170,12 @@ def compare(
     session: Session = context.obj
     with new_folder(out, session, force=force) as folder:
         from turnwright.job import Job, compare, steps_of_comparison  # noqa: PLC0415
+        from turnwright.report import archive_comparison, draw_apart, write_comparison  # noqa: PLC0415
 
         recipe = Job.load(job)
-        with show_progress(session.stop, steps_of_comparison(recipe)) as progress:
+        with draw_apart(), show_progress(session.stop, steps_of_comparison(recipe)) as progress:
             comparison = compare(recipe, progress=progress)
             progress("report", 0, 1)
-            from turnwright.report import archive_comparison, write_comparison  # noqa: PLC0415 - costly to import
-
             archive_comparison(comparison, folder)
             write_comparison(comparison, folder)
             progress("report", 1, 1)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from turnwright.report import figures as draw
+from turnwright.report import figures
+from turnwright.report.drawing import draw
 from turnwright.report.page import Page, Section, Table, write_page
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def write_comparison(comparison: Comparison, path: str | PathLike[str]) -> File:
         ),
         Section(
             title="Cutting time and form error",
-            items=[draw.minutes_and_errors(done), draw.breakdown_of(done)] if done else [],
+            items=[draw(figures.minutes_and_errors, done), draw(figures.breakdown_of, done)] if done else [],
         ),
         Section(
             title="Axes",
@@ -81,7 +82,7 @@ def write_comparison(comparison: Comparison, path: str | PathLike[str]) -> File:
         Section(
             title="Error maps",
             items=[
-                draw.error_map(one.breakdown.error, border=comparison.job.part.border)._replace(title=one.name)
+                draw(figures.error_map, one.breakdown.error, title=one.name, border=comparison.job.part.border)
                 for one in done
                 if one.breakdown
             ],

@@ -589,13 +589,15 @@ def _resampled(heights: HeightMap, border: Outline) -> Floats:
     return np.where(on, heights.z[row, column], np.nan)
 
 
-def error_map(heights: HeightMap, what: str = "Error (cut minus nominal)", *, border: Outline | None = None) -> Picture:
+def error_map(
+    heights: HeightMap, what: str = "Error (cut minus nominal)", *, title: str = "", border: Outline | None = None
+) -> Picture:
     """Draw an error map, colours centred at zero; ``what`` begins the caption. A polar map may have a border."""
     with _canvas() as canvas:
         _draw_map(canvas, heights, "cut minus nominal [nm]", border)
     finite = heights.z[np.isfinite(heights.z)] * NM
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
-    return Picture(canvas.svg, f"{what}, from {low:.4g} to {high:.4g} nm: {COLOUR_TEXT}")
+    return Picture(canvas.svg, f"{what}, from {low:.4g} to {high:.4g} nm: {COLOUR_TEXT}", title)
 
 
 def _error_colours(values: Floats) -> tuple[dict[str, Any], str]:
@@ -834,6 +836,7 @@ def density(spectrum: Spectrum) -> Picture:
         canvas.svg,
         f"Power spectral density of the error up to {spectrum.frequency[-1]:.3g} per mm: peaks are periodic errors, "
         "such as cusps.",
+        "Spectrum",
     )
 
 

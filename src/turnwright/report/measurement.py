@@ -9,7 +9,8 @@ import numpy as np
 from turnwright.diagnosis import centre_defect, handbook_offset, moves
 from turnwright.errors import InputError
 from turnwright.metrology import best_fit
-from turnwright.report import figures as draw
+from turnwright.report import figures
+from turnwright.report.drawing import draw
 from turnwright.report.page import Number, Page, Section, Table, write_page
 from turnwright.surface import Sphere
 
@@ -145,7 +146,13 @@ def write_correction(
                 title="Before and after",
                 text=[*correction.sentences, PREDICTION_TEXT, *([SIMULATION_TEXT] if is_compensated else [])],
                 items=[
-                    draw.places_map(one, correction.job.alone().part.border, names[name], what=f"Error {names[name]}")
+                    draw(
+                        figures.places_map,
+                        one,
+                        correction.job.alone().part.border,
+                        names[name],
+                        what=f"Error {names[name]}",
+                    )
                     for name, one in maps.items()
                     if one is not None
                 ],
@@ -184,10 +191,15 @@ def _form(measured: Measured) -> list[Section]:
     """Return the sections of the form error and its Zernike terms."""
     radius = measured.job.part.reach
     pictures = [
-        draw.places_map(
-            measured.error, measured.job.part.border, "over the part", what="Error", like=measured.registration.error
+        draw(
+            figures.places_map,
+            measured.error,
+            measured.job.part.border,
+            "over the part",
+            what="Error",
+            like=measured.registration.error,
         ),
-        draw.over_radius(measured.error, radius),
+        draw(figures.over_radius, measured.error, radius),
     ]
     sections = [Section(title="Error (cut minus nominal)", items=pictures)]
     terms = measured.zernike
@@ -219,7 +231,7 @@ def _lens_section(measured: Measured) -> list[Section]:
             title="Lenslets",
             text=[lenslets.summary, lenslets.frame],
             items=[
-                draw.dislocation_map(lenslets),
+                draw(figures.dislocation_map, lenslets),
                 _table(head, rows[:MAX_LISTED_LENSLETS], range(1, len(head))),
             ],
         )
@@ -296,7 +308,7 @@ def _setup(measured: Sequence[Measured], diagnosis: Diagnosis) -> list[Section]:
         Section(
             title="Tool adjustment at the machine",
             text=[MOVES_TEXT, *text],
-            items=[draw.tool_moves(tool_moves), _table(columns, rows, (1, 2))],
+            items=[draw(figures.tool_moves, tool_moves), _table(columns, rows, (1, 2))],
         )
     ]
 
@@ -354,8 +366,12 @@ def _signatures(measured: Sequence[Measured], diagnosis: Diagnosis) -> Section:
     for sample, signatures in zip(measured, diagnosis.signatures, strict=True):
         part = sample.job.part
         pictures += [
-            draw.places_map(
-                signatures[one.name], part.border, f"{one.name}, {part.name or 'part'}", what=f"Signature of {one.name}"
+            draw(
+                figures.places_map,
+                signatures[one.name],
+                part.border,
+                f"{one.name}, {part.name or 'part'}",
+                what=f"Signature of {one.name}",
             )
             for one in sources
             if one.rms_nm > 0
@@ -363,8 +379,12 @@ def _signatures(measured: Sequence[Measured], diagnosis: Diagnosis) -> Section:
     for sample, residual in zip(measured, diagnosis.residuals, strict=True):
         part = sample.job.part
         pictures.append(
-            draw.places_map(
-                residual, part.border, f"residual, {part.name or 'part'}", what="Residual without a known source"
+            draw(
+                figures.places_map,
+                residual,
+                part.border,
+                f"residual, {part.name or 'part'}",
+                what="Residual without a known source",
             )
         )
     return Section(title="Error signatures", items=pictures)

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from turnwright.report import study_figures as draw
+from turnwright.report import study_figures as figures
+from turnwright.report.drawing import draw
 from turnwright.report.page import Page, Section, Table, write_page
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from os import PathLike
     from pathlib import Path as File
 
-    from turnwright.report.page import Picture
+    from turnwright.report.page import Drawing
     from turnwright.studies import Column, Study
 
 __all__ = ["write_study"]
@@ -48,15 +49,15 @@ def write_study(study: Study, path: str | PathLike[str]) -> File:
     return write_page(Page(kind="Study", job=study.job, sections=sections), path)
 
 
-def _pictures(study: Study, numbers: Sequence[str]) -> list[Picture]:
+def _pictures(study: Study, numbers: Sequence[str]) -> list[Drawing]:
     """Return maps and profiles over two fields, lines over one, or scatter plots over more."""
     if not numbers or not study.fields:
         return []
     if len(study.fields) == 1:
-        return [draw.draw_line(study, name) for name in numbers]
+        return [draw(figures.draw_line, study, name) for name in numbers]
     if len(study.fields) == 2 and study.is_grid and min(field.different.size for field in study.fields) > 1:
-        return [picture(study, name) for name in numbers for picture in (draw.draw_map, draw.profiles_of)]
-    return [draw.scatter(study, numbers)]
+        return [draw(figure, study, name) for name in numbers for figure in (figures.draw_map, figures.profiles_of)]
+    return [draw(figures.scatter, study, numbers)]
 
 
 def _reasons(study: Study) -> list[str]:

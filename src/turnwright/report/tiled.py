@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from turnwright.report import figures as draw
+from turnwright.report import figures
+from turnwright.report.drawing import draw
 from turnwright.report.page import Page, Section, Table, write_page
 from turnwright.report.run import roughness_rows
 
@@ -34,7 +35,7 @@ def write_tiled(job: Job, tiled: TiledMap, rough: Roughness, spectrum: Spectrum,
     windows = []
     for name, x in (("the axis", 0.0), ("half the radius", middle)):
         window = tiled.window(x=(x - side, x + side), y=(-side, side), pixels=WINDOW_PIXELS)
-        windows.append(draw.error_map(window)._replace(title=f"At {name}, full resolution"))
+        windows.append(draw(figures.error_map, window, title=f"At {name}, full resolution"))
     rows, columns = tiled.shape
     size = (
         f"{columns:,} × {rows:,} pixels of {tiled.pixel[0] * 1e3:.4g} µm, {rough.valid:,} heights within a clear "
@@ -44,11 +45,13 @@ def write_tiled(job: Job, tiled: TiledMap, rough: Roughness, spectrum: Spectrum,
         f"The map is a Zarr version 3 group with {tiled.levels} resolution levels; each level halves the pixel count "
         "along each axis."
     )
-    overview = draw.error_map(
+    overview = draw(
+        figures.error_map,
         tiled.window(x=(x_low, x_high), y=(y_low, y_high), pixels=MIN_PICTURE_PIXELS),
         "Mean error in each pixel, so that finer structure is averaged out",
+        title="The whole part",
     )
-    maps = [overview._replace(title="The whole part"), *windows, draw.density(spectrum)._replace(title="Spectrum")]
+    maps = [overview, *windows, draw(figures.density, spectrum)]
     sections = [
         Section(text=[size, levels]),
         Section(title="Error maps", items=maps),

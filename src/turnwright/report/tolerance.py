@@ -6,7 +6,8 @@ import math
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from turnwright.report import study_figures as draw
+from turnwright.report import study_figures as figures
+from turnwright.report.drawing import draw
 from turnwright.report.page import Number, Page, Section, Table, write_page
 
 if TYPE_CHECKING:
@@ -118,7 +119,7 @@ def _distributions(study: ToleranceStudy) -> Section:
         values = {"as planned": study.columns[name]}
         if f"corrected {name}" in study.columns:
             values["corrected"] = study.columns[f"corrected {name}"]
-        pictures.append(draw.histogram(values, _label(name), study.limits.get(name)))
+        pictures.append(draw(figures.histogram, values, _label(name), study.limits.get(name)))
     rows = []
     for name in plain:
         for kind, outcome in study.outcomes.items():
@@ -163,7 +164,7 @@ def _sensitivities(kind: str, outcome: Outcome) -> Section:
         title=f"Sensitivities, {kind}",
         text=[outcome.advice[0].upper() + outcome.advice[1:] + ".", _model(outcome)],
         items=[
-            draw.tornado(outcome.sensitivities, kind),
+            draw(figures.tornado, outcome.sensitivities, kind),
             Table(columns=columns, rows=rows, numeric=range(1, 6), dense=True),
         ],
     )
