@@ -21,8 +21,6 @@ from moving_motions import CASES, ROUND, TABLE, moving, reach, tool
 from turnwright import generation
 from turnwright.generation import Prepared, grid_distances
 
-generation.MAX_SIDE = 8  # of a tile: the simulator starts a thread for each point of 16 tiles, of the map or not
-
 CARDS = ((8, 0), (9, 0))
 """Compute capabilities of the cards that the kernels are compiled for."""
 
@@ -202,6 +200,9 @@ def compile_for_cards():
 
 if __name__ == "__main__":
     if sys.argv[1] != "compile":
+        generation.MAX_SIDE = (
+            8  # of a tile: the simulator starts a thread for each point of 16 tiles, of the map or not
+        )
         one_after_the_other()
     work = {"equal": compare, "memory": compare_with_little_memory, "compile": compile_for_cards}[sys.argv[1]]
     print(json.dumps(work(*sys.argv[2:])))
