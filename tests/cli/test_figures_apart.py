@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from job_files import changed
+from job_files import changed, written
 from turnwright.job import Job, run
 from turnwright.report import compose_report, draw_apart, draw_part, drawing, figures, write_page, write_report
 from turnwright.report.page import Drawing
@@ -97,3 +97,17 @@ def test_a_process_that_starts_reports_no_interrupt():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("1\n", "")
+
+
+def test_a_script_without_a_guard_is_run_once(tmp_path):
+    job = written(tmp_path)
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from turnwright.cli import main\nfrom turnwright.report import drawing\n"
+        "drawing.cores = lambda: 2\nprint('once', flush=True)\n"
+        f"main(['run', {str(job)!r}, '--out', {str(tmp_path / 'out')!r}])\n"
+    )
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
+    assert done.stdout.count("once") == 1
+    assert "Traceback" not in done.stderr
+    assert (tmp_path / "out" / "report.html").is_file()

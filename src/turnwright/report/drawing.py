@@ -31,7 +31,7 @@ class _Apart:
     """Processes that draw, and what was ordered from them."""
 
     def __init__(self, processes: int) -> None:
-        self.context = Recorded()
+        self.context = Recorded(needs_script=False)
         # A thread for each process: executors of processes report an error when one is killed.
         self.threads = ThreadPoolExecutor(processes)
         self.free: SimpleQueue[Connection] = SimpleQueue()
@@ -113,6 +113,6 @@ def _draw_orders(orders: Connection) -> None:
             order = orders.recv()
             try:
                 answer = order()
-            except Exception as error:  # noqa: BLE001 - raised where the figure was ordered
-                answer = error
+            except Exception as error:  # noqa: BLE001 - it is drawn again where it was ordered
+                answer = RuntimeError(str(error))
             orders.send(answer)
