@@ -90,7 +90,7 @@ def test_one_core_draws_alone(result, monkeypatch):
 
 def test_a_process_that_starts_reports_no_interrupt():
     code = (
-        "import os, signal, time; from turnwright.report import drawing; drawing.cores = lambda: 2\n"
+        "import os, signal; from turnwright.report import drawing; drawing.cores = lambda: 2\n"
         "with drawing.draw_apart():\n"
         "    os.kill(drawing._apart[-1].context.processes[0].pid, signal.SIGINT)\n"
         "    print(drawing._apart[-1].order(abs, -1).result())"

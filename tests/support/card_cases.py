@@ -200,9 +200,8 @@ def compile_for_cards():
 
 if __name__ == "__main__":
     if sys.argv[1] != "compile":
-        generation.MAX_SIDE = (
-            8  # of a tile: the simulator starts a thread for each point of 16 tiles, of the map or not
-        )
+        # The simulator starts a thread for each point of 16 tiles, of the map or not.
+        generation.MAX_SIDE = 8
         one_after_the_other()
     work = {"equal": compare, "memory": compare_with_little_memory, "compile": compile_for_cards}[sys.argv[1]]
     print(json.dumps(work(*sys.argv[2:])))

@@ -66,7 +66,6 @@ CHIP_TEXT = (
 
 def write_report(result: Result, path: str | PathLike[str]) -> File:
     """Write the page of a run, see `write_page`."""
-    path = page_file(path)
     return write_page(compose_report(result, path), path)
 
 

@@ -207,10 +207,10 @@ def _edges(places: Floats) -> Floats:
 
 def _hatch(axes: Axes, x: Floats, y: Floats, ok: Bools, known: Bools) -> None:
     """Hatch the cells of refused cases; cross-hatch those without a value."""
-    from matplotlib.patches import Rectangle  # noqa: PLC0415 - costly to import
-
     if ok.all():
         return
+    from matplotlib.patches import Rectangle  # noqa: PLC0415 - costly to import
+
     wide, high = _edges(x), _edges(y)
     if x.size > 1 and y.size > 1 and not _covers_cells(axes, wide, high):
         wide, high = np.clip(wide, x.min(), x.max()), np.clip(high, y.min(), y.max())
