@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from turnwright._arrays import Floats, Ints, only_read
-from turnwright._kernels import limits as limits_kernel, tracking as tracking_kernel
+from turnwright._kernels import limits as limits_kernel, spline as spline_kernel, tracking as tracking_kernel
 from turnwright.machine import FAST, ROTARY, Axis, Machine, blend_blocks
 from turnwright.path import Motion, block_points
 from turnwright.progress import run_chunks
@@ -51,6 +51,9 @@ HANN_POWER = 3 / 8
 
 MANY_POINTS = 100_000
 """Points of a motion from which its axes are searched for peaks at the same time."""
+
+SAMPLES_PER_CHUNK = 100_000
+"""Samples of a motion of a chunk of work; smaller chunks take less time than their overhead."""
 
 BINDING_UTILISATION = 0.99
 """Utilisation from which a limit counts as binding."""
@@ -361,38 +364,39 @@ class Course(NamedTuple):
 
 def _find_frequency(time: Floats, angle: Floats, position: Floats, axis: Axis) -> tuple[float, int]:
     """Return the highest frequency of a motion, see `check_limits`, and the index of a point where it occurs."""
-    from scipy import fft, interpolate  # noqa: PLC0415 - costly to import
+    from scipy import fft  # noqa: PLC0415 - costly to import
 
-    time = np.abs(time - time[0])
+    time, position = only_read(np.abs(time - time[0])), only_read(position)
     turned = np.abs(angle - angle[0]) / TURN
     span = min(2.0, float(turned[-1]))
     starts = np.linspace(0.0, turned[-1] - span, math.ceil(turned[-1] - span + 1))
     begin, end = np.interp(starts, turned, time), np.interp(starts + span, turned, time)
     first, last = np.searchsorted(time, begin, "right") - 1, np.searchsorted(time, end) + 1
     size = fft.next_fast_len(max(int((last - first).max()), 16), real=True)
-    share = np.arange(size) / size
-    window = 0.5 - 0.5 * np.cos(TURN * share)
-
-    def windowed(k: int) -> Floats:
-        inside = slice(first[k], last[k])
-        # Linear interpolation would add frequencies of its own.
-        part: Floats = interpolate.CubicSpline(time[inside], position[inside])(begin[k] + share * (end[k] - begin[k]))
-        part -= part.mean()
-        part *= window
-        return part
-
+    window = 0.5 - 0.5 * np.cos(TURN * np.arange(size) / size)
     threshold = size * HANN_POWER * (axis.bandwidth_residual or DEFAULT_RESIDUAL) ** 2 / 2
-    highest, at = 0.0, 0
-    for k in range(starts.size):
-        part = windowed(k)
-        if not part @ part > threshold:
-            continue
-        bins = np.abs(fft.rfft(part)) ** 2 * (2 / size)
-        above = np.cumsum(bins[::-1])[::-1]  # including the bin itself
-        frequency = (np.count_nonzero(above > threshold) - 1) / float(end[k] - begin[k])
-        if frequency > highest:
-            highest, at = frequency, int(np.searchsorted(time, (begin[k] + end[k]) / 2))
-    return highest, at
+    frequency = np.zeros(starts.size)
+    # Linear interpolation would add frequencies of its own.
+    slope = np.empty(time.size)
+    spline_kernel.fill_slopes(time, position, slope)
+    slope = only_read(slope)
+
+    def analyse(start: int, stop: int) -> None:
+        part = np.empty(size)
+        for k in range(start, stop):
+            spline_kernel.sample(time, position, slope, first[k], begin[k], end[k], part)
+            part -= part.mean()
+            part *= window
+            if not part @ part > threshold:
+                continue
+            bins = np.abs(fft.rfft(part)) ** 2 * (2 / size)
+            above = np.cumsum(bins[::-1])[::-1]  # including the bin itself
+            frequency[k] = (np.count_nonzero(above > threshold) - 1) / float(end[k] - begin[k])
+
+    run_chunks(analyse, starts.size, max(1, SAMPLES_PER_CHUNK // size))
+    top = int(np.argmax(frequency))
+    at = int(np.searchsorted(time, (begin[top] + end[top]) / 2)) if frequency[top] else 0
+    return float(frequency[top]), at
 
 
 def _find_axis_peaks(
