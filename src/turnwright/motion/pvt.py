@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import Floats, Ints
+from turnwright._arrays import Floats, Ints, only_read, rounding
+from turnwright._kernels.limits import shortest
 from turnwright.errors import LimitError
 from turnwright.machine import ROTARY, Machine
 from turnwright.motion.limits import (
@@ -25,7 +26,10 @@ from turnwright.path import LINEARITY_TOL_MM, LINEARITY_TOL_RAD, Motion
 __all__ = ["find_fastest_course", "reach_stated_speed", "slow_to_limits"]
 
 SPEED_TOL = 3e-10
-"""Relative tolerance of the highest speed; the jerk is then within 1e-9 of its limit."""
+"""Relative tolerance of the highest speed; the jerk is then within 1e-9 of its limit, unless times are rounded more."""
+
+MOST_ROUNDED = LIMIT_TOL / 3
+"""Most of the relative tolerance that the rounding of times adds, in a motion of hours with blocks of microseconds."""
 
 MIN_RAMP_S = 0.2
 """Duration of the shortest ramp from rest to full speed."""
@@ -72,7 +76,9 @@ def slow_to_limits(course: Course, machine: Machine) -> Course:
     """Return a course slowed down until it keeps every limit."""
     for _ in range(MAX_ITERATIONS):
         factor = find_speed_factor(course, machine)
-        if factor >= 1 - SPEED_TOL:
+        # The shortest block is known only to the rounding of its times.
+        rounded = rounding(course.time) / shortest(only_read(course.time))[1]
+        if factor >= 1 - min(max(SPEED_TOL, rounded), MOST_ROUNDED):
             break
         course = course.scale_speed(factor)
     return course
