@@ -47,35 +47,37 @@ def cubic_peaks(time, position, velocity, value, place):
     The acceleration of a block is a straight line from ``first`` to ``last``; the speed is largest at an end or where
     that passes zero, the position extreme at an end or where the speed does. Arrays as in `peaks`, velocity (n,).
     """
-    value[0], value[1] = position[0], position[0]
-    value[2], value[3], value[4] = abs(velocity[0]), 0.0, 0.0
+    low, high, top_speed, top_acceleration, top_jerk = position[0], position[0], abs(velocity[0]), 0.0, 0.0
     place[:] = 0
     for i in range(1, time.size):
         step = time[i] - time[i - 1]
+        rate = 1.0 / step  # one division instead of four
         begin, end = velocity[i - 1], velocity[i]
-        mean = (position[i] - position[i - 1]) / step
-        first = (6.0 * mean - 4.0 * begin - 2.0 * end) / step
-        last = (2.0 * begin + 4.0 * end - 6.0 * mean) / step
-        jerk = 6.0 * (begin + end - 2.0 * mean) / (step * step)
-        if position[i] < value[0]:
-            value[0], place[0] = position[i], i
-        if position[i] > value[1]:
-            value[1], place[1] = position[i], i
+        mean = (position[i] - position[i - 1]) * rate
+        first = (6.0 * mean - 4.0 * begin - 2.0 * end) * rate
+        last = (2.0 * begin + 4.0 * end - 6.0 * mean) * rate
+        jerk = (last - first) * rate
+        if position[i] < low:
+            low, place[0] = position[i], i
+        if position[i] > high:
+            high, place[1] = position[i], i
         between = begin
         if first * last < 0.0:
             between = begin + first * first * step / (2.0 * (first - last))
-            if abs(between) > value[2]:
-                value[2], place[2] = abs(between), i
-        if abs(end) > value[2]:
-            value[2], place[2] = abs(end), i
-        if abs(first) > value[3]:
-            value[3], place[3] = abs(first), i - 1
-        if abs(last) > value[3]:
-            value[3], place[3] = abs(last), i
-        if abs(jerk) > value[4]:
-            value[4], place[4] = abs(jerk), i
-        inside = first * first - 2.0 * jerk * begin
-        if inside > 0.0 and (begin * end < 0.0 or begin * between < 0.0 or end * between < 0.0):
+            if abs(between) > top_speed:
+                top_speed, place[2] = abs(between), i
+        if abs(end) > top_speed:
+            top_speed, place[2] = abs(end), i
+        if abs(first) > top_acceleration:
+            top_acceleration, place[3] = abs(first), i - 1
+        if abs(last) > top_acceleration:
+            top_acceleration, place[3] = abs(last), i
+        if abs(jerk) > top_jerk:
+            top_jerk, place[4] = abs(jerk), i
+        if begin * end < 0.0 or begin * between < 0.0 or end * between < 0.0:
+            inside = first * first - 2.0 * jerk * begin
+            if inside <= 0.0:
+                continue
             # Both times at which the speed is zero, without a difference of two nearly equal numbers.
             half = -(first + np.copysign(np.sqrt(inside), first))
             for upper, lower in ((half, jerk), (2.0 * begin, half)):
@@ -84,10 +86,11 @@ def cubic_peaks(time, position, velocity, value, place):
                 at = upper / lower
                 if 0.0 < at < step:
                     there = position[i - 1] + at * (begin + at * (first / 2.0 + at * jerk / 6.0))
-                    if there < value[0]:
-                        value[0], place[0] = there, i
-                    if there > value[1]:
-                        value[1], place[1] = there, i
+                    if there < low:
+                        low, place[0] = there, i
+                    if there > high:
+                        high, place[1] = there, i
+    value[0], value[1], value[2], value[3], value[4] = low, high, top_speed, top_acceleration, top_jerk
 
 
 @jit
