@@ -276,6 +276,7 @@ class Motion(Compared):
     stated_blocks: Ints | None = None
     spindle_mode: SpindleMode | None = None
     sense: int = field(init=False)
+    _block_points: Ints | slice | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -308,7 +309,15 @@ class Motion(Compared):
     @property
     def block_points(self) -> Ints | slice:
         """As `blocks`, a slice where all points are blocks."""
-        return block_points(self.time, self.axes) if self.stated_blocks is None else self.stated_blocks
+        if self.stated_blocks is not None:
+            return self.stated_blocks
+        points = self._block_points
+        if points is None:
+            points = block_points(self.time, self.axes)
+            if isinstance(points, np.ndarray):
+                points.flags.writeable = False
+            object.__setattr__(self, "_block_points", points)
+        return points
 
     @property
     def feed(self) -> float:
