@@ -128,8 +128,12 @@ def find_extremes(
     report(0, STAGES)
     scans = search.scans(report)
     if known is not None:
-        x, y = known.points()
-        scans.append(_Places(np.hypot(x, y), np.arctan2(y, x), known.z))
+        assert known.radius is not None  # noqa: S101 - the map is polar
+        assert known.angle is not None  # noqa: S101
+        shape = known.z.shape
+        scans.append(
+            _Places(np.broadcast_to(known.radius, shape), np.broadcast_to(known.angle[:, None], shape), known.z)
+        )
     extremes = []
     for number, sign in enumerate((1.0, -1.0)):
         place = search.find_extreme(scans, sign)
@@ -157,6 +161,15 @@ class _Places(NamedTuple):
     radius: Floats
     angle: Floats
     error: Floats
+
+
+class _Tip(NamedTuple):
+    """The tip of the tool at points of a motion. Each the same shape [rad, mm]."""
+
+    c: Floats
+    x: Floats
+    y: Floats
+    z: Floats
 
 
 class _Search:
@@ -286,13 +299,14 @@ class _Search:
         size = self.ready.cut.c.size
         step = 1 / PLACES_PER_LINE if size * PLACES_PER_LINE <= MOST_POINTS else math.ceil(size / MOST_POINTS)
         line = np.arange(0, size - 1, step)
-        radius, angle = self._valleys(line, step) if sign < 0 else self._crests(line)
+        tip = self._tip(line)
+        radius, angle = self._valleys(line, tip, step) if sign < 0 else self._crests(tip)
         value = sign * self.at(radius[:, None], angle[:, None])[:, 0]
         there = ~np.isnan(value)
         return self._best(radius[there], angle[there], value[there], OVERALL_STARTS)
 
-    def _tip(self, line: Floats) -> tuple[Floats, ...]:
-        """Return C, X, Y and Z of the tip at fractional indices of points of the program."""
+    def _tip(self, line: Floats) -> _Tip:
+        """Return the tip at fractional indices of points of the program."""
         cut = self.ready.cut
         before = np.clip(line.astype(np.int64), 0, cut.c.size - 2)
         share = np.clip(line - before, 0.0, 1.0)
@@ -303,16 +317,18 @@ class _Search:
 
         y = between(cut.y) if cut.y.size else np.zeros(line.shape)
         c, x, z = between(cut.c), between(cut.x), between(cut.z)
-        return c, x + cut.edge.dx, y + cut.edge.dy, z + cut.edge.dz
+        return _Tip(c, x + cut.edge.dx, y + cut.edge.dy, z + cut.edge.dz)
 
-    def _gap(self, line: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return radius, azimuth and error where the edge is ``u`` from its tip; infinite beyond the part."""
-        c, x, y, z = self._tip(line)
+    def _contact(self, tip: _Tip, u: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return radius, azimuth and height of the point of the edge that is ``u`` from its tip."""
         edge = self.ready.cut.edge
         w = edge.profile(u.ravel())[0].reshape(u.shape)
-        along, across = x + u, y + edge.rake_sin * w
-        radius, angle = np.hypot(along, across), c + np.arctan2(across, along)
-        error = z + edge.rake_cos * w
+        along, across = tip.x + u, tip.y + edge.rake_sin * w
+        return np.hypot(along, across), tip.c + np.arctan2(across, along), tip.z + edge.rake_cos * w
+
+    def _gap(self, tip: _Tip, u: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return radius, azimuth and error where the edge is ``u`` from its tip; infinite beyond the part."""
+        radius, angle, error = self._contact(tip, u)
         inside = radius <= self.part.reach
         if self.part.outline is not None:
             inside &= self.part.covers(radius * np.cos(angle), radius * np.sin(angle))
@@ -321,16 +337,17 @@ class _Search:
         error[~inside] = np.inf
         return radius, angle, error
 
-    def _valleys(self, line: Floats, step: float) -> tuple[Floats, Floats]:
+    def _valleys(self, line: Floats, tip: _Tip, step: float) -> tuple[Floats, Floats]:
         """Return where the motion comes closest to the design. Each (n,)."""
-        c, edge, u, before = self._tip(line)[0], self.ready.cut.edge, np.zeros(line.size), np.zeros(line.size)
+        edge, u, before = self.ready.cut.edge, np.zeros(line.size), np.zeros(line.size)
+        cosine, sine = np.cos(tip.c), np.sin(tip.c)
         for _ in range(3):
-            radius, angle, _ = self._gap(line, u)
+            radius, angle, _ = self._contact(tip, u)
             radius = np.minimum(radius, self.part.reach)
             zx, zy = self.part.continuation.gradient(radius * np.cos(angle), radius * np.sin(angle))
-            slope = (zx * np.cos(c) + zy * np.sin(c)) / edge.rake_cos
+            slope = (zx * cosine + zy * sine) / edge.rake_cos
             before, u = u, edge.radius * slope / np.sqrt(1 + slope**2)
-        first = np.argsort(self._gap(line, u)[2])[:MAX_VALLEYS]
+        first = np.argsort(self._gap(tip, u)[2])[:MAX_VALLEYS]
         # At an edge of the design the slope jumps, and with it the contact on the tool.
         wide = np.abs(u - before)[first] + self.feed / RADII_PER_FEED
         line, u, each = line[first], u[first], np.arange(first.size)
@@ -339,28 +356,29 @@ class _Search:
             lines = np.clip(line[:, None, None] + step * share[:, None], 0, self.ready.cut.c.size - 1)
             places = u[:, None, None] + wide[:, None, None] * share
             lines, places = (one.reshape(each.size, -1) for one in np.broadcast_arrays(lines, places))
-            top = self._gap(lines, places)[2].argmin(axis=1)
+            top = self._gap(self._tip(lines), places)[2].argmin(axis=1)
             line, u, step, wide = lines[each, top], places[each, top], step / 2, wide / 2
-        radius, angle, error = self._gap(line, u)
+        radius, angle, error = self._gap(self._tip(line), u)
         return radius[np.isfinite(error)], angle[np.isfinite(error)]
 
-    def _crests(self, line: Floats) -> tuple[Floats, Floats]:
+    def _crests(self, tip: _Tip) -> tuple[Floats, Floats]:
         """Return the highest crossings of successive passes at one azimuth. Each (n,)."""
         cut = self.ready.cut
         along, each = cut.sense * cut.c, np.arange(cut.c.size)
         crossings = []
         for other in (-TURN, TURN):
-            there = cut.sense * self._tip(line)[0] + other
+            there = cut.sense * tip.c + other
             inside = (there >= along[0]) & (there <= along[-1])
-            crossings.append(self._crossing(line[inside], np.interp(there[inside], along, each)))
+            next_tip = self._tip(np.interp(there[inside], along, each))
+            crossings.append(self._crossing(_Tip(*(values[inside] for values in tip)), next_tip))
         radius, angle, error = (np.concatenate(one) for one in zip(*crossings, strict=True))
         first = np.argsort(-error)[:MAX_CRESTS]
         return radius[first], angle[first]
 
-    def _crossing(self, line: Floats, other: Floats) -> tuple[Floats, Floats, Floats]:
+    def _crossing(self, tip: _Tip, other: _Tip) -> tuple[Floats, Floats, Floats]:
         """Return the crossings of two passes at one azimuth, and the error there. Each (n,)."""
         edge = self.ready.cut.edge
-        (_, x, _, z), (_, x_next, _, z_next) = self._tip(line), self._tip(other)
+        (_, x, _, z), (_, x_next, _, z_next) = tip, other
         apart, low, high = x_next - x, np.minimum(x, x_next), np.maximum(x, x_next)
         at = (x + x_next) / 2 + edge.radius * (z_next - z) / np.where(apart == 0, np.inf, apart)
         for _ in range(4):
@@ -368,7 +386,7 @@ class _Search:
             (w, slope), (w_next, slope_next) = edge.profile(at - x), edge.profile(at - x_next)
             rate = edge.rake_cos * (slope - slope_next)
             at = at - (z - z_next + edge.rake_cos * (w - w_next)) / np.where(rate == 0, np.inf, rate)
-        radius, angle, error = self._gap(line, at - x)
+        radius, angle, error = self._gap(tip, at - x)
         inside = np.isfinite(error)
         return radius[inside], angle[inside], error[inside]
 
@@ -393,23 +411,23 @@ class _Search:
 
     def _starts(self, scan: _Places, sign: float) -> tuple[Floats, Floats, Floats]:
         """Return the best points of each zone of a scan, and those overall. Each (n,)."""
-        value = np.where(np.isnan(scan.error), -np.inf, sign * scan.error)
-        rows, columns = value.shape
-        chosen = top_of_zones(value, ZONES)
-        flat = value.ravel()
         # At most one per azimuth and band of radii, otherwise all would be on one cusp.
         size = BAND_FEEDS * RADII_PER_FEED
+        rows, columns = scan.error.shape
         cells = -(-columns // size)
         padded = np.full((rows, cells * size), -np.inf)
-        padded[:, :columns] = value
-        cell = padded.reshape(rows, cells, size)
-        inside = cell.argmax(axis=2)
-        tops = cell.max(axis=2).ravel()
+        value = np.multiply(scan.error, sign, out=padded[:, :columns])
+        value[np.isnan(value)] = -np.inf
+        chosen = top_of_zones(value, ZONES)
+        cell = padded.reshape(-1, size)
+        inside = cell.argmax(axis=1)
+        tops = cell[np.arange(inside.size), inside]
         first = np.argpartition(-tops, min(OVERALL_STARTS, tops.size - 1))[:OVERALL_STARTS]
-        chosen += ((first // cells) * columns + (first % cells) * size + inside.ravel()[first]).tolist()
-        at = np.unique(chosen)
-        at = at[np.isfinite(flat[at])]
-        return scan.radius.ravel()[at], scan.angle.ravel()[at], flat[at]
+        chosen += ((first // cells) * columns + (first % cells) * size + inside[first]).tolist()
+        row, column = np.divmod(np.unique(chosen), columns)
+        there = np.isfinite(value[row, column])
+        row, column = row[there], column[there]
+        return scan.radius[row, column], scan.angle[row, column], value[row, column]
 
     def _along(
         self, radius: Floats, angle: Floats, half: Floats | float, looks: int, sign: float
