@@ -103,10 +103,8 @@ def _draw_orders(orders: Connection) -> None:
     """Draw what another process orders until it closes the connection, or ends."""
     start_worker()
     warnings.simplefilter("ignore")  # none would say of which figure it is
-    import matplotlib.backends.backend_svg  # noqa: PLC0415 - while there is no order yet
-    import matplotlib.layout_engine  # noqa: F401, PLC0415
-
-    import turnwright.report.figures  # noqa: F401, PLC0415
+    import turnwright.report.figures  # noqa: PLC0415 - while there is no order yet
+    import turnwright.report.printing  # noqa: F401, PLC0415
 
     with suppress(EOFError, OSError):
         while True:

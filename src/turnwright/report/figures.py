@@ -133,10 +133,8 @@ class _Canvas:
 
     def __init__(self, width: float, height: float, dpi: int) -> None:
         from matplotlib.figure import Figure  # noqa: PLC0415 - costly to import
-        from matplotlib.layout_engine import ConstrainedLayoutEngine  # noqa: PLC0415
 
-        self.layout = ConstrainedLayoutEngine(compress=True)
-        self.figure = Figure(figsize=(width, height), dpi=dpi, layout=self.layout)
+        self.figure = Figure(figsize=(width, height), dpi=dpi, layout="compressed")
         self.svg = ""
 
     def chart(self, xlabel: str, ylabel: str, *, tight: bool = True) -> Axes:
@@ -181,16 +179,9 @@ def _canvas(width: float = 4.6, height: float = 3.7, dpi: int = 130) -> Iterator
 
 
 def _print_svg(canvas: _Canvas) -> str:
-    from matplotlib.backends.backend_svg import FigureCanvasSVG  # noqa: PLC0415 - costly to import
+    from turnwright.report.printing import print_svg  # noqa: PLC0415 - costly to import
 
-    # Lay out and print once: `savefig` would render the figure twice more.
-    if canvas.figure.get_layout_engine() is canvas.layout:
-        canvas.layout.execute(canvas.figure)
-        canvas.figure.set_layout_engine("none")
-    text = io.StringIO()
-    printer: Any = FigureCanvasSVG(canvas.figure)
-    printer.print_svg(text, metadata={"Date": None, "Creator": None})
-    svg = text.getvalue()
+    svg = print_svg(canvas.figure)
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r' (?:id="[A-Za-z]+[\w.]*_\d+"|xmlns(?::\w+)?="[^"]*")', "", svg)
