@@ -11,12 +11,13 @@ edge of the core that a tool height error leaves uncut; both are searched along 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats
+from turnwright._arrays import Bools, Floats, Ints
 from turnwright.generation import Prepared, Tiles, generate_polar
 from turnwright.heightmap import HeightMap
 from turnwright.machine import Machine
@@ -65,6 +66,9 @@ COARSE_LOOKS, FINE_LOOKS = 4, 9
 
 MIN_RADIUS_FEEDS = 1e-9
 """Least radius of a point off the axis, in feeds."""
+
+POINTS_PER_CHUNK = 16_384
+"""Points of the program of a chunk of work, whose arrays fit into the cache of a processor."""
 
 PLACES_PER_LINE, MOST_POINTS = 4, 500_000
 """Points tried per line of the program, and most points tried."""
@@ -299,8 +303,7 @@ class _Search:
         size = self.ready.cut.c.size
         step = 1 / PLACES_PER_LINE if size * PLACES_PER_LINE <= MOST_POINTS else math.ceil(size / MOST_POINTS)
         line = np.arange(0, size - 1, step)
-        tip = self._tip(line)
-        radius, angle = self._valleys(line, tip, step) if sign < 0 else self._crests(tip)
+        radius, angle = self._valleys(line, step) if sign < 0 else self._crests(line)
         value = sign * self.at(radius[:, None], angle[:, None])[:, 0]
         there = ~np.isnan(value)
         return self._best(radius[there], angle[there], value[there], OVERALL_STARTS)
@@ -337,19 +340,26 @@ class _Search:
         error[~inside] = np.inf
         return radius, angle, error
 
-    def _valleys(self, line: Floats, tip: _Tip, step: float) -> tuple[Floats, Floats]:
+    def _valleys(self, line: Floats, step: float) -> tuple[Floats, Floats]:
         """Return where the motion comes closest to the design. Each (n,)."""
-        edge, u, before = self.ready.cut.edge, np.zeros(line.size), np.zeros(line.size)
-        cosine, sine = np.cos(tip.c), np.sin(tip.c)
-        for _ in range(3):
-            radius, angle, _ = self._contact(tip, u)
-            radius = np.minimum(radius, self.part.reach)
-            zx, zy = self.part.continuation.gradient(radius * np.cos(angle), radius * np.sin(angle))
-            slope = (zx * cosine + zy * sine) / edge.rake_cos
-            before, u = u, edge.radius * slope / np.sqrt(1 + slope**2)
-        first = np.argsort(self._gap(tip, u)[2])[:MAX_VALLEYS]
+        edge = self.ready.cut.edge
+
+        def contacts(line: Floats) -> tuple[Floats, ...]:
+            """Return the distance of the contact from the tip, its last change, and the error there."""
+            tip, u, before = self._tip(line), np.zeros(line.size), np.zeros(line.size)
+            cosine, sine = np.cos(tip.c), np.sin(tip.c)
+            for _ in range(3):
+                radius, angle, _ = self._contact(tip, u)
+                radius = np.minimum(radius, self.part.reach)
+                zx, zy = self.part.continuation.gradient(radius * np.cos(angle), radius * np.sin(angle))
+                slope = (zx * cosine + zy * sine) / edge.rake_cos
+                before, u = u, edge.radius * slope / np.sqrt(1 + slope**2)
+            return u, np.abs(u - before), self._gap(tip, u)[2]
+
+        u, change, error = _in_chunks(contacts, line)
+        first = _least(error, MAX_VALLEYS)
         # At an edge of the design the slope jumps, and with it the contact on the tool.
-        wide = np.abs(u - before)[first] + self.feed / RADII_PER_FEED
+        wide = change[first] + self.feed / RADII_PER_FEED
         line, u, each = line[first], u[first], np.arange(first.size)
         share = np.linspace(-1, 1, REFINEMENT_STEPS)
         for _ in range(RADII_PER_FEED):
@@ -361,18 +371,22 @@ class _Search:
         radius, angle, error = self._gap(self._tip(line), u)
         return radius[np.isfinite(error)], angle[np.isfinite(error)]
 
-    def _crests(self, tip: _Tip) -> tuple[Floats, Floats]:
+    def _crests(self, line: Floats) -> tuple[Floats, Floats]:
         """Return the highest crossings of successive passes at one azimuth. Each (n,)."""
         cut = self.ready.cut
         along, each = cut.sense * cut.c, np.arange(cut.c.size)
-        crossings = []
-        for other in (-TURN, TURN):
-            there = cut.sense * tip.c + other
-            inside = (there >= along[0]) & (there <= along[-1])
-            next_tip = self._tip(np.interp(there[inside], along, each))
-            crossings.append(self._crossing(_Tip(*(values[inside] for values in tip)), next_tip))
-        radius, angle, error = (np.concatenate(one) for one in zip(*crossings, strict=True))
-        first = np.argsort(-error)[:MAX_CRESTS]
+
+        def crossings(line: Floats) -> tuple[Floats, ...]:
+            tip, both = self._tip(line), []
+            for other in (-TURN, TURN):
+                there = cut.sense * tip.c + other
+                inside = (there >= along[0]) & (there <= along[-1])
+                next_tip = self._tip(np.interp(there[inside], along, each))
+                both.append(self._crossing(_Tip(*(values[inside] for values in tip)), next_tip))
+            return tuple(map(np.concatenate, zip(*both, strict=True)))
+
+        radius, angle, error = _in_chunks(crossings, line)
+        first = _least(-error, MAX_CRESTS)
         return radius[first], angle[first]
 
     def _crossing(self, tip: _Tip, other: _Tip) -> tuple[Floats, Floats, Floats]:
@@ -538,6 +552,22 @@ class _Search:
         cell = np.stack([radius[order] / (self.feed / 2), angle[order] % TURN / self.step]).round()
         order = order[np.sort(np.unique(cell, axis=1, return_index=True)[1])[:count]]
         return radius[order], angle[order], best[order]
+
+
+def _in_chunks(work: Callable[[Floats], tuple[Floats, ...]], line: Floats) -> tuple[Floats, ...]:
+    """Return what a function returns for points of the program, a chunk at a time, joined. Each (n,)."""
+    results: dict[int, tuple[Floats, ...]] = {}
+
+    def fill(start: int, stop: int) -> None:
+        results[start] = work(line[start:stop])
+
+    run_chunks(fill, line.size, POINTS_PER_CHUNK)
+    return tuple(map(np.concatenate, zip(*(results[start] for start in sorted(results)), strict=True)))
+
+
+def _least(values: Floats, count: int) -> Ints:
+    """Return the indices of the least values, in any order. (n,)."""
+    return np.argpartition(values, count)[:count] if values.size > count else np.arange(values.size)
 
 
 def _higher(
