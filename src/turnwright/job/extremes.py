@@ -300,9 +300,18 @@ class _Search:
         Decimals of the program and servos scatter them, so that no scan and no climb finds the best one. A valley is
         where the motion is closest to the design; a crest is where two passes cross, unless a third is lower there.
         """
-        size = self.ready.cut.c.size
-        step = 1 / PLACES_PER_LINE if size * PLACES_PER_LINE <= MOST_POINTS else math.ceil(size / MOST_POINTS)
-        line = np.arange(0, size - 1, step)
+        cut = self.ready.cut
+        # Tips so far out that their edge does not reach the part are left out.
+        reach = self.part.reach + max(-cut.edge.low_u, cut.edge.high_u) + self.feed
+        near = np.flatnonzero(np.abs(cut.x[:-1] + cut.edge.dx) <= reach)
+        if near.size == 0:
+            return np.empty(0), np.empty(0), np.empty(0)
+        if near.size * PLACES_PER_LINE <= MOST_POINTS:
+            step = 1 / PLACES_PER_LINE
+            line = (near[:, None] + step * np.arange(PLACES_PER_LINE)).ravel()
+        else:
+            step = math.ceil(near.size / MOST_POINTS)
+            line = near[::step]
         radius, angle = self._valleys(line, step) if sign < 0 else self._crests(line)
         value = sign * self.at(radius[:, None], angle[:, None])[:, 0]
         there = ~np.isnan(value)
