@@ -149,7 +149,12 @@ class _Material:
                 around = np.abs(np.diff(self.height, axis=0, append=self.height[:1]))
             rise = np.where(np.isfinite(around), around, 0.0) / np.maximum(self.radius * self.angle[1], 1e-3)
             low = low - float(rise.max(initial=0.0)) * lateral
-        top = np.maximum(material[:, 1:], material[:, :-1]) - np.minimum(low[1:], low[:-1])
+        low = np.minimum(low[1:], low[:-1])
+        # Where the edge is higher over the tip than the material can be, it touches nowhere first.
+        tip = int(low.argmin())
+        least = float(np.maximum(material[:, tip], material[:, tip + 1]).min())
+        near = float(material.max()) - low >= least - low[tip]
+        top = np.maximum(material[:, 1:][:, near], material[:, :-1][:, near]) - low[near]
         highest = top.max(axis=1)
         # Between two azimuths the higher value counts.
         return np.asarray(np.maximum(np.maximum(highest, np.roll(highest, 1)), np.roll(highest, -1)) - dz)
