@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
+from turnwright._arrays import only_read
+from turnwright._kernels import spline
 from turnwright.machine import Axis, Controller, Machine
 from turnwright.motion import check_limits, drive
+from turnwright.motion.limits import Course
+from turnwright.motion.pvt import slow_to_limits
 from turnwright.part import Part
 from turnwright.path import Motion, Path
 from turnwright.placing import place
@@ -152,3 +156,45 @@ def test_velocities_are_the_derivatives_of_what_is_commanded(sense):
     linear = replace(lathe, controller=Controller())
     assert drive(path, servo, linear).velocity is None
     assert drive(replace(path, z_rate=None), servo, lathe).velocity is None
+
+
+@pytest.mark.parametrize("points", [2, 3, 4, 50])
+def test_the_spline_of_a_motion_is_that_of_scipy(points):
+    """Oracle: SciPy's cubic spline with the slopes at its ends that parabolas through three points have."""
+    rng = np.random.default_rng(points)
+    time = 1e4 + np.cumsum(10 ** rng.uniform(-3, 0, points))
+    value = rng.normal(size=points)
+    slope = np.empty(points)
+    spline.fill_slopes(only_read(time), only_read(value), slope)
+    begin, end = time[0], time[-1]
+    size = 400
+    out = np.empty(size)
+    spline.sample(only_read(time), only_read(value), only_read(slope), 0, begin, end, out)
+    ends = [np.polyder(np.polyfit(time[part] - time[at], value[part], min(points, 3) - 1))[-1]
+            for part, at in ((slice(3), 0), (slice(-3, None), -1))]  # fmt: skip
+    theirs = CubicSpline(time - begin, value, bc_type=((1, ends[0]), (1, ends[1])))
+    np.testing.assert_allclose(out, theirs((end - begin) * np.arange(size) / size), atol=1e-7)
+
+
+def test_blocks_of_a_motion_are_found_once_and_cannot_be_changed():
+    c = np.linspace(0, 60, 4001)
+    axes = {"C": c, "X": 10 - c / 60, "Z": 0 * c, "W": np.sin(c)}
+    motion = Motion(time=c, axes=axes, machine=Machine.load("nanoform-fts-70"))
+    assert motion.blocks.size < 1000
+    with pytest.raises(ValueError, match="read-only"):
+        motion.blocks[1] = 0
+
+
+@pytest.mark.parametrize(("start", "short"), [(13_500.0, 1e-3), (1e5, 1e-3), (1e5, 1e-11)])
+def test_a_motion_is_not_slowed_for_the_rounding_of_its_times_but_for_its_blocks(start, short):
+    """The block rate is 1000 blocks/s; times near 1e5 s are rounded to 1.5e-11 s."""
+    machine = replace(FREE_MACHINE, block_rate_hz=1e3)
+    time = start + 1e-3 * np.arange(50)
+    if short < 1e-3:
+        time = np.insert(time, 20, time[20] - short)
+    axes = {"C": time - start, "X": 10 + 0 * time, "Z": 0 * time}
+    slowed = slow_to_limits(Course(time, axes, {}), machine)
+    if short == 1e-3:
+        assert slowed.time is time
+    else:
+        assert np.diff(slowed.time).min() >= 0.95e-3  # times are now rounded to 2 % of a block
