@@ -445,7 +445,7 @@ class _Search:
         cell = padded.reshape(-1, size)
         inside = cell.argmax(axis=1)
         tops = cell[np.arange(inside.size), inside]
-        first = np.argpartition(-tops, min(OVERALL_STARTS, tops.size - 1))[:OVERALL_STARTS]
+        first = _least(-tops, OVERALL_STARTS)
         chosen += ((first // cells) * columns + (first % cells) * size + inside[first]).tolist()
         row, column = np.divmod(np.unique(chosen), columns)
         there = np.isfinite(value[row, column])
