@@ -150,7 +150,7 @@ class _Material:
             rise = np.where(np.isfinite(around), around, 0.0) / np.maximum(self.radius * self.angle[1], 1e-3)
             low = low - float(rise.max(initial=0.0)) * lateral
         low = np.minimum(low[1:], low[:-1])
-        # Where the edge is higher over the tip than the material can be, it touches nowhere first.
+        # The first contact is not where the edge is so high above its tip that even the highest material is below it.
         tip = int(low.argmin())
         least = float(np.maximum(material[:, tip], material[:, tip + 1]).min())
         near = float(material.max()) - low >= least - low[tip]

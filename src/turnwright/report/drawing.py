@@ -1,6 +1,6 @@
 """Figures of a page, drawn by other processes during the work and at the same time.
 
-matplotlib draws one figure at a time in a process, and a small run takes as long to draw its figures as to do its work.
+matplotlib draws one figure at a time in a process, and the figures of a small run take two thirds of its other work.
 So a run starts processes that import what drawing needs while it works, and its page orders each figure from them.
 """
 

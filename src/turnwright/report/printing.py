@@ -1,6 +1,6 @@
-"""Printing of figures as SVG, for which matplotlib alone takes three times as long.
+"""Printing of figures as SVG, for which matplotlib alone takes twice as long.
 
-It keeps five artists for each tick, and measures and draws each on its own. It packs rasters as well as it can.
+It keeps five artists for each tick, and measures and draws each on its own. It packs rasters at a slow level.
 """
 
 from __future__ import annotations
