@@ -52,13 +52,13 @@ def subtract_polynomial(z: Floats, valid: Bools, grid: Grid, degree: int, *, pol
         Heights that count; the others are returned as nan.
     """
     basis = (_polar if polar else _rectangular)(grid, valid, degree)
+    missing = None if valid.all() else ~valid
     normal = _normal(basis, grid, valid)
     total = np.zeros(basis.terms.shape[1])
-    remainder = np.empty_like(z)
     last = np.inf
     for _ in range(MAX_STEPS):
         # Points on one line do not determine every term; any solution serves, so that of least norm is taken.
-        step = np.linalg.lstsq(normal, _right_side(basis, grid, z, valid, total, remainder), rcond=1e-13)[0]
+        step = np.linalg.lstsq(normal, _right_side(basis, grid, z, missing, total), rcond=1e-13)[0]
         size = np.abs(step).max()
         if size >= last:
             break
@@ -66,7 +66,9 @@ def subtract_polynomial(z: Floats, valid: Bools, grid: Grid, degree: int, *, pol
         last = size
         if size <= CONVERGENCE_TOL * np.abs(total).max():
             break
-    _right_side(basis, grid, z, valid, total, remainder)
+    remainder = np.empty_like(z)
+    for rows, block in _residuals(basis, z, missing, total, fill=np.nan):
+        remainder[rows] = block
     return remainder
 
 
@@ -95,21 +97,27 @@ def _normal(basis: Basis, grid: Grid, valid: Bools) -> Floats:
     return np.asarray(np.einsum("bkl,bkl->kl", basis.row_products[:, q[:, None], q], both))
 
 
-def _right_side(basis: Basis, grid: Grid, z: Floats, valid: Bools, total: Floats, left: Floats) -> Floats:
-    """Fill ``left`` with the residual, and return the right-hand side of the next iteration. (k,)."""
+def _residuals(
+    basis: Basis, z: Floats, missing: Bools | None, total: Floats, *, fill: float
+) -> Iterator[tuple[slice, Floats]]:
+    """Yield blocks of rows and their heights minus the polynomial, with ``fill`` for missing points."""
     p, q = basis.terms
     table = np.zeros((basis.rows.shape[1], basis.columns.shape[1]))
     table[q, p] = total
-    weighted = basis.columns * grid.column_area[:, None]
-    across = basis.rows * grid.row_width[:, None]
-    sums = np.zeros_like(table)
     columns = np.ascontiguousarray(basis.columns.T)
     for rows in _blocks(z.shape):
-        block = z[rows] - (basis.rows[rows] @ table) @ columns
-        block[~valid[rows]] = 0.0
+        block = z[rows] - (basis.rows[rows] @ table) @ columns if total.any() else z[rows]
+        yield rows, block if missing is None else np.where(missing[rows], fill, block)
+
+
+def _right_side(basis: Basis, grid: Grid, z: Floats, missing: Bools | None, total: Floats) -> Floats:
+    """Return the right-hand side of the next iteration. (k,)."""
+    weighted = basis.columns * grid.column_area[:, None]
+    across = basis.rows * grid.row_width[:, None]
+    sums = np.zeros((across.shape[1], weighted.shape[1]))
+    for rows, block in _residuals(basis, z, missing, total, fill=0.0):
         sums += across[rows].T @ (block @ weighted)
-        block[~valid[rows]] = np.nan
-        left[rows] = block
+    p, q = basis.terms
     return np.asarray(sums[q, p])
 
 

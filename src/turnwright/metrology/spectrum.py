@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Floats, frozen
+from turnwright._arrays import Bools, Floats, frozen
 from turnwright._kernels.rectangle import largest_rectangle
 from turnwright._validate import one_of
 from turnwright.errors import InputError
@@ -26,6 +26,9 @@ Missing: TypeAlias = Literal["rectangle", "mask"]
 NM = 1e6
 FEWEST = 8
 """Least number of points along each axis of a spectrum."""
+
+BLOCK_POINTS = 1 << 16
+"""Points transformed at a time; they stay in the cache."""
 
 WINDOW_COEFFICIENTS = {"none": (1.0,), "hann": (0.5, -0.5), "blackman": (0.42, -0.5, 0.08)}
 
@@ -187,6 +190,7 @@ def line_psd(
     if isinstance(heights, Profile):
         profile = without_form(heights, form)
         z, step = profile.z[None], even_step(profile.distance, "the profile", "a spectrum", FEWEST)
+        valid = ~np.isnan(z)
         if along is not None:
             raise InputError(f"along is {along!r}, a profile has one direction: leave it out")
     else:
@@ -194,31 +198,25 @@ def line_psd(
         if along not in choices:
             listed = " or ".join(f'"{one}"' for one in choices)
             raise InputError(f"along is {along!r}, the lines of this map run along {listed}: choose")
-        valid_points(heights, FEWEST, "a spectrum")
+        valid = valid_points(heights, FEWEST, "a spectrum")
         grid = measure(heights)
         z = remove_form(heights, form).z
         axis = grid.rows if along == "y" else grid.columns
         step = even_step(axis, f"the map along {along}", "a spectrum", FEWEST)
-        z = z.T if along == "y" else z
-    z, notes = _cut(z, missing, (1.0, step), rows=1)
+        z, valid = (z.T, valid.T) if along == "y" else (z, valid)
+    z, notes = _cut(z, valid, missing, (1.0, step), rows=1)
     from scipy import fft  # noqa: PLC0415 - only this needs it
 
-    weight, gaps = _taper(z.shape[1], window)[None], np.isnan(z)
-    if gaps.any():
-        weight, z = np.where(gaps, 0.0, weight), np.where(gaps, 0.0, z)
-    total = weight.sum(axis=1, keepdims=True)
-    mean = (weight * z).sum(axis=1, keepdims=True) / np.where(total > 0, total, 1.0)
-    waves = fft.rfft((z - mean) * (weight * NM), axis=1, workers=cores())
-    power = (np.square(waves.real) + np.square(waves.imag)).sum(axis=0)
+    power, squares, count = _line_power(z, _taper(z.shape[1], window))
     frequency = fft.rfftfreq(z.shape[1], step)
     width = frequency[1]
     edges = np.concatenate([[0.0], frequency[:-1] + width / 2, [0.5 / step]])
     return Spectrum(
         frequency=frozen(frequency, "frequency"),
         edges=frozen(edges, "edges"),
-        density=frozen(2 * step * power / np.square(np.broadcast_to(weight, z.shape)).sum(), "density"),
+        density=frozen(2 * step * power / squares, "density"),
         radial=False,
-        count=int(np.count_nonzero(np.broadcast_to(total, (z.shape[0], 1)) > 0)),
+        count=count,
         notes=notes,
     )
 
@@ -245,9 +243,9 @@ def area_psd(
         If the grid is uneven or polar, there are fewer than 8 x 8 points, or a choice is unknown.
     """
     _require(window, missing)
-    valid_points(heights, FEWEST, "a spectrum")
+    valid = valid_points(heights, FEWEST, "a spectrum")
     steps = even_rectangle(heights, "the spectrum of an area", FEWEST)[::-1]
-    z, notes = _cut(remove_form(heights, form).z, missing, steps, rows=FEWEST)
+    z, notes = _cut(remove_form(heights, form).z, valid, missing, steps, rows=FEWEST)
     from scipy import fft  # noqa: PLC0415 - only this needs it
 
     absent = np.isnan(z)
@@ -284,9 +282,31 @@ def _taper(size: int, window: str) -> Floats:
     )
 
 
-def _cut(z: Floats, missing: str, steps: tuple[float, float], *, rows: int) -> tuple[Floats, tuple[str, ...]]:
+def _line_power(z: Floats, taper: Floats) -> tuple[Floats, float, int]:
+    """Return the power of all lines (columns // 2 + 1,) [nm²], the sum of their squared weights, and their number."""
+    from scipy import fft  # noqa: PLC0415 - only this needs it
+
+    power, squares, count = np.zeros(z.shape[1] // 2 + 1), 0.0, 0
+    block = max(BLOCK_POINTS // z.shape[1], 1)
+    for start in range(0, z.shape[0], block):
+        lines, weight = z[start : start + block], taper[None]
+        gaps = np.isnan(lines)
+        if gaps.any():
+            weight, lines = np.where(gaps, 0.0, taper), np.where(gaps, 0.0, lines)
+        total = weight.sum(axis=1, keepdims=True)
+        mean = (weight * lines).sum(axis=1, keepdims=True) / np.where(total > 0, total, 1.0)
+        waves = fft.rfft((lines - mean) * (weight * NM), axis=1, workers=cores())
+        power += (np.square(waves.real) + np.square(waves.imag)).sum(axis=0)
+        repeats = lines.shape[0] // weight.shape[0]
+        squares += repeats * float(np.vdot(weight, weight))
+        count += repeats * int(np.count_nonzero(total > 0))
+    return power, squares, count
+
+
+def _cut(
+    z: Floats, valid: Bools, missing: str, steps: tuple[float, float], *, rows: int
+) -> tuple[Floats, tuple[str, ...]]:
     """Return the heights to transform, and a note about those left out."""
-    valid = ~np.isnan(z)
     if valid.all():
         return z, ()
     if missing == "rectangle":
