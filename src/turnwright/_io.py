@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
 import json
 import math
 import os
+import pickle  # noqa: TID251 - of what one process orders from another, never of a file
 import re
+import signal
+import struct
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
+from threading import Timer
+from time import monotonic
 from typing import IO, Any
 
 from turnwright.errors import InputError
@@ -119,11 +125,13 @@ def write_atomic(path: Path, text: str | bytes | memoryview) -> None:
 
 
 READ_TIMEOUT_S = 300
-READER = "import sys, {module} as reader; sys.exit(reader.main())"
-"""Code of the separate process: the ``main`` of a module, which calls `answer_parent`."""
+READER = "from turnwright._io import answer_parent; answer_parent()"
+"""Code of the process that reads HDF5."""
 
-REFUSAL_EXIT_CODE = 3
-"""Exit code of a process that wrote a message of refusal to its standard error."""
+ANSWER = struct.Struct("<BQ")
+"""Before the result of a work: its status, and its size in bytes."""
+
+DONE, REFUSED, DAMAGED, DIED = range(4)
 
 
 def json_data(value: Any) -> Any:
@@ -146,48 +154,121 @@ def write_json(path: Path, value: Any) -> None:
     write_atomic(path, json.dumps(json_data(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
-def read_isolated(
-    module: str, path: Path, *, refusal: type[InputError], arguments: Sequence[str] = (), data: bytes | None = None
-) -> bytes:
-    """Read an HDF5 file in a separate process, as a damaged one may crash it, and return the output.
+MOST_IDLE = 2
+"""Most processes kept for the next file; each holds 44 MB."""
 
-    The ``main`` of the module reads the file, with the path and the further arguments, and ``data`` as standard input.
+_idle_readers: dict[int, list[subprocess.Popen[bytes]]] = {}
+"""Processes that wait for the next file, by the process that started them: a fork has none."""
+
+
+def read_isolated(work: Callable[..., bytes], path: Path, *arguments: Any, refusal: type[InputError]) -> bytes:
+    """Return ``work(path, *arguments)``, which reads HDF5, from a separate process, as a damaged file may crash it.
+
+    The process is kept for the next file, since starting it takes most of the time, unless the work fails.
 
     Raises
     ------
     InputError
-        As ``refusal``, with the message of the process, or that the file is damaged.
+        As ``refusal``, with the message of the work, or that the file is damaged.
     """
-    try:
-        done = subprocess.run(  # noqa: S603 - our own module
-            [sys.executable, "-P", "-c", READER.format(module=module), str(path), *arguments],
-            input=data,
-            capture_output=True,
-            timeout=READ_TIMEOUT_S,
-            check=False,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        )
-    except subprocess.TimeoutExpired as error:
-        raise refusal(
-            f"{path} is not read within {READ_TIMEOUT_S} s, the limit: it is damaged, so copy it again"
-        ) from error
-    if done.returncode == REFUSAL_EXIT_CODE:
-        raise refusal(done.stderr.decode("utf-8", "replace"))
-    if done.returncode != 0:
-        raise refusal(f"{path} is HDF5 that cannot be read (code {done.returncode}): it is damaged, so copy it again")
-    return done.stdout
+    order, deadline = (work, path, *arguments), monotonic() + READ_TIMEOUT_S
+    status, result, code = DIED, b"", 0
+    if (reader := _take_idle_reader()) is not None:
+        status, result, code = _run(reader, order)
+    if status == DIED and monotonic() < deadline:  # none was kept, or it has been killed
+        status, result, code = _run(_start_reader(), order)
+    if status == DONE:
+        return result
+    if status == REFUSED:
+        raise refusal(result.decode())
+    if monotonic() >= deadline:
+        raise refusal(f"{path} is not read within {READ_TIMEOUT_S} s, the limit: it is damaged, so copy it again")
+    code = 1 if status == DAMAGED else code
+    raise refusal(f"{path} is HDF5 that cannot be read (code {code}): it is damaged, so copy it again")
 
 
-def answer_parent(
-    work: Callable[[], bytes], *, refusal: type[InputError], damage: tuple[type[BaseException], ...]
-) -> int:
-    """Write the result of some work to standard output, or its refusal to standard error; return the exit code."""
+def _take_idle_reader() -> subprocess.Popen[bytes] | None:
+    idle = _idle_readers.get(os.getpid(), [])
+    with suppress(IndexError):
+        while True:
+            reader = idle.pop()
+            if reader.poll() is None:
+                return reader
+            _end(reader)  # another program has killed it
+    return None
+
+
+def _start_reader() -> subprocess.Popen[bytes]:
+    return subprocess.Popen(  # noqa: S603 - our own code
+        [sys.executable, "-P", "-c", READER],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    )
+
+
+def _run(reader: subprocess.Popen[bytes], order: tuple[Any, ...]) -> tuple[int, bytes, int]:
+    """Return the status and the result of some work, and the exit code of the process where it has ended."""
+    timer = Timer(READ_TIMEOUT_S, reader.kill)
+    timer.start()
+    status, result, code = DIED, b"", 0
     try:
-        result = work()
-    except refusal as error:
-        sys.stderr.buffer.write(str(error).encode())
-        return REFUSAL_EXIT_CODE
-    except damage:
-        return 1
-    sys.stdout.buffer.write(result)
-    return 0
+        with suppress(OSError, struct.error):  # of a process that has died
+            status, result = _ask(reader, order)
+    finally:
+        timer.cancel()
+        idle = _idle_readers.setdefault(os.getpid(), [])
+        if status == DONE and len(idle) < MOST_IDLE:
+            idle.append(reader)
+        else:
+            code = _end(reader)
+    return status, result, code
+
+
+def _ask(reader: subprocess.Popen[bytes], order: tuple[Any, ...]) -> tuple[int, bytes]:
+    """Return the status and the result of some work; raise if the process dies before it has answered."""
+    assert reader.stdin is not None  # noqa: S101 - both are pipes
+    assert reader.stdout is not None  # noqa: S101
+    pickle.dump(order, reader.stdin)
+    reader.stdin.flush()
+    status, size = ANSWER.unpack(reader.stdout.read(ANSWER.size))
+    result = reader.stdout.read(size)
+    return (status if len(result) == size else DIED), result
+
+
+def _end(reader: subprocess.Popen[bytes]) -> int:
+    """End a process, and return its exit code."""
+    with suppress(OSError), reader:  # its pipes may be broken
+        reader.kill()
+    return reader.wait()
+
+
+@atexit.register
+def _end_idle_readers() -> None:
+    for reader in _idle_readers.pop(os.getpid(), []):
+        _end(reader)
+
+
+def answer_parent() -> None:
+    """Do the work that the parent process orders, until that ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent process too, which ends this one
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what libraries print
+    with suppress(EOFError):
+        while True:
+            _answer(answers)
+
+
+def _answer(answers: IO[bytes]) -> None:
+    work, *arguments = pickle.load(sys.stdin.buffer)  # noqa: S301 - of the parent process
+    try:
+        status, result = DONE, work(*arguments)
+    except InputError as error:
+        status, result = REFUSED, str(error).encode()
+    except Exception:  # noqa: BLE001 - whatever h5py raises at a damaged file
+        status, result = DAMAGED, b""
+    # Bytes only: nothing that a file could make of this process is executed by its parent.
+    answers.write(ANSWER.pack(status, len(result)))
+    answers.write(result)
+    answers.flush()

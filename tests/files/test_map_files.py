@@ -5,6 +5,7 @@ Oracles: files packed byte by byte in `measured_files`, numbers on which indepen
 """
 
 import io
+import os
 import tracemalloc
 import warnings
 import zipfile
@@ -37,6 +38,7 @@ from measured_files import (
     zygo_ascii,
     zygo_xyz,
 )
+from turnwright import _io
 from turnwright.errors import InputError, MapError
 from turnwright.files import read_map, write_map
 from turnwright.heightmap import HeightMap
@@ -775,7 +777,7 @@ SAMPLES = {
 def test_bytes_cut_or_changed_give_a_map_or_a_sentence(tmp_path, name, data):
     random = np.random.default_rng(len(data))
     file = tmp_path / name
-    # Every .datx costs a process.
+    # Every damaged .datx costs a process.
     count = 4 if name.endswith("datx") else 75
     cuts = [data[:end] for end in np.unique(random.integers(1, len(data), count // 3))]
     for _ in range(count):
@@ -815,8 +817,33 @@ def test_changed_bytes_in_an_archive_give_a_map_or_a_message(tmp_path, member):
 
 
 def test_a_library_that_dies_of_a_file_ends_nothing_else(tmp_path, monkeypatch):
-    monkeypatch.setattr("turnwright._io.READER", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
-    with pytest.raises(MapError, match="is HDF5 that cannot be read"):
+    _io._end_idle_readers()
+    with monkeypatch.context() as deadly:
+        deadly.setattr("turnwright._io.READER", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+        with pytest.raises(MapError, match=r"is HDF5 that cannot be read \(code -11\)"):
+            read(tmp_path, datx(), "a.datx")
+    assert read(tmp_path, datx(), "a.datx").z.shape == PICTURE.shape
+
+
+def test_process_that_reads_hdf5_is_kept_until_a_file_fails(tmp_path):
+    read(tmp_path, datx(), "a.datx")
+    (first,) = _io._idle_readers[os.getpid()]
+    read(tmp_path, datx(unit="NanoMeters"), "b.datx")
+    assert _io._idle_readers[os.getpid()] == [first]
+    first.kill()  # it may not have ended yet when the next file comes
+    read(tmp_path, datx(), "a.datx")
+    (second,) = _io._idle_readers[os.getpid()]
+    with pytest.raises(MapError, match="Volts"):
+        read(tmp_path, datx(unit="Volts"), "c.datx")
+    assert _io._idle_readers[os.getpid()] == []
+    assert second.returncode is not None
+
+
+def test_hdf5_that_takes_too_long_is_refused(tmp_path, monkeypatch):
+    _io._end_idle_readers()
+    monkeypatch.setattr("turnwright._io.READER", "import time; time.sleep(60)")
+    monkeypatch.setattr("turnwright._io.READ_TIMEOUT_S", 0.5)
+    with pytest.raises(MapError, match=r"not read within 0\.5 s"):
         read(tmp_path, datx(), "a.datx")
 
 

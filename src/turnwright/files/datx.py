@@ -12,17 +12,16 @@ from __future__ import annotations
 
 import io
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from turnwright._arrays import Floats
-from turnwright._io import answer_parent, read_isolated
+from turnwright._io import read_isolated
 from turnwright.errors import MapError
 from turnwright.files import arrays
-from turnwright.files.base import DAMAGE, check_inflated_size, damaged, grid_map, require_points, to_mm
+from turnwright.files.base import check_inflated_size, damaged, grid_map, require_points, to_mm
 from turnwright.heightmap import HeightMap
 
 if TYPE_CHECKING:
@@ -41,16 +40,10 @@ MAX_TEXT_CHARACTERS = 500
 
 def read(path: Path, data: bytes) -> HeightMap:
     """Read a datx file in a separate process."""
-    return arrays.read_named(path, read_isolated(__name__, path, refusal=MapError, data=data))
+    return arrays.read_named(path, read_isolated(_read, path, data, refusal=MapError))
 
 
-def main() -> int:
-    """Read a datx file from standard input and write its map to standard output."""
-    path = Path(sys.argv[1])
-    return answer_parent(lambda: arrays.pack(_read(path, sys.stdin.buffer.read())), refusal=MapError, damage=DAMAGE)
-
-
-def _read(path: Path, data: bytes) -> HeightMap:
+def _read(path: Path, data: bytes) -> bytes:
     import h5py  # noqa: PLC0415 - costly to import
 
     with h5py.File(io.BytesIO(data), "r") as file:
@@ -67,12 +60,8 @@ def _read(path: Path, data: bytes) -> HeightMap:
             mark = float(np.ravel(no_data)[0])
             missing |= stored >= mark if mark > LARGE_MARK else stored == mark
         heights: Floats = np.where(missing, np.nan, stored * np.where(missing, 0.0, scale))
-        return grid_map(
-            path,
-            heights,
-            _pixel(path, surface),
-            metadata={"format": "Zygo .datx", **_metadata(file), "stored in": _unit(surface)},
-        )
+        metadata = {"format": "Zygo .datx", **_metadata(file), "stored in": _unit(surface)}
+        return arrays.pack(grid_map(path, heights, _pixel(path, surface), metadata=metadata))
 
 
 def _surface(path: Path, file: h5py.File) -> h5py.Dataset:
@@ -156,11 +145,13 @@ def _metadata(file: h5py.File) -> dict[str, str]:
     for name in groups:
         if not isinstance(groups.get(name, getlink=True), h5py.HardLink):
             continue
-        for key, value in groups[name].attrs.items():
+        entries = groups[name].attrs
+        for key in entries:
             label = key.removeprefix(PREFIX)
             if not key.startswith(PREFIX) or label.startswith("attr.") or label.endswith(":Unit"):
                 continue
-            unit = groups[name].attrs.get(f"{key.removesuffix(':Value')}:Unit") if key.endswith(":Value") else None
+            value = entries[key]
+            unit = entries.get(f"{key.removesuffix(':Value')}:Unit") if key.endswith(":Value") else None
             if np.asarray(value).dtype.kind in "fiuOSU" and np.asarray(value).size == 1:
                 text = f"{_text(value)} {'' if unit is None else _text(unit)}".strip()
                 metadata[label.removesuffix(":Value").lower()] = text

@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import json
 import re
-import sys
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from turnwright._arrays import Floats, rows_of_numbers
-from turnwright._io import answer_parent, bytes_of, read_isolated
+from turnwright._io import bytes_of, read_isolated
 from turnwright._validate import positive
 from turnwright.cutting.learning.signals import ForceRecord, require_unsaturated
 from turnwright.errors import InputError
@@ -99,7 +98,7 @@ def read_forces(
     path = Path(file)
     data = bytes_of(path, "the force record")
     if data.startswith(HDF5):
-        raw = _read_isolated_hdf5(path, channels)
+        raw = _unpack(path, read_isolated(_read_hdf5, path, data, tuple(channels or ()), refusal=InputError))
     elif data.startswith(TDMS):
         raw = _read_tdms(path, data, channels)
     else:
@@ -281,28 +280,6 @@ def _common_rate(path: Path, rates: set[float]) -> float | None:
     return max(rates)
 
 
-def _read_isolated_hdf5(path: Path, channels: Sequence[str] | None) -> _Raw:
-    """Read HDF5 in a separate process, which may crash without harm."""
-    answer = read_isolated(__name__, path, refusal=InputError, arguments=[json.dumps(list(channels or []))])
-    try:
-        with np.load(io.BytesIO(answer), allow_pickle=False) as packed:
-            header = json.loads(str(packed["header"]))
-            columns = {name: packed[f"column{i}"] for i, name in enumerate(header["names"])}
-    except (ValueError, KeyError, OSError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path} is corrupt: HDF5 cannot be read") from error
-    return _Raw(columns, header["units"], header["rate_hz"])
-
-
-def main() -> int:
-    """Read the HDF5 file of the command line in this process, and write its columns to standard output."""
-    path, channels = Path(sys.argv[1]), json.loads(sys.argv[2])
-    return answer_parent(
-        lambda: _pack(_read_hdf5(path, channels)),
-        refusal=InputError,
-        damage=(OSError, RuntimeError, KeyError, ValueError, TypeError),
-    )
-
-
 def _pack(raw: _Raw) -> bytes:
     header = json.dumps({"names": list(raw.columns), "units": raw.units, "rate_hz": raw.rate_hz})
     packed = io.BytesIO()
@@ -310,7 +287,17 @@ def _pack(raw: _Raw) -> bytes:
     return packed.getvalue()
 
 
-def _read_hdf5(path: Path, channels: Sequence[str]) -> _Raw:
+def _unpack(path: Path, data: bytes) -> _Raw:
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as packed:
+            header = json.loads(str(packed["header"]))
+            columns = {name: packed[f"column{i}"] for i, name in enumerate(header["names"])}
+    except (ValueError, KeyError, OSError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path} is corrupt: HDF5 cannot be read") from error
+    return _Raw(columns, header["units"], header["rate_hz"])
+
+
+def _read_hdf5(path: Path, data: bytes, channels: Sequence[str]) -> bytes:
     """Read the one-dimensional numeric datasets, all or the requested ones."""
     import h5py  # noqa: PLC0415 - costly to import
 
@@ -338,6 +325,6 @@ def _read_hdf5(path: Path, channels: Sequence[str]) -> _Raw:
                 rates.add(_rate_from_attribute(path, rate, step))
                 break
 
-    with h5py.File(path, "r") as file:
+    with h5py.File(io.BytesIO(data), "r") as file:
         file.visititems(take)
-    return _Raw(columns, units, _common_rate(path, rates))
+    return _pack(_Raw(columns, units, _common_rate(path, rates)))
