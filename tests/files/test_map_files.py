@@ -31,6 +31,7 @@ from measured_files import (
     grid_sag,
     metropro,
     metropro_height,
+    plu,
     sdf,
     sdf_text,
     single,
@@ -109,6 +110,7 @@ FORMATS = {
     "x3p": ("a.x3p", x3p(), UP * NM, (0.002, 0.003), (1, -2)),
     "grid sag": ("a.dat", grid_sag(), UP, (0.5, 0.25), (0.25, -2.25)),
     "grid sag in inches": ("a.dat", grid_sag(unit=2), UP * 25.4, (12.7, 6.35), (6.35, -57.15)),
+    "plu": ("a.plu", plu(), UP * 1e-3, (0.002, 0.003), (0, 0)),
     "al3d": ("a.al3d", al3d(), UP * NM, (0.002, 0.003), (0, 0)),
 }
 
@@ -549,7 +551,7 @@ def test_an_infinite_height_is_missing_in_every_format(tmp_path, name, data):
 
 def test_a_damaged_file_is_refused_and_nothing_is_printed(tmp_path, capfd, caplog):
     damaged = b"\1\0" + b"Directory" + bytes(range(256)) * 4000
-    for suffix in (".opd", ".al3d", ".frt", ".plu", ".vk4", ".opdx", ".os3d", ".lext"):
+    for suffix in (".opd", ".al3d", ".frt", ".vk4", ".opdx", ".os3d", ".lext"):
         with pytest.raises(MapError, match="cannot be read by SurfaceTopography"):
             read(tmp_path, damaged, f"a{suffix}")
     assert len("".join(capfd.readouterr())) == 0
@@ -583,6 +585,19 @@ def test_other_programs_read_a_written_x3p_alike(tmp_path):
     assert topography.unit == "m"
     np.testing.assert_allclose(np.ma.filled(topography.heights(), np.nan).T, UP * 1e-9, rtol=1e-12)
     np.testing.assert_allclose(topography.physical_sizes, (8e-6, 9e-6), rtol=1e-12)
+
+
+def test_surface_topography_reads_the_same_heights_from_plu(tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of its own imports
+        from SurfaceTopography.IO import open_topography
+
+    found = read(tmp_path, plu(PICTURE * 1.1), "a.plu")
+    with open_topography(str(tmp_path / "a.plu"), format="plu") as reader:
+        topography = reader.topography()
+    assert topography.unit == "µm"
+    np.testing.assert_array_equal(np.ma.filled(topography.heights(), np.nan).T[::-1] * 1e-3, found.z)
+    np.testing.assert_allclose(topography.physical_sizes, (8, 9), rtol=1e-15)
 
 
 def test_a_grid_sag_begins_at_the_top_left(tmp_path):
@@ -732,6 +747,9 @@ BAD = {
     "codev, unknown": ("a.int", codev(head="GRD 4 3 SUR WVL 1 SSZ 1 ABC 2"), "keyword 'ABC'"),
     "codev, Zernike": ("a.int", codev(head="ZFR 12 SUR WVL 1 SSZ 1"), "files.read_zernikes"),
     "nms": ("a.nms", bytes(range(256)) * 20, "disagree on the sign"),
+    "plu, profile": ("a.plu", plu(type=2), "type 2 and 1 layers, it must have type 3"),
+    "plu, no layer": ("a.plu", plu(layers=0), "type 3 and 0 layers, .* at least 1"),
+    "plu, cut": ("a.plu", plu()[:-1], "needs 564 bytes by its header and has 563"),
     "opd, rubbish": ("a.opd", bytes(range(256)) * 20, "cannot be read by SurfaceTopography"),
     "al3d, cut": ("a.al3d", al3d()[:-5], "cannot be read by SurfaceTopography"),
 }

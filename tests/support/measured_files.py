@@ -259,6 +259,27 @@ def al3d(picture=PICTURE):
     return head + bytes(256) + np.where(np.isnan(picture), -1, picture * 1e-9).astype("<f4").tobytes()
 
 
+def plu(picture=PICTURE, *, layers=1, **fields):
+    """Sensofar .plu: 500 bytes of head, then the size of a layer, its heights in um, and their range."""
+    rows, columns = picture.shape
+    head = bytearray(508)
+    values = {
+        "date": (0, "128s", b"Mon Jan 04 08:42:09 2010"),
+        "comment": (132, "256s", b"a dish"),
+        "size": (388, "<2I", rows, columns),
+        "pixel": (404, "<2f", 2.0, 3.0),
+        "type": (428, "<I", 3),
+        "layers": (489, "<B", layers),
+        "layer size": (500, "<2I", rows, columns),
+    }
+    for name, value in fields.items():
+        values[name] = (*values[name][:2], value)
+    for place, form, *value in values.values():
+        struct.pack_into(form, head, place, *value)
+    heights = np.where(np.isnan(picture), 1000001, picture).astype("<f4")
+    return bytes(head) + heights.tobytes() + struct.pack("<2f", np.nanmin(picture), np.nanmax(picture))
+
+
 def array_file(array, **named):
     """NumPy .npy, or .npz of named arrays."""
     buffer = io.BytesIO()

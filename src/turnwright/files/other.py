@@ -19,7 +19,7 @@ from turnwright.heightmap import HeightMap
 __all__ = ["DISPUTED", "SUFFIXES", "read", "refuse"]
 
 SUFFIXES = {
-    **{f".{name}": name for name in ("al3d", "frt", "lext", "opd", "opdx", "os3d", "plu", "plux")},
+    **{f".{name}": name for name in ("al3d", "frt", "lext", "opd", "opdx", "os3d", "plux")},
     **{f".vk{version}": "vk" for version in (3, 4, 6, 7)},
 }
 """Format of SurfaceTopography by suffix. No other is tried, as one of them logs all bytes of the file."""

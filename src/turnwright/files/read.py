@@ -19,6 +19,7 @@ from turnwright.files import (
     grid_sag,
     metropro,
     other,
+    plu,
     points,
     sdf,
     x3p,
@@ -105,6 +106,8 @@ def _reader_of(path: Path, data: bytes) -> tuple[Callable[[Path, bytes], HeightM
             return reader, kind
     if sdf.SIGNATURE.match(data):
         return sdf.read, "SDF"
+    if suffix == plu.SUFFIX:
+        return plu.read, "Sensofar .plu"
     if suffix in other.SUFFIXES:
         return other.read, f"an instrument's file ({suffix})"
     if data.startswith(b"PK\x03\x04"):
@@ -130,8 +133,8 @@ def _read_text(path: Path, data: bytes, unit: str | None = None, lateral_unit: s
     text = text_of(data)
     if text is None:
         raise MapError(
-            f"{path} has an unknown format: maps are .dat, .datx, .asc, .xyz, .int, .x3p, .sdf, .sur, .npz, .npy, .csv "
-            "or, with the extra 'formats', .opd, .plu, .al3d and others"
+            f"{path} has an unknown format: maps are .dat, .datx, .asc, .xyz, .int, .x3p, .sdf, .sur, .plu, .npz, "
+            ".npy, .csv or, with the extra 'formats', .opd, .al3d and others"
         )
     reader = zygo_text.read if text.startswith((zygo_text.PHASES, zygo_text.POINTS)) else None
     reader = grid_sag.read if grid_sag.is_grid_sag(text) else reader
