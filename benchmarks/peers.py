@@ -7,6 +7,7 @@ opencamlib``). A row whose peer is not installed is left out. The run takes a mi
 file.
 """
 
+import struct
 import tempfile
 import warnings
 from importlib.metadata import version
@@ -26,6 +27,7 @@ from turnwright.placing import place
 from turnwright.tool import Tool
 
 HERE = Path(__file__).parent
+DATX = HERE.parent / "tests" / "data" / "measured" / "gpi_mirror_strip.datx"
 SIDE, PIXEL = 1024, 0.001
 
 Row = tuple[str, str, str, list[float], list[float]]
@@ -39,28 +41,51 @@ def rough_map():
     return HeightMap(z=z, x=x, y=x)
 
 
+def plu(heights):
+    """The bytes of a Sensofar .plu with one layer; no program writes it. The fields that no reader uses are 0."""
+    rows, columns = heights.z.shape
+    head = bytearray(508)
+    for offset, form, *values in (
+        (0, "128s", b"2026-01-01 12:00:00"),
+        (388, "<2I", rows, columns),
+        (404, "<2f", PIXEL * 1e3, PIXEL * 1e3),
+        (428, "<I", 3),  # a topography
+        (489, "<B", 1),  # layer
+        (500, "<2I", rows, columns),
+    ):
+        struct.pack_into(form, head, offset, *values)
+    return bytes(head) + (heights.z * 1e3).astype("<f4").tobytes() + bytes(8)
+
+
 def readers():
+    from prysm.io import read_zygo_datx  # noqa: PLC0415 - may not be installed
     from SurfaceTopography.IO import open_topography  # noqa: PLC0415 - may not be installed
     from surfalize import Surface  # noqa: PLC0415 - may not be installed
 
+    def topography(file):
+        with open_topography(str(file)) as reader:
+            return reader.topography().heights()
+
     heights = rough_map()
     with tempfile.TemporaryDirectory() as folder:
-        for suffix in (".x3p", ".sur", ".sdf"):
-            file = Path(folder) / f"map{suffix}"
-            if suffix == ".x3p":
-                write_map(heights, file)
-            else:
-                Surface(heights.z * 1e3, PIXEL * 1e3, PIXEL * 1e3).save(file)
-            ours, theirs = timed(lambda f=file: read_map(f), lambda f=file: Surface.load(f))
-            yield f"read {suffix} of {SIDE} x {SIDE}", "surfalize", "", ours, theirs
-            if suffix == ".x3p":
-
-                def topography(file=file):
-                    with open_topography(str(file)) as reader:
-                        return reader.topography().heights()
-
-                ours, theirs = timed(lambda f=file: read_map(f), topography)
-                yield f"read {suffix} of {SIDE} x {SIDE}", "SurfaceTopography", "", ours, theirs
+        files = {suffix: Path(folder) / f"map{suffix}" for suffix in (".x3p", ".sur", ".sdf", ".plu")}
+        write_map(heights, files[".x3p"])
+        files[".plu"].write_bytes(plu(heights))
+        for suffix in (".sur", ".sdf"):
+            Surface(heights.z * 1e3, PIXEL * 1e3, PIXEL * 1e3).save(files[suffix])
+        for suffix, peer, reader, note in (
+            (".x3p", "surfalize", Surface.load, "theirs without the checksum of the heights"),
+            (".x3p", "SurfaceTopography", topography, ""),
+            (".sur", "surfalize", Surface.load, ""),
+            (".sdf", "surfalize", Surface.load, ""),
+            (".plu", "surfalize", Surface.load, "theirs in single precision, from two points before the first"),
+            (".plu", "SurfaceTopography", topography, ""),
+        ):
+            file = files[suffix]
+            ours, theirs = timed(lambda f=file: read_map(f), lambda f=file, read=reader: read(f))
+            yield f"read {suffix} of {SIDE} x {SIDE}", peer, note, ours, theirs
+    ours, theirs = timed(lambda: read_map(DATX), lambda: read_zygo_datx(DATX))
+    yield f"read .datx of {DATX.stat().st_size / 1024:.0f} kB", "prysm", "ours in another process", ours, theirs
 
 
 def surfaces():
