@@ -12,7 +12,9 @@ from pathlib import Path
 
 import numba
 import pytest
+import tomli_w
 
+from job_files import changed
 from turnwright import _kernels
 from turnwright._kernels import compiling, edge, sines, trig
 
@@ -171,3 +173,20 @@ def test_what_is_compiled_is_logged_once(tmp_path):
     ]
     assert set(printed[0].splitlines()) == {f"compiling {name}, once on this machine" for name in ("sines", "trig")}
     assert printed[1] == ""
+
+
+def test_loading_compiled_kernels_imports_nothing_that_compiles():
+    """The oracle is Python's list of imported modules; the first of the processes compiles what is missing."""
+    code = (
+        "import sys, tomllib\n"
+        "from turnwright.job import Job, run\n"
+        "run(Job.read(tomllib.loads(sys.argv[1])))\n"
+        "print(*sys.modules)"
+    )
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", code, tomli_w.dumps(changed())], capture_output=True, text=True, check=True
+        )
+    modules = done.stdout.split()
+    assert "numba" in modules
+    assert not {"numba.np.arraymath", "numba.np.linalg", "scipy.linalg"} & set(modules)

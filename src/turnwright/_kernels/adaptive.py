@@ -9,6 +9,7 @@ import numpy as np
 
 from turnwright._kernels import jit
 from turnwright._kernels.edge import height, slope
+from turnwright._kernels.ordered import interval
 from turnwright._kernels.trig import sincos
 
 TURN = 2.0 * np.pi
@@ -167,12 +168,6 @@ def node(path, k, at):
     z, dz = cubic(path[0], path[1], path[2], k, at)
     x, dx = cubic(path[0], path[3], path[4], k, at)
     return at, z, dz, x, dx
-
-
-@jit
-def interval(t, at):
-    """Return the number of the last sample at or before ``at``, at least 0."""
-    return max(np.searchsorted(t, at, side="right") - 1, 0)
 
 
 @jit

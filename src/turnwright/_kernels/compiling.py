@@ -29,6 +29,7 @@ from typing import Any
 import numba
 import platformdirs
 from numba.core import compiler, serialize
+from numba.core.runtime.nrt import rtsys
 
 __all__ = ["cache_folder", "compile_ahead", "compiled"]
 
@@ -114,7 +115,7 @@ class _Cache:
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Return the compiled code for a signature, or ``None`` if it must be compiled, which is logged."""
-        context.refresh()
+        rtsys.initialize(context)
         code = self._load(signature, context)
         if code is None:
             _LOG.info("compiling %s, once on this machine", self._module)

@@ -15,6 +15,7 @@ import numpy as np
 
 from turnwright._kernels import jit, jit_inline
 from turnwright._kernels.edge import height, slope
+from turnwright._kernels.ordered import interval, span
 from turnwright._kernels.trig import sincos, small_arctan
 
 TURN = 2.0 * np.pi
@@ -690,18 +691,18 @@ def useful_lateral(bounds, edge, gap, bend, most_y, rings, out, core):
     tops = np.empty(turns)
     for m in range(turns):
         before, after = max(m - 1, 0), min(m + 2, turns)
-        low, high = bounds[0, before:after].min(), bounds[1, before:after].max()
+        low, high = span(bounds[0], before, after)[0], span(bounds[1], before, after)[1]
         ranges[0, 0, m], ranges[0, 1, m] = low, high
         ranges[1, 0, m], ranges[1, 1, m] = -high, -low
-        tops[m] = bounds[3, before:after].max()
+        tops[m] = span(bounds[3], before, after)[1]
     # What bounds of many turns at once exclude no turn of them need be asked about.
     heaps = -(-turns // HEAP)
     heap = np.empty((6, heaps))  # tip from and to, those of the neighbours too, least of the highest and the lowest
     for k in range(heaps):
-        part = slice(HEAP * k, min(HEAP * (k + 1), turns))
-        heap[0, k], heap[1, k] = bounds[0, part].min(), bounds[1, part].max()
-        heap[2, k], heap[3, k] = ranges[0, 0, part].min(), ranges[0, 1, part].max()
-        heap[4, k], heap[5, k] = tops[part].min(), bounds[2, part].min()
+        start, stop = HEAP * k, min(HEAP * (k + 1), turns)
+        heap[0, k], heap[1, k] = span(bounds[0], start, stop)[0], span(bounds[1], start, stop)[1]
+        heap[2, k], heap[3, k] = span(ranges[0, 0], start, stop)[0], span(ranges[0, 1], start, stop)[1]
+        heap[4, k], heap[5, k] = span(tops, start, stop)[0], span(bounds[2], start, stop)[0]
     nearest = 0
     for ring in range(rings.size - 1):
         low, high = rings[ring], rings[ring + 1]
@@ -766,8 +767,8 @@ def rings_between(rings, low, high):
 
     Points outside of all rings, which a tile may hold next to those that are asked for, count to the nearest.
     """
-    inner = min(max(np.searchsorted(rings, low, side="right") - 1, 0), rings.size - 2)
-    return inner, min(max(np.searchsorted(rings, high), inner + 1), rings.size - 1)
+    inner, last = interval(rings, low), interval(rings, high)
+    return inner, max(last + 1 if rings[last] < high else last, inner + 1)
 
 
 @jit
@@ -1031,9 +1032,7 @@ def shorten_lateral(
 @jit
 def extent(values, start, stop):
     """Return the middle and half of the range of ``values``."""
-    low, high = values[start], values[start]
-    for k in range(start + 1, stop):
-        low, high = min(low, values[k]), max(high, values[k])
+    low, high = span(values, start, stop)
     return 0.5 * (low + high), 0.5 * (high - low)
 
 
@@ -1116,7 +1115,7 @@ def unwrap(r, azimuth):
 def close_together(r, azimuth):
     """Say whether points are close together as seen from the axis, with azimuths on one branch."""
     _, half = extent(azimuth, 0, azimuth.size)
-    return half < 0.25 and r.min() > 0.0
+    return half < 0.25 and span(r, 0, r.size)[0] > 0.0
 
 
 @jit
