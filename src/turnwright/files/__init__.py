@@ -8,23 +8,6 @@ Sizes stated in a file are compared with its length before memory is allocated. 
 the classes of ``lens.py``.
 """
 
-from turnwright.files.codev import read_zernikes, write_zernikes
-from turnwright.files.lens import LensFile, LensPhase, LensSide, LensSurface
-from turnwright.files.lens_files import read_lens
-from turnwright.files.read import read_map
-from turnwright.files.slices import read_profile
-from turnwright.files.write import write_grid_sag, write_map
+import lazy_loader
 
-__all__ = [
-    "LensFile",
-    "LensPhase",
-    "LensSide",
-    "LensSurface",
-    "read_lens",
-    "read_map",
-    "read_profile",
-    "read_zernikes",
-    "write_grid_sag",
-    "write_map",
-    "write_zernikes",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

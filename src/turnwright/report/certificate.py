@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Any
 
-from turnwright.job import Measured, Result, Verdict
+from turnwright.job import Result, Verdict
 from turnwright.report.page import Cell, Number, Page, Section, Table, write_page
 from turnwright.units import say_length
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from os import PathLike
 
-    from turnwright.job import Job
+    from turnwright.job import Job, Measured
 
 __all__ = ["write_certificate"]
 
@@ -57,8 +57,8 @@ def write_certificate(subject: Measured | Result, path: str | PathLike[str], fil
     grade, word = (
         ("bad", "Nonconforming") if missed else ("warn", "Not decided") if undecided else ("good", "Conforming")
     )
-    is_measured = isinstance(subject, Measured)
-    facts = _measurement(subject) if isinstance(subject, Measured) else _prediction(subject)
+    is_measured = not isinstance(subject, Result)
+    facts = _prediction(subject) if isinstance(subject, Result) else _measurement(subject)
     part = {
         "Name": job.part.name or "–",
         "Clear aperture": job.part.border.words,
