@@ -1,14 +1,32 @@
 """Figures drawn by other processes. Oracle: the same figures drawn by this one."""
 
+import re
 import subprocess
 import sys
 
 import pytest
 
 from job_files import changed, written
-from turnwright.job import Job, run
-from turnwright.report import compose_report, draw_apart, draw_part, drawing, figures, write_page, write_report
+from turnwright.job import Job, compare, run
+from turnwright.report import (
+    compose_report,
+    draw_ahead,
+    draw_apart,
+    draw_candidate,
+    drawing,
+    figures,
+    write_comparison,
+    write_page,
+    write_report,
+)
 from turnwright.report.page import Drawing
+
+PASSES = (
+    ("part.stock", "10 um"),
+    ("part.material", "IRG 26"),
+    ("machine", {"name": "nanotech-350fg"}),
+    ("passes", [{"name": "rough", "allowance": "2 um"}, {"name": "finish"}]),
+)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +53,7 @@ def test_other_processes_draw_the_same_page(result, tmp_path):
     write_report(result, here)
     with draw_apart():
         processes = drawing._apart[-1].context.processes
-        draw_part(result.job)
+        draw_ahead(result.job)
         page = compose_report(result, apart)
         first, *_, last = ordered(page)
         assert first.picture().svg.startswith("<svg")
@@ -44,6 +62,37 @@ def test_other_processes_draw_the_same_page(result, tmp_path):
         assert last._future.done()
     assert all(map(has_ended, processes))
     assert not drawing._apart
+    assert apart.read_text(encoding="utf-8") == here.read_text(encoding="utf-8")
+
+
+def drawn(text):
+    """Return the figures of a page; the run states its times."""
+    return re.findall(r"<svg.*?</svg>", text, re.DOTALL)
+
+
+@pytest.mark.parametrize("job", [(), PASSES], ids=["one pass", "two passes with chips"])
+def test_all_figures_of_a_run_are_ordered_before_its_page(job, tmp_path):
+    job = Job.read(changed(*job))
+    with draw_apart():
+        done = run(job, ready=draw_ahead(job))
+        count = len(drawing._apart[-1].ordered)
+        page = compose_report(done, tmp_path)
+        assert len(ordered(page)) == count == len(drawing._apart[-1].ordered)
+        apart = write_page(page, tmp_path / "apart.html")
+    here = write_report(done, tmp_path / "here.html")
+    assert drawn(apart.read_text(encoding="utf-8")) == drawn(here.read_text(encoding="utf-8"))
+
+
+def test_error_maps_of_a_comparison_are_ordered_while_it_goes_on(tmp_path):
+    job, ready = Job.read(changed()), []
+    with draw_apart():
+        done = compare(job, ready=lambda candidate: ready.append((candidate, draw_candidate(job, candidate))))
+        count = len(drawing._apart[-1].ordered)
+        apart = write_comparison(done, tmp_path / "apart.html")
+        assert len(drawing._apart[-1].ordered) == count + 2
+    assert tuple(candidate for candidate, _ in ready) == done.candidates
+    assert count == sum(len(drawings) for _, drawings in ready) > 0
+    here = write_comparison(done, tmp_path / "here.html")
     assert apart.read_text(encoding="utf-8") == here.read_text(encoding="utf-8")
 
 
@@ -85,7 +134,7 @@ def test_one_core_draws_alone(result, monkeypatch):
     monkeypatch.setattr(drawing, "cores", lambda: 1)
     with draw_apart():
         assert not drawing._apart
-        assert draw_part(result.job)[0]._future is None
+        assert drawing.draw(figures.sag_map, result.job.part)._future is None
 
 
 def test_a_process_that_starts_reports_no_interrupt():

@@ -38,8 +38,7 @@ def run_into(folder: Path, job: Job, progress: StageProgress) -> Result:
     """Run a job and write all its results to a folder."""
     from turnwright import job as recipe, report  # noqa: PLC0415 - costly
 
-    report.draw_part(job)
-    result = recipe.run(job, progress=progress, out=folder)
+    result = recipe.run(job, progress=progress, out=folder, ready=report.draw_ahead(job))
     progress("report", 0, 1)
     page = report.compose_report(result, folder)
     report.archive_run(result, folder)

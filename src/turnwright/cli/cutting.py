@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -170,11 +171,11 @@ def compare(
     session: Session = context.obj
     with new_folder(out, session, force=force) as folder:
         from turnwright.job import Job, compare, steps_of_comparison  # noqa: PLC0415
-        from turnwright.report import archive_comparison, draw_apart, write_comparison  # noqa: PLC0415
+        from turnwright.report import archive_comparison, draw_apart, draw_candidate, write_comparison  # noqa: PLC0415
 
         recipe = Job.load(job)
         with draw_apart(), show_progress(session.stop, steps_of_comparison(recipe)) as progress:
-            comparison = compare(recipe, progress=progress)
+            comparison = compare(recipe, progress=progress, ready=partial(draw_candidate, recipe))
             progress("report", 0, 1)
             archive_comparison(comparison, folder)
             write_comparison(comparison, folder)

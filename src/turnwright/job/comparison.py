@@ -111,7 +111,9 @@ class Comparison:
         return write_table(candidate.servo)
 
 
-def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
+def compare(
+    job: Job, *, progress: StageProgress | None = None, ready: Callable[[Candidate], object] | None = None
+) -> Comparison:
     """Plan the finishing pass with every strategy, to the same cusp height and chord error, and simulate each surface.
 
     The first candidate is the current job, with its own points, feed and speeds.
@@ -128,6 +130,8 @@ def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
         Part, tool, machine and strategy.
     progress
         Called with (stage, done, total).
+    ready
+        Called with each candidate when it is evaluated, so that it can be shown meanwhile.
     """
     watch, stated = Watch(progress), job.servo(job.passes[-1])
     spirals = _Spirals(job)
@@ -137,6 +141,8 @@ def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
     for name, set_up in list(_strategies(job, stated, feed, scallop, chord, spirals)):
         with watch.stage(name) as update:
             candidates.append(_evaluate(name, set_up, job, spirals, candidates, update))
+        if ready is not None:
+            ready(candidates[-1])
     return Comparison(job=job, scallop=scallop, chord=chord, candidates=tuple(candidates))
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, replace
 from functools import lru_cache
 from os import PathLike
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +41,13 @@ __all__ = ["finishing_motion", "preview", "run"]
 PLOT_POINTS = 20_000
 
 
-def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[str] | None = None) -> Result:
+def run(
+    job: Job,
+    *,
+    progress: StageProgress | None = None,
+    out: str | PathLike[str] | None = None,
+    ready: Callable[[str, Any], None] | None = None,
+) -> Result:
     """Run a job: check, plan, place, drive, write the program, read it back and predict the surface.
 
     Parameters
@@ -53,6 +60,10 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         Folder for the files of the program, created if it does not exist; the other files of the command line are
         written by ``turnwright.report``. If not given, the program is written, read back and deleted, and the result
         lists no files.
+    ready
+        Called with the name and the value of a field of the result as soon as it is computed, so that it can be shown
+        during the rest of the run: ``access``, then ``passes``, ``chips``, ``path``, ``motion`` and ``revolutions``,
+        ``entries``, and ``predictions``.
 
     Raises
     ------
@@ -66,10 +77,12 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     """
     if out is None:
         with TemporaryDirectory(prefix="turnwright-") as folder:
-            result = run(job, progress=progress, out=folder)
+            result = run(job, progress=progress, out=folder, ready=ready)
         return replace(result, program=replace(result.program, files=()))
+    ready = ready or _show_nothing
     line = Pipeline(job, progress=progress, out=out)
     warnings = _accept_findings(job, GougeError, ((one.name, one.sentence) for one in line.findings if not one.ok))
+    ready("access", line.access)
     warnings += odd_sizes(job.part.aimed, job.tool)
     for finding in line.depths:
         if not finding.ok:  # no job can accept that
@@ -89,8 +102,12 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     plotted_path, least = _thin(line.path), float(line.path.clearance.min())
     plotted_motion, turns = line.motion.select(_every_nth(line.motion.time.size)), _revolutions(line.motion)
     del cut
+    plotted = {"path": plotted_path, "motion": plotted_motion, "revolutions": turns}
+    for field, value in {"passes": passes, "chips": chips, **plotted}.items():
+        ready(field, value)
     line.finishing.forget("spiral", "path")
     entries = line.entries(motions)
+    ready("entries", entries)
     warnings += _accept_findings(job, LimitError, (("limits", one.beyond_travel) for one in entries.values()))
     program = line.write(motions, entries)
     motions.clear()
@@ -100,6 +117,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     if not job.program.precorrect:
         line.finishing.forget("commanded", "planned")
     predictions = line.predictions
+    ready("predictions", predictions)
     warnings += _accepted_program(line, limit)
     warnings += _wall_warnings(job, passes, entries) + _assumption_warnings(job, passes)
     warnings += [sentence for one in predictions for sentence in one.remarks]
@@ -118,6 +136,10 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         chips=chips, entries=entries, warnings=tuple(dict.fromkeys(warnings)), timings=line.watch.timings,
         peak_memory_gb=_peak_memory(),
     )  # fmt: skip
+
+
+def _show_nothing(_field: str, _value: Any) -> None:
+    pass
 
 
 def _optics(line: Pipeline, warnings: list[str]) -> OpticalPerformance | None:

@@ -13,6 +13,7 @@ from .certificate import (
     write_certificate as write_certificate,
 )
 from .comparison import (
+    draw_candidate as draw_candidate,
     write_comparison as write_comparison,
 )
 from .drawing import (
@@ -39,7 +40,7 @@ from .page import (
 )
 from .run import (
     compose_report as compose_report,
-    draw_part as draw_part,
+    draw_ahead as draw_ahead,
     write_backplot as write_backplot,
     write_report as write_report,
 )

@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING
 
 from turnwright.report import figures
 from turnwright.report.drawing import draw
-from turnwright.report.page import Page, Section, Table, write_page
+from turnwright.report.page import Drawing, Page, Section, Table, write_page
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from os import PathLike
     from pathlib import Path as File
 
-    from turnwright.job import Candidate, Comparison
+    from turnwright.job import Candidate, Comparison, Job
 
-__all__ = ["COLUMNS", "cells", "write_comparison"]
+__all__ = ["COLUMNS", "cells", "draw_candidate", "write_comparison"]
 
 NM = 1e6
 
@@ -81,14 +81,17 @@ def write_comparison(comparison: Comparison, path: str | PathLike[str]) -> File:
         ),
         Section(
             title="Error maps",
-            items=[
-                draw(figures.error_map, one.breakdown.error, title=one.name, border=comparison.job.part.border)
-                for one in done
-                if one.breakdown
-            ],
+            items=[drawing for one in done for drawing in draw_candidate(comparison.job, one)],
         ),
     ]
     return write_page(Page(kind="Strategy comparison", job=comparison.job, sections=sections), path)
+
+
+def draw_candidate(job: Job, candidate: Candidate) -> list[Drawing]:
+    """Order the figures of a strategy of a comparison, if it was not refused."""
+    if candidate.breakdown is None:
+        return []
+    return [draw(figures.error_map, candidate.breakdown.error, title=candidate.name, border=job.part.border)]
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[str] = ()) -> Table:

@@ -1,7 +1,7 @@
 """Figures of a page, drawn by other processes during the work and at the same time.
 
-matplotlib draws one figure at a time in a process, and the figures of a small run take two thirds of its other work.
-So a run starts processes that import what drawing needs while it works, and its page orders each figure from them.
+matplotlib draws one figure at a time in a process. So a run starts processes that import what drawing needs while it
+works, and orders each figure from them as soon as it has computed what the figure shows.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class _Apart:
         # A thread for each process: executors of processes report an error when one is killed.
         self.threads = ThreadPoolExecutor(processes)
         self.free: SimpleQueue[Connection] = SimpleQueue()
-        self.ordered: dict[tuple[Any, ...], tuple[Future[Picture], tuple[Any, ...]]] = {}
+        self.ordered: dict[tuple[Any, ...], tuple[Future[Picture], tuple[Any, ...], dict[str, Any]]] = {}
         for _ in range(processes):
             ours, theirs = self.context.Pipe()
             self.context.Process(target=_draw_orders, args=(theirs,), daemon=True).start()
@@ -44,10 +44,10 @@ class _Apart:
 
     def order(self, function: Callable[..., Picture], *args: Any, **kwargs: Any) -> Future[Picture]:
         """Return the picture that is or will be drawn of these very objects."""
-        key = (function, *map(id, args))
-        if kwargs or key not in self.ordered:
+        key = (function, *map(_key, args), *((name, _key(value)) for name, value in kwargs.items()))
+        if key not in self.ordered:
             future = self.threads.submit(self._draw, partial(function, *args, **kwargs))
-            self.ordered[key] = future, args  # an object that is kept shares its id with no other
+            self.ordered[key] = future, args, kwargs  # an object that is kept shares its id with no other
         return self.ordered[key][0]
 
     def _draw(self, order: Callable[[], Picture]) -> Picture:
@@ -68,6 +68,15 @@ class _Apart:
         for process in self.context.processes:
             process.kill()
         self.threads.shutdown()
+
+
+def _key(value: Any) -> Any:
+    """Return a value that is equal for equal numbers, texts and outlines, and for the same arrays."""
+    try:
+        hash(value)
+    except TypeError:
+        return id(value)
+    return value
 
 
 _apart: list[_Apart] = []
@@ -103,7 +112,12 @@ def _draw_orders(orders: Connection) -> None:
     """Draw what another process orders until it closes the connection, or ends."""
     start_worker()
     warnings.simplefilter("ignore")  # none would say of which figure it is
-    import turnwright.report.figures  # noqa: PLC0415 - while there is no order yet
+    import matplotlib.artist  # noqa: PLC0415 - while there is no order yet
+
+    matplotlib.artist.kwdoc = lambda artist: ""  # noqa: ARG005 - texts for help take a fifth of the import
+    import matplotlib.figure  # noqa: PLC0415
+
+    import turnwright.report.figures  # noqa: PLC0415
     import turnwright.report.printing  # noqa: F401, PLC0415
 
     with suppress(EOFError, OSError):

@@ -60,12 +60,6 @@ class Drawing:
     def __init__(self, order: Callable[[], Picture], future: Future[Picture] | None = None) -> None:
         self._order, self._future = order, future
 
-    def draw_here(self) -> None:
-        """Draw it in this process if no other one has begun it."""
-        if self._future is not None and self._future.cancel():
-            self._future = Future()
-            self._future.set_result(self._order())
-
     def picture(self) -> Picture:
         """Return the picture when it is drawn, by this process if no other one could."""
         if self._future is not None:
@@ -156,10 +150,6 @@ def write_page(page: Page, path: str | PathLike[str]) -> File:
         lstrip_blocks=True,
     )
     environment.filters["typeset"] = lambda text: re.sub(r"(?<![\w.])-(?=\d)", "\u2212", text)
-    # This process draws too, from the last one on.
-    for item in reversed([item for section in page.sections for item in section.items]):
-        if isinstance(item, Drawing):
-            item.draw_here()
     page = replace(page, sections=[replace(one, items=[*map(_drawn, one.items)]) for one in page.sections])
     text = environment.get_template("page.html.j2").render(page=page, version=__version__)
     text = re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", "", text)  # control characters are invalid in HTML

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from pathlib import Path as File
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from turnwright.report.page import Cell, Code, Drawing, Number, Page, Section, T
 from turnwright.units import say_length
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from os import PathLike
 
     from turnwright.access import Access, AccessFinding
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from turnwright.part import Part
     from turnwright.tool import Tool
 
-__all__ = ["compose_report", "draw_part", "roughness_rows", "write_backplot", "write_report"]
+__all__ = ["compose_report", "draw_ahead", "roughness_rows", "write_backplot", "write_report"]
 
 NM = 1e6
 TURN = 2 * math.pi
@@ -69,9 +70,72 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
     return write_page(compose_report(result, path), path)
 
 
-def draw_part(job: Job) -> tuple[Drawing, Drawing]:
-    """Order the figures of the part of a job, for which no result is needed."""
-    return draw(figures.sag_map, job.part), draw(figures.view, job.part)
+def draw_ahead(job: Job) -> Callable[[str, Any], None]:
+    """Order the figures of the part of a job; return what orders those of the fields of its result, see `job.run`."""
+    _part_figures(job)
+    computed: Any = SimpleNamespace(part=job.part, tool=job.tool)
+    of_field: dict[str, Callable[[Any], list[Drawing]]] = {
+        "access": _access_figures,
+        "chips": _chip_figures,
+        "revolutions": lambda computed: [*_path_figures(computed), *_axes_figures(computed)],
+        "entries": _approach_figures,
+        "predictions": lambda computed: [
+            one
+            for prediction in computed.predictions[:MAX_PICTURED_MAPS]
+            for one in _map_figures(prediction, computed.passes[-1].feed, job.part.border)
+        ],
+    }
+
+    def order(field: str, value: Any) -> None:
+        setattr(computed, field, value)
+        if field in of_field:
+            of_field[field](computed)
+
+    return order
+
+
+def _part_figures(job: Job) -> list[Drawing]:
+    return [draw(figures.sag_map, job.part), draw(figures.view, job.part)]
+
+
+def _access_figures(result: Result) -> list[Drawing]:
+    return [draw(figures.access_map, result.part, result.access.findings)]
+
+
+def _path_figures(result: Result) -> list[Drawing]:
+    turns = result.revolutions
+    return [
+        draw(figures.spiral, result.motion, turns[len(turns) // 2], result.passes[-1].feed, result.part.border),
+        draw(figures.contact, result.path),
+    ]
+
+
+def _axes_figures(result: Result) -> list[Drawing]:
+    return [draw(figures.z_over_turns, result.revolutions), draw(figures.axes_over_time, result.motion)]
+
+
+def _approach_figures(result: Result) -> list[Drawing]:
+    return [draw(figures.approach_view, name, result.entries[name], result.tool) for name in _ends(result)]
+
+
+def _chip_figures(result: Result) -> list[Drawing]:
+    chips, part = result.chips, result.part
+    return [draw(figures.chip_map, name, part, chips[name], part.substance) for name in _ends(result) if name in chips]
+
+
+def _ends(result: Result) -> list[str]:
+    """Return the names of the first and the last pass."""
+    return list(dict.fromkeys((result.passes[0].name, result.passes[-1].name)))
+
+
+def _map_figures(one: Prediction, feed: float, border: Outline) -> list[Drawing]:
+    across = draw(figures.rings, one.error) if one.error.polar else draw(figures.profile, one.error, feed)
+    drawings = [draw(figures.error_map, one.error, border=border), across]
+    if one.tracking is not None:
+        drawings.append(
+            draw(figures.error_map, one.tracking, "Change of the surface by the servo response", border=border)
+        )
+    return drawings
 
 
 def compose_report(result: Result, path: str | PathLike[str]) -> Page:
@@ -110,20 +174,13 @@ def compose_report(result: Result, path: str | PathLike[str]) -> Page:
                 title="Access",
                 items=[
                     _access_table(result.access, result.findings),
-                    draw(figures.access_map, result.part, result.access.findings),
+                    *_access_figures(result),
                 ],
             ),
             Section(
                 title="Path",
                 items=[
-                    draw(
-                        figures.spiral,
-                        result.motion,
-                        result.revolutions[len(result.revolutions) // 2],
-                        feed,
-                        result.job.part.border,
-                    ),
-                    draw(figures.contact, result.path),
+                    *_path_figures(result),
                     _spiral_table(
                         result.revolutions,
                         result.limits,
@@ -140,8 +197,7 @@ def compose_report(result: Result, path: str | PathLike[str]) -> Page:
             Section(
                 title="Axes and limits",
                 items=[
-                    draw(figures.z_over_turns, result.revolutions),
-                    draw(figures.axes_over_time, result.motion),
+                    *_axes_figures(result),
                     *(
                         _limit_table(cut.name, _pass_facts(cut), cut.limits, result.machine, folded=number > 0)
                         for number, cut in enumerate(reversed(result.passes))
@@ -238,13 +294,12 @@ def _pass_facts(cut: Pass) -> str:
 
 def _approach(result: Result) -> Section:
     """Return the section of the approaches: side views of the first and last pass, and a table of all."""
-    names = dict.fromkeys((result.passes[0].name, result.passes[-1].name))
     columns = ("Pass", "Depth at the first point", "Entry", "Plunge feed", "Revolutions", "Time",
                "Minimum gap, part at rest")  # fmt: skip
     return Section(
         title="Approach",
         items=[
-            *(draw(figures.approach_view, name, result.entries[name], result.tool) for name in names),
+            *_approach_figures(result),
             Table(
                 columns=columns,
                 numeric=(1, 3, 4, 5, 6),
@@ -326,9 +381,7 @@ def _chips(result: Result) -> list[Section]:
         "Removed by later passes", "Force, axial / cutting", "On entry",
     )  # fmt: skip
     table = Table(columns=columns, numeric=range(2, 11), rows=rows, notes=[" ".join(note)], dense=True)
-    pictured = dict.fromkeys(name for name in (result.passes[0].name, result.passes[-1].name) if name in result.chips)
-    maps = [draw(figures.chip_map, name, result.part, result.chips[name], material) for name in pictured]
-    return [Section(title="Uncut chip thickness", items=[*maps, table])]
+    return [Section(title="Uncut chip thickness", items=[*_chip_figures(result), table])]
 
 
 def _number(value: float) -> str:
@@ -442,7 +495,7 @@ def _things(job: Job) -> Section:
     return Section(
         title="Part, tool, machine",
         items=[
-            *draw_part(job),
+            *_part_figures(job),
             Table(title="Part", rows=[*about_part.items(), *remarks], span=2),
             Table(title=f"Tool {tool.name}".strip(), rows=list(about_tool.items()), span=2),
             Table(title="Machine", rows=list(about_machine.items()), span=2),
@@ -696,16 +749,11 @@ def _surface(one: Prediction, feed: float, border: Outline) -> Section:
     note += " from the nominal surface" if rough.form == "none" else f" after form removal ({_form(rough.form)})"
     if radius is not None and (step := radius[1] - radius[0]) > feed / 4:
         note += f" · radial step {_length(float(step))} at a feed of {_length(feed)}/rev: cusps are aliased"
-    across = draw(figures.rings, one.error) if one.error.polar else draw(figures.profile, one.error, feed)
-    items = [draw(figures.error_map, one.error, border=border), across]
     text = [note]
-    if one.tracking is not None and one.tracking_nm is not None:
+    if one.tracking_nm is not None:
         pv, rms = one.tracking_nm
         text.append(f"Servo contribution: {_number(pv)} nm PV, {_number(rms)} nm rms, form included.")
-        items.append(
-            draw(figures.error_map, one.tracking, "Change of the surface by the servo response", border=border)
-        )
-    return Section(title=one.name, text=text, items=items, is_subsection=True)
+    return Section(title=one.name, text=text, items=_map_figures(one, feed, border), is_subsection=True)
 
 
 def _form(form: str | int) -> str:
