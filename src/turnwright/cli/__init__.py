@@ -14,7 +14,9 @@ A closed output pipe (as with ``head``) does not change the exit code.
 
 from __future__ import annotations
 
+import atexit
 import errno
+import gc
 import os
 import sys
 from typing import TYPE_CHECKING, Any
@@ -40,6 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             stop.arm()
             _open_closed()
+            atexit.register(gc.freeze)  # what is left then need not be examined
             # The matrices are small: on a busy machine, BLAS threads would mostly wait for each other.
             os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
             # Slow import: an interrupt may arrive during it.
