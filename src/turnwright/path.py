@@ -325,6 +325,26 @@ class Motion(Compared):
         c, x = self.axes["C"], self.axes["X"]
         return abs(float(x[-1] - x[0]) / float(c[-1] - c[0])) * 2 * np.pi
 
+    def reached(self, turned: float) -> int:
+        """Return the index of the first point where C has turned this far, the number of points if it never has."""
+        c = self.axes["C"]
+        if self.sense > 0:
+            at = int(np.searchsorted(c, c[0] + turned))
+        else:
+            at = c.size - int(np.searchsorted(c[::-1], c[0] - turned, side="right"))
+        while at > 0 and abs(c[at - 1] - c[0]) >= turned:  # where the sum has rounded to the other side
+            at -= 1
+        while at < c.size and abs(c[at] - c[0]) < turned:
+            at += 1
+        return at
+
+    def sample_revolutions(self) -> tuple[Motion, ...]:
+        """Return the first revolution, one halfway and the last."""
+        last = max(float(abs(self.axes["C"][-1] - self.axes["C"][0])) - 2 * np.pi, 0.0)
+        ends = [(self.reached(start), self.reached(start + 2 * np.pi * (1 + 1e-9))) for start in (0.0, last / 2, last)]
+        # Copies, which do not keep the whole motion.
+        return tuple(self.select(np.arange(max(one - 1, 0), min(end + 1, self.time.size))) for one, end in ends)
+
     def lathe(self) -> Motion:
         """Return the motion of the lathe's own axes, as in its program: without W and U, and only the `blocks`."""
         if not FAST.keys() & self.axes.keys():

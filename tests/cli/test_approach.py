@@ -15,6 +15,7 @@ from job_files import changed
 from proof_approach import Case, Figures, failures, judge, run
 from turnwright.errors import GougeError, InputError, JobError, LimitError, ProgramError
 from turnwright.job import Job, Pipeline, approach as _approach, preview
+from turnwright.post import entry_path, plan_approach
 
 FEW = ("simulation", {"whole_part": {"radii": 11, "angles": 8}})
 DOME = (
@@ -376,3 +377,21 @@ def test_a_fast_tool_by_time_must_begin_outside_the_blank(tmp_path):
     wide = (("part.blank", {"radius": "1.02 mm"}), ("strategy.lead_in", "0.3 mm"))
     result = tw.run(Job.read(changed(*fast, *wide)), out=tmp_path)
     assert result.entries["finish"].depth is None
+
+
+def test_a_pvt_plunge_has_the_same_points_from_any_number_of_revolutions():
+    """Uneven steps, and C that accelerates over the whole pass: which points begin the turn is a matter of the pass."""
+    turned = np.append(0, np.cumsum(np.tile([0.4, 0.5, 0.6], 40)))
+    speed = 30 + 60 * turned / turned[-1]
+    time = np.append(0, np.cumsum(2 * np.diff(turned) / (speed[1:] + speed[:-1])))
+    x = 5 - 0.01 * turned / (2 * np.pi)
+    axes = {"C": turned, "X": x, "Z": 0.03 * x**2}
+    machine = tw.Machine(name="t", axes={letter: tw.Axis() for letter in "CXZ"}, spindle_rpm=3000, block_rate_hz=1000)
+    motion = tw.Motion(
+        time=time, axes=axes, machine=machine,
+        velocity={"C": speed, **{letter: np.gradient(axes[letter], time) for letter in "XZ"}},
+    )  # fmt: skip
+    angles = [entry_path(motion, most=most)[0] for most in (1, 2, 3)]
+    np.testing.assert_array_equal(angles[0], angles[1])
+    np.testing.assert_array_equal(angles[0], angles[2])
+    assert plan_approach(motion, clearance=1.0, depth=0.01, plunge_feed=0.1, name="a").plunge is not None

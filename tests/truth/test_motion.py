@@ -198,3 +198,21 @@ def test_a_motion_is_not_slowed_for_the_rounding_of_its_times_but_for_its_blocks
         assert slowed.time is time
     else:
         assert np.diff(slowed.time).min() >= 0.95e-3  # times are now rounded to 2 % of a block
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+@pytest.mark.parametrize("begin", [0.0, 1.2, -7.3])
+def test_revolutions_end_at_the_points_that_have_turned_so_far(sense, begin):
+    """Brute force over all points; every 120th is exactly at a full turn, where sums of angles round."""
+    turned = 2 * np.pi / 120 * np.arange(397)
+    c = begin + sense * turned
+    machine = Machine(name="any", axes={letter: Axis() for letter in "CXZ"}, spindle_rpm=1000.0, block_rate_hz=1000.0)
+    axes = {"C": c, "X": 5 - 1e-3 * turned, "Z": np.sin(turned)}
+    motion = Motion(time=turned, axes=axes, machine=machine)
+    away = np.abs(c - c[0])
+    for angle in [0.0, 0.01, *away[[1, 119, 120, 121, 240, 396]], 30.0]:
+        assert motion.reached(angle) == np.count_nonzero(away < angle)
+    last = away[-1] - 2 * np.pi
+    for start, one in zip((0.0, last / 2, last), motion.sample_revolutions(), strict=True):
+        ends = [np.count_nonzero(away < angle) for angle in (start, start + 2 * np.pi * (1 + 1e-9))]
+        np.testing.assert_array_equal(one.axes["C"], c[max(ends[0] - 1, 0) : ends[1] + 1])

@@ -100,7 +100,7 @@ def run(
         motions[cut.name] = cut.motion
         passes.append(cut.as_pass(_check_chips(cut, chips, warnings)))
     plotted_path, least = _thin(line.path), float(line.path.clearance.min())
-    plotted_motion, turns = line.motion.select(_every_nth(line.motion.time.size)), _revolutions(line.motion)
+    plotted_motion, turns = line.motion.select(_every_nth(line.motion.time.size)), line.motion.sample_revolutions()
     del cut
     plotted = {"path": plotted_path, "motion": plotted_motion, "revolutions": turns}
     for field, value in {"passes": passes, "chips": chips, **plotted}.items():
@@ -318,17 +318,6 @@ def _thin(path: Path) -> Path:
 
 def _every_nth(size: int) -> Ints:
     return np.arange(0, size, max(1, math.ceil(size / PLOT_POINTS)))
-
-
-def _revolutions(motion: Motion) -> tuple[Motion, ...]:
-    """Return single revolutions at the beginning, in the middle and at the end."""
-    angle = np.abs(motion.axes["C"] - motion.axes["C"][0])
-    last_start = max(float(angle[-1]) - 2 * np.pi, 0.0)
-    turns = []
-    for start in (0.0, last_start / 2, last_start):
-        first, last = np.searchsorted(angle, (start, start + 2 * np.pi + 1e-9))
-        turns.append(motion.select(np.arange(max(int(first) - 1, 0), min(int(last) + 1, angle.size))))
-    return tuple(turns)
 
 
 def _assumption_warnings(job: Job, passes: list[Pass]) -> list[str]:

@@ -230,8 +230,10 @@ def _is_blended_slowly(motion: Motion, machine: Machine) -> bool:
 
 def _cutting_rpm(motion: Motion) -> float:
     """Return the mean spindle speed, or that of the cuts if each revolution crosses air faster. [rev/min]."""
-    turned = np.abs(motion.axes["C"] - motion.axes["C"][0])
-    speed = np.diff(turned) / np.diff(motion.time)
+    turned = motion.axes["C"] - motion.axes["C"][0]
+    np.abs(turned, out=turned)
+    speed = np.diff(turned)
+    speed /= np.diff(motion.time)
     mean = float(turned[-1] / (motion.time[-1] - motion.time[0]))
     starts = np.unique(np.searchsorted(turned[1:], np.arange(0.0, turned[-1], TURN)))
     ratio = np.maximum.reduceat(speed, starts) / np.maximum(np.minimum.reduceat(speed, starts), 1e-9 * mean)

@@ -216,7 +216,7 @@ def _measure_clearance(part: Part, edge: Edge, tips: Tips, z: Floats) -> Floats:
     """
     least = np.zeros(z.size)
     every = slice(None, None, max(1, z.size // CLEARANCE_CHECKS))
-    rim = max(part.reach, float(np.hypot(tips.radius, tips.lateral).max()))
+    rim = max(part.reach, tips.outermost())
     tips = Tips(*(np.ascontiguousarray(one) for one in tips.select(every)))
     seen, tip_z = np.zeros(tips.angle.size), np.ascontiguousarray(z[every])
     # A flank is a straight line over the sweep too: this is the sweep that reaches the far side of the rim.
@@ -254,7 +254,7 @@ def _find_z_rate(spiral: Spiral, part: Part, edge: Edge, tips: Tips, at: Touch) 
     if rates is None:
         return None
     surface, (outward, upward) = part.surface, rates
-    rim = max(part.reach, float(np.hypot(tips.radius, tips.lateral).max()))
+    rim = max(part.reach, tips.outermost())
     rate = np.empty(outward.size)
 
     def work(start: int, stop: int) -> None:

@@ -56,6 +56,13 @@ class Tips(NamedTuple):
         """Return tips at azimuths and radii, in the plane through the axis if ``y`` is ``None``."""
         return cls(angle, radius, np.zeros(angle.size) if y is None else y)
 
+    def outermost(self, dx: float = 0.0) -> float:
+        """Return the greatest distance from the axis of the tips, moved by ``dx`` along their rake planes. [mm]."""
+        if self.lateral.any():
+            return float(np.hypot(self.radius + dx, self.lateral).max())
+        ends = (self.radius.min(), self.radius.max()) if self.radius.size else ()
+        return max((abs(float(end) + dx) for end in ends), default=0.0)
+
     def select(self, which: Bools | Ints | slice) -> Tips:
         """Return some of the tips."""
         return Tips(self.angle[which], self.radius[which], self.lateral[which])
@@ -101,7 +108,7 @@ class Contact:
     @classmethod
     def of(cls, surface: Surface, edge: Edge, tips: Tips, rim: float) -> Contact:
         """Return the data that all tips of a plan share."""
-        outermost = float(np.hypot(tips.radius + edge.dx, tips.lateral).max(initial=0.0))
+        outermost = tips.outermost(edge.dx)
         rim = max(rim, outermost)
         return cls(
             surface,

@@ -344,6 +344,8 @@ def _extrapolate_first_turn(motion: Motion, *, most: int = 3) -> tuple[Floats, F
     turn closes without a step. Returned are the angle from the first point, 0 to one full turn (n,) [rad]; the time
     (n,) [s]; every axis but C, by letter (n,) [mm]; and the change of X in the first revolution [mm].
     """
+    if motion.velocity is None:  # else which points begin the turn is decided by the speeds of the whole pass
+        motion = motion.select(slice(motion.reached((most + 1) * TURN) + 4))
     angle = np.abs(motion.axes["C"] - motion.axes["C"][0])
     x = motion.axes["X"]
     last = int(np.searchsorted(angle, TURN - 1e-9))

@@ -246,7 +246,7 @@ def write_backplot(
     failed = _missed_sentences(verdicts)
     if not limits.ok:
         failed.append("a machine limit is exceeded")
-    turns, feed = _single_turns(motion), motion.feed
+    turns, feed = motion.sample_revolutions(), motion.feed
     shown = motion.select(slice(None, None, max(1, math.ceil(motion.time.size / MAX_PICTURE_POINTS))))
     facts = f"{limits.spindle_rpm:.4g} rev/min · {limits.points:,} points · {_duration(limits.cycle_time_s)}"
     page = Page(
@@ -814,11 +814,3 @@ def _head(file: File) -> str:
         return ""
     with file.open(encoding="utf-8", errors="replace") as lines:
         return "".join(line[:200] for line, _ in zip(lines, range(LISTED_LINES), strict=False))
-
-
-def _single_turns(motion: Motion) -> tuple[Motion, ...]:
-    """Return the first revolution, one halfway and the last."""
-    angle = np.abs(motion.axes["C"] - motion.axes["C"][0])
-    last = max(float(angle[-1]) - TURN, 0.0)
-    ends = [np.searchsorted(angle, (start, start + TURN * (1 + 1e-9))) for start in (0.0, last / 2, last)]
-    return tuple(motion.select(slice(max(int(first) - 1, 0), int(stop) + 1)) for first, stop in ends)

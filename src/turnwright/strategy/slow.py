@@ -207,8 +207,10 @@ class SlowToolServo(Strategy):
 
     def _select_points(self, at: Floats, last: int, per_turn: int, end: float) -> Spiral:
         step = TURN / per_turn
-        turned = (at if self.inside_out else last - at) * step
-        return Spiral(angle=self.sense * (at * step), radius=end + self.feed / TURN * turned)
+        radius = (at if self.inside_out else last - at) * step
+        radius *= self.feed / TURN  # in place, as fresh memory for millions of points takes longer than this
+        radius += end
+        return Spiral(angle=at * (self.sense * step), radius=radius)
 
     def _find_ends(self, part: Part, edge: Edge) -> tuple[float, float]:
         """Return the commanded radii of the inner end and of the outer end, before the steps are made equal. [mm]."""
