@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import copyreg
 import dataclasses
+import math
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, TypeAlias
@@ -38,6 +39,21 @@ def is_even(axis: Floats) -> bool:
     """Whether an ascending axis has two or more points and they are evenly spaced."""
     steps = np.diff(axis)
     return bool(steps.size) and bool(np.ptp(steps) <= STEP_TOL * steps.mean())
+
+
+BLOCK_POINTS = 1 << 15
+"""Points of a block of rows. Arrays of this size stay in the cache, and BLAS does not thread such small products."""
+
+
+def block_rows(shape: tuple[int, ...]) -> int:
+    """Return the number of rows in a block of an array."""
+    return max(BLOCK_POINTS // max(math.prod(shape[1:]), 1), 1)
+
+
+def row_blocks(shape: tuple[int, ...]) -> Iterator[slice]:
+    """Yield blocks of the rows of an array, for work on one block after another."""
+    count = block_rows(shape)
+    return (slice(start, start + count) for start in range(0, shape[0], count))
 
 
 def frozen(values: ArrayLike, name: str, *, ndim: int | None = 1, finite: bool = True) -> Floats:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Compared, Floats, frozen
+from turnwright._arrays import Compared, Floats, block_rows, frozen
 from turnwright._validate import check_azimuths, check_numbers, positive, whole_number
-from turnwright.errors import InputError
+from turnwright.errors import DomainError, InputError
+from turnwright.progress import run_chunks
 
 if TYPE_CHECKING:
     from xarray import DataArray
@@ -96,15 +97,16 @@ class HeightMap(Compared):
         """Whether the heights are at scattered points instead of on a grid."""
         return self.z.ndim == 1
 
-    def points(self) -> tuple[Floats, Floats]:
-        """Return x and y of every height. Each the shape of ``z`` [mm]."""
+    def points(self, rows: slice = slice(None)) -> tuple[Floats, Floats]:
+        """Return x and y of every height, or of those in some rows. Each the shape of ``z`` [mm]."""
         if self.radius is not None and self.angle is not None:
-            return np.cos(self.angle)[:, None] * self.radius, np.sin(self.angle)[:, None] * self.radius
+            angle = self.angle[rows, None]
+            return np.cos(angle) * self.radius, np.sin(angle) * self.radius
         assert self.x is not None  # noqa: S101 - a map that is not polar has x and y
         assert self.y is not None  # noqa: S101
         if self.scattered:
-            return self.x, self.y
-        x, y = np.meshgrid(self.x, self.y)
+            return self.x[rows], self.y[rows]
+        x, y = np.meshgrid(self.x, self.y[rows])
         return x, y
 
     def require_calibrated(self) -> None:
@@ -226,12 +228,21 @@ class HeightMap(Compared):
             If the surface is not defined at a point of the map.
         """
         self.require_calibrated()
-        x, y = self.points()
-        there = ~np.isnan(self.z)
-        if there.all():
-            return replace(self, z=surface.sag(x, y))
         z = np.full(self.z.shape, np.nan)
-        z[there] = surface.sag(x[there], y[there])
+
+        def fill(start: int, stop: int) -> None:
+            rows = slice(start, stop)
+            there, (x, y) = ~np.isnan(self.z[rows]), self.points(rows)
+            if there.all():
+                z[rows] = surface.sag(x, y)
+            elif there.any():
+                z[rows][there] = surface.sag(x[there], y[there])
+
+        try:
+            run_chunks(fill, self.z.shape[0], block_rows(self.z.shape))
+        except DomainError:
+            fill(0, self.z.shape[0])  # the message counts all points
+            raise
         return replace(self, z=z)
 
     def minus(self, other: HeightMap | Surface) -> HeightMap:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from turnwright._arrays import Floats, rounding
+from turnwright._arrays import Floats, rounding, row_blocks
 from turnwright.errors import InputError
 from turnwright.generation import generate_polar
 from turnwright.heightmap import HeightMap
@@ -162,7 +162,8 @@ def break_down_error(
         moved = interpolate_motion(program_motion, machine)
         real = made(moved, 4)
     # The finished surface on all these lines costs more than one of the surfaces.
-    error = real.minus(finished) if not np.isnan(finished.z[~np.isnan(real.z)]).any() else part.form_error(real)
+    is_known = all((np.isnan(real.z[rows]) | ~np.isnan(finished.z[rows])).all() for rows in row_blocks(real.z.shape))
+    error = real.minus(finished) if is_known else part.form_error(real)
     report(5, 6)
     if pv_nm is None:
         form = find_extremes(moved, tool, part, known=error)
@@ -170,7 +171,7 @@ def break_down_error(
     report(6, 6)
     return ErrorBreakdown(
         cusp_nm=cusp_nm,
-        cusp_away_nm=pv_nm_of(exact.minus(finished).z[:, radius > 2 * feed]),
+        cusp_away_nm=pv_nm_of(exact.minus(finished).z[:, np.searchsorted(radius, 2 * feed, side="right") :]),
         chord_nm=max_difference_nm(part.crop(planned), part.crop(exact)),
         rounding_nm=max_difference_nm(part.crop(rounded), part.crop(sent)),
         tracking_nm=max_difference_nm(part.crop(real), part.crop(rounded if nominal is None else planned)),
@@ -268,16 +269,21 @@ def finish_nm(error: HeightMap, feed: float) -> float:
     step = float(error.radius[1] - error.radius[0])
     size = min(max(math.ceil(RING_FEEDS * feed / step), 3), error.radius.size)
     rings = error.radius.size // size
-    z = error.z[:, : rings * size].reshape(-1, rings, size)
     weight = error.radius[: rings * size].reshape(rings, size)
     across = np.linspace(-1, 1, size)
-    level = z - z.mean(axis=2, keepdims=True)
-    level = level - across * ((level @ across) / (across @ across))[:, :, None]
-    # Where a ring crosses the outline of the part it is left out.
-    square = (level**2 * weight).mean(axis=2)
-    there = ~np.isnan(square)
-    square = np.where(there, square, 0.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1)
-    return float(np.sqrt((square / weight.mean(axis=1)).max())) * NM
+    squares, count = np.zeros(rings), np.zeros(rings)
+    for rows in row_blocks(error.z.shape):
+        z = error.z[rows, : rings * size].reshape(-1, rings, size)
+        level = z - z.mean(axis=2, keepdims=True)
+        level -= across * ((level @ across) / (across @ across))[:, :, None]
+        level *= level
+        level *= weight
+        square = level.mean(axis=2)
+        # Where a ring crosses the outline of the part it is left out.
+        there = ~np.isnan(square)
+        squares += np.where(there, square, 0.0).sum(axis=0)
+        count += there.sum(axis=0)
+    return float(np.sqrt((squares / np.maximum(count, 1) / weight.mean(axis=1)).max())) * NM
 
 
 def has_servos(machine: Machine) -> bool:
@@ -308,7 +314,8 @@ def without_servos(machine: Machine, *, corrected: bool = False) -> Machine:
 
 def max_difference_nm(one: HeightMap, other: HeightMap) -> float:
     """Return the largest difference between two maps. [nm]."""
-    return float(np.nanmax(np.abs(one.z - other.z))) * NM
+    largest = [np.fmax.reduce(np.abs(one.z[rows] - other.z[rows]), axis=None) for rows in row_blocks(one.z.shape)]
+    return float(np.fmax.reduce(largest)) * NM
 
 
 def exact_motion(

@@ -14,12 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
 
-from turnwright._arrays import Bools, Floats, Ints
+from turnwright._arrays import Bools, Floats, Ints, row_blocks
 from turnwright.metrology.grid import Grid
-
-BLOCK_POINTS = 1 << 15
-"""Points processed at a time. They stay in the cache, and BLAS does not thread such small products: on matrices this
-narrow threads cost ten times what they save."""
 
 MAX_STEPS = 20
 
@@ -76,12 +72,6 @@ def _legendre(axis: Floats, degree: int) -> Floats:
     return np.asarray(legvander(axis, degree), dtype=np.float64)
 
 
-def _blocks(shape: tuple[int, ...]) -> Iterator[slice]:
-    count = max(BLOCK_POINTS // shape[1], 1)
-    for start in range(0, shape[0], count):
-        yield slice(start, start + count)
-
-
 def _normal(basis: Basis, grid: Grid, valid: Bools) -> Floats:
     """Return the normal matrix. (k, k)."""
     along = basis.column_moments * grid.column_area[:, None]
@@ -90,7 +80,7 @@ def _normal(basis: Basis, grid: Grid, valid: Bools) -> Floats:
         moments = np.outer(across.sum(axis=0), along.sum(axis=0))
     else:
         moments = np.zeros((across.shape[1], along.shape[1]))
-        for rows in _blocks(valid.shape):
+        for rows in row_blocks(valid.shape):
             moments += across[rows].T @ (valid[rows].astype(np.float64) @ along)
     p, q = basis.terms
     both = np.tensordot(moments, basis.column_products[:, p[:, None], p], 1)
@@ -105,7 +95,7 @@ def _residuals(
     table = np.zeros((basis.rows.shape[1], basis.columns.shape[1]))
     table[q, p] = total
     columns = np.ascontiguousarray(basis.columns.T)
-    for rows in _blocks(z.shape):
+    for rows in row_blocks(z.shape):
         block = z[rows] - (basis.rows[rows] @ table) @ columns if total.any() else z[rows]
         yield rows, block if missing is None else np.where(missing[rows], fill, block)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, frozen
+from turnwright._arrays import Bools, Floats, frozen, row_blocks
 from turnwright._kernels.rectangle import largest_rectangle
 from turnwright._validate import one_of
 from turnwright.errors import InputError
@@ -26,9 +26,6 @@ Missing: TypeAlias = Literal["rectangle", "mask"]
 NM = 1e6
 FEWEST = 8
 """Least number of points along each axis of a spectrum."""
-
-BLOCK_POINTS = 1 << 16
-"""Points transformed at a time; they stay in the cache."""
 
 WINDOW_COEFFICIENTS = {"none": (1.0,), "hann": (0.5, -0.5), "blackman": (0.42, -0.5, 0.08)}
 
@@ -287,9 +284,8 @@ def _line_power(z: Floats, taper: Floats) -> tuple[Floats, float, int]:
     from scipy import fft  # noqa: PLC0415 - only this needs it
 
     power, squares, count = np.zeros(z.shape[1] // 2 + 1), 0.0, 0
-    block = max(BLOCK_POINTS // z.shape[1], 1)
-    for start in range(0, z.shape[0], block):
-        lines, weight = z[start : start + block], taper[None]
+    for rows in row_blocks(z.shape):
+        lines, weight = z[rows], taper[None]
         gaps = np.isnan(lines)
         if gaps.any():
             weight, lines = np.where(gaps, 0.0, taper), np.where(gaps, 0.0, lines)
