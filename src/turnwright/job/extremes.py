@@ -383,7 +383,7 @@ class _Search:
     def _crests(self, line: Floats) -> tuple[Floats, Floats]:
         """Return the highest crossings of successive passes at one azimuth. Each (n,)."""
         cut = self.ready.cut
-        along, each = cut.sense * cut.c, np.arange(cut.c.size)
+        along, each = cut.sense * cut.c, np.arange(cut.c.size, dtype=np.float64)
 
         def crossings(line: Floats) -> tuple[Floats, ...]:
             tip, both = self._tip(line), []
