@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from turnwright._arrays import Floats
+from turnwright._arrays import Floats, block_rows
 from turnwright.errors import GougeError, LimitError
 from turnwright.generation import generate_polar
 from turnwright.job.depths import depth_at_border, depth_at_points
@@ -35,6 +35,7 @@ from turnwright.part import Part
 from turnwright.path import Motion
 from turnwright.placing import tip_height
 from turnwright.post import GAP, MOST_CLEARANCE, Approach, entry_path, entry_shares, plan_approach
+from turnwright.progress import run_chunks
 from turnwright.tool import Tool
 from turnwright.units import say_length
 
@@ -362,7 +363,7 @@ def _sag(part: Part, radius: Floats, angle: float) -> Floats:
 
 
 def blank_heights(part: Part, radius: Floats, angle: Floats, wider: float) -> Floats:
-    """Return the top of the blank on radial lines, with its radius enlarged by ``wider``. (n_angle, n_radius).
+    """Return the top of the blank on lines of ascending radii, its radius enlarged by ``wider``. (n_angle, n_radius).
 
     Between the parts of a chuck, farther from each than `CHUCK_MARGIN_MM` and ``wider``, there is nothing: -inf.
     """
@@ -372,8 +373,10 @@ def blank_heights(part: Part, radius: Floats, angle: Floats, wider: float) -> Fl
         z[:, radius > shaped.reach + wider] = -np.inf
     else:
         rim = part.reach * (1 - 1e-12)
-        inside, column = np.unique(np.minimum(radius, rim), return_inverse=True)
-        z = part.surface.sag(inside * cosine, inside * sine)[:, column]
+        count = int(np.searchsorted(radius, rim)) + 1  # beyond the rim the height is that of the rim
+        within, z = np.minimum(radius[:count], rim), np.empty((angle.size, radius.size))
+        z[:, :count] = part.surface.sag(within * cosine, within * sine)
+        z[:, count:] = z[:, count - 1 : count]
         zx, zy = part.surface.gradient(rim * cosine[:, 0], rim * sine[:, 0])
         slope = np.maximum(zx * cosine[:, 0] + zy * sine[:, 0], 0.0)
         z += part.stock + slope[:, None] * np.maximum(radius - rim, 0.0)
@@ -404,7 +407,12 @@ def _material_before(
         radius = np.union1d(radius, [end, np.nextafter(end, np.inf)])
     # On a chuck the material ends next to each part: at these distances from it none is missed between two lines.
     lateral = GAP + high * float(angle[1]) / 2 if len(part.apart) > 1 else 0.0
-    height = blank_heights(part, radius, angle, wider + lateral)
+    height = np.empty((angle.size, radius.size))
+
+    def fill(start: int, stop: int) -> None:
+        height[start:stop] = blank_heights(part, radius, angle[start:stop], wider + lateral)
+
+    run_chunks(fill, angle.size, block_rows(height.shape))
     if before is not None:
         previous = generate_polar(*before, radius=radius, angle=angle).z
         height = np.minimum(height, np.where(np.isnan(previous), np.inf, previous))
