@@ -1,4 +1,4 @@
-"""Surfaces of revolution against their formula at 50 digits."""
+"""Surfaces of revolution against their formula at 100 digits."""
 
 import numpy as np
 import pytest

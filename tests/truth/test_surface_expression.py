@@ -34,7 +34,7 @@ SMOOTH = [
 
 
 @pytest.mark.parametrize("formula", SMOOTH)
-def test_value_and_derivatives_by_sympy(formula):
+def test_value_and_derivatives_by_mpmath(formula):
     x, y = disc(5.0, count=30)
     x[:4], y[:4] = 0.3, 0.2  # the axis is looked at below
     assert (error(Expression(formula), sp.sympify(formula, NAMES), x, y) < [1e-14, 1e-13, 1e-12]).all()

@@ -1,4 +1,4 @@
-"""Forbes' polynomials against his published lists, prysm, their definition, and the formula at 50 digits."""
+"""Forbes' polynomials against his published lists, prysm, their definition, and the formula at 100 digits."""
 
 from math import sqrt
 from types import SimpleNamespace

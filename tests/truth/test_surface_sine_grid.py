@@ -7,7 +7,7 @@ from surface_oracle import X, Y, disc, error
 from turnwright.surface import SineGrid
 
 
-def test_height_and_derivatives_by_sympy():
+def test_height_and_derivatives_by_mpmath():
     grid = SineGrid(amplitude=(0.002, -0.0035), period=(2.5, 0.75), phase=(0.4, -2.0))
     formula = sum(
         sp.Rational(a) * sp.sin(2 * sp.pi * q / sp.Rational(p) + sp.Rational(f))
