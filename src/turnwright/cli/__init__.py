@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             stop.arm()
             _open_closed()
-            atexit.register(gc.freeze)  # what is left then need not be examined
+            atexit.register(gc.freeze)  # or the last collection would examine every object
             # The matrices are small: on a busy machine, BLAS threads would mostly wait for each other.
             os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
             # Slow import: an interrupt may arrive during it.

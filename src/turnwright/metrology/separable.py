@@ -94,9 +94,9 @@ def _residuals(
     p, q = basis.terms
     table = np.zeros((basis.rows.shape[1], basis.columns.shape[1]))
     table[q, p] = total
-    columns = np.ascontiguousarray(basis.columns.T)
+    columns, subtracts = np.ascontiguousarray(basis.columns.T), total.any()
     for rows in row_blocks(z.shape):
-        block = z[rows] - (basis.rows[rows] @ table) @ columns if total.any() else z[rows]
+        block = z[rows] - (basis.rows[rows] @ table) @ columns if subtracts else z[rows]
         yield rows, block if missing is None else np.where(missing[rows], fill, block)
 
 

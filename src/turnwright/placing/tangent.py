@@ -58,10 +58,11 @@ class Tips(NamedTuple):
 
     def outermost(self, dx: float = 0.0) -> float:
         """Return the greatest distance from the axis of the tips, moved by ``dx`` along their rake planes. [mm]."""
+        if not self.radius.size:
+            return 0.0
         if self.lateral.any():
             return float(np.hypot(self.radius + dx, self.lateral).max())
-        ends = (self.radius.min(), self.radius.max()) if self.radius.size else ()
-        return max((abs(float(end) + dx) for end in ends), default=0.0)
+        return float(max(abs(self.radius.min() + dx), abs(self.radius.max() + dx)))
 
     def select(self, which: Bools | Ints | slice) -> Tips:
         """Return some of the tips."""
