@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
+from threading import Lock
 from typing import TypeAlias
 
 from turnwright.errors import LimitError
@@ -147,6 +148,42 @@ def _count_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
+@functools.cache
+def _helpers() -> ThreadPoolExecutor:
+    """Return the threads that help to carry out chunks; starting them anew for each call takes longer than many."""
+    return ThreadPoolExecutor(_count_cores(), thread_name_prefix="chunks")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_helpers.cache_clear)  # the child has none of these threads
+
+
+class _Chunks:
+    """Chunks of work that several threads carry out."""
+
+    def __init__(self, work: Callable[[int, int], object], spans: Sequence[tuple[int, int]]) -> None:
+        self.work, self.waiting, self.total, self.finished = work, iter(spans), spans[-1][1], 0
+        self.lock, self.is_stopped = Lock(), False
+
+    def carry_out(self, progress: Progress | None = None) -> None:
+        """Carry out one chunk after another until none is left, or an exception in any thread stops the work."""
+        try:
+            with at_most(1):
+                while not self.is_stopped and (span := self._take()) is not None:
+                    self.work(*span)
+                    with self.lock:
+                        self.finished += span[1] - span[0]
+                    if progress is not None:
+                        progress(self.finished, self.total)
+        except BaseException:
+            self.is_stopped = True
+            raise
+
+    def _take(self) -> tuple[int, int] | None:
+        with self.lock:
+            return next(self.waiting, None)
+
+
 def run_chunks(
     work: Callable[[int, int], object],
     total: int,
@@ -155,11 +192,10 @@ def run_chunks(
     *,
     threads: int | None = None,
 ) -> None:
-    """Call ``work(start, stop)`` over ``range(total)`` in chunks, on ``threads`` threads.
+    """Call ``work(start, stop)`` over ``range(total)`` in chunks, on ``threads`` threads, one of them the caller's.
 
-    With one thread or one chunk the work runs in the caller's thread. The kernels release the interpreter lock, so
-    threads use all cores. Few chunks are in flight at a time, so an exception from ``progress``, or Ctrl-C, stops the
-    work within the time of one chunk.
+    The kernels release the interpreter lock, so threads use all cores; work within a chunk has one core. Progress is
+    called in the caller's thread. An exception from it, or Ctrl-C, stops the work within the time of one chunk.
 
     >>> done = []
     >>> run_chunks(lambda start, stop: done.append((start, stop)), 10, 4, threads=1)
@@ -168,32 +204,25 @@ def run_chunks(
     """
     spans = [(start, min(start + chunk, total)) for start in range(0, total, chunk)]
     threads = min(threads or cores(), len(spans))
-    finished = 0
-    if threads <= 1:  # starting threads takes a tenth of the time of a small case
+    if threads <= 1:
         for start, stop in spans:
             work(start, stop)
             if progress is not None:
                 progress(stop, total)
         return
-    with ThreadPoolExecutor(threads) as pool:
-        waiting = iter(spans)
-        running = {pool.submit(work, *span): span for span in islice(waiting, 2 * threads)}
-        try:
-            while running:
-                done, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in done:
-                    future.result()
-                    start, stop = running.pop(future)
-                    finished += stop - start
-                    following = next(waiting, None)
-                    if following is not None:
-                        running[pool.submit(work, *following)] = following
-                if progress is not None:
-                    progress(finished, total)
-        except BaseException:
-            for future in running:
-                future.cancel()
-            raise
+    chunks = _Chunks(work, spans)
+    helping = [_helpers().submit(chunks.carry_out) for _ in range(threads - 1)]
+    try:
+        chunks.carry_out(progress)
+        for one in helping:
+            if not one.cancel():  # it has begun
+                one.result()
+    except BaseException:
+        chunks.is_stopped = True
+        wait([one for one in helping if not one.cancel()])
+        raise
+    if progress is not None:
+        progress(total, total)
 
 
 def free_memory_gb(system: Path = Path("/")) -> float | None:

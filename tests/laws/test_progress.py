@@ -1,5 +1,6 @@
 """Work in chunks: every place once, reported in order, and stoppable; a single thread is the caller's own."""
 
+import os
 import subprocess
 import sys
 import threading
@@ -8,7 +9,7 @@ import pytest
 
 from turnwright.errors import LimitError
 from turnwright.part import Part
-from turnwright.progress import OverallProgress, Step, require_memory, run_chunks
+from turnwright.progress import OverallProgress, Step, cores, require_memory, run_chunks
 from turnwright.strategy import SlowToolServo
 from turnwright.surface import Plane
 from turnwright.tool import Tool
@@ -39,22 +40,69 @@ def test_a_single_thread_or_chunk_runs_in_the_caller(chunk, threads):
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_a_stop_ends_the_work_within_a_few_chunks(threads):
-    done = []
+def test_a_stop_ends_the_work_within_a_chunk_of_each_thread(threads):
+    done, together = [], threading.Barrier(threads)
+
+    def work(start, _stop):
+        together.wait()
+        done.append(start)
 
     def stop(finished, _total):
         if finished >= 3:
+            together.abort()
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_chunks(lambda start, _stop: done.append(start), 1000, 1, stop, threads=threads)
-    assert 3 <= len(done) <= 3 + 4 * threads
+        run_chunks(work, 1000, 1, stop, threads=threads)
+    assert 3 <= len(done) <= 3 + threads
 
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_an_error_of_the_work_reaches_the_caller(threads):
     with pytest.raises(ZeroDivisionError):
         run_chunks(lambda start, _stop: 1 / start, 10, 1, threads=threads)
+
+
+def test_an_error_in_another_thread_reaches_the_caller_and_ends_its_work():
+    caller, done, together = threading.get_ident(), [], threading.Barrier(2)
+
+    def work(start, _stop):
+        if start < 2:
+            together.wait()
+        if threading.get_ident() != caller:
+            raise IndexError("far")
+        done.append(start)
+
+    with pytest.raises(IndexError, match="far"):
+        run_chunks(work, 10, 1, threads=2)
+
+
+def test_work_within_a_chunk_has_one_core_and_needs_no_other_thread():
+    """Threads that wait for one another's chunks would wait for ever."""
+    inner = []
+
+    def work(start, _stop):
+        inner.append(cores())
+        run_chunks(lambda a, b: inner.append((start, a, b)), 4, 2, threads=2)
+
+    run_chunks(work, 6, 1, threads=3)
+    assert inner.count(1) == 6
+    assert sorted(one for one in inner if one != 1) == [(n, a, a + 2) for n in range(6) for a in (0, 2)]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+def test_a_forked_process_carries_out_its_own_chunks():
+    code = (
+        "import os; from turnwright.progress import run_chunks\n"
+        "def total():\n"
+        "    done = []; run_chunks(lambda a, b: done.append(b - a), 10, 3, threads=2); return sum(done)\n"
+        "total()\n"
+        "child = os.fork()\n"
+        "if not child: os._exit(total())\n"
+        "print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.split() == ["10"]
 
 
 def test_work_that_exceeds_the_memory_is_refused_beforehand(monkeypatch):
