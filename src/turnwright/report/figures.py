@@ -13,8 +13,9 @@ import math
 import re
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path as File
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from turnwright._arrays import Bools, Floats
-    from turnwright.access import AccessFinding
     from turnwright.cutting import ChipMap, Experiment
     from turnwright.diagnosis import Move
     from turnwright.heightmap import HeightMap
@@ -61,6 +61,8 @@ __all__ = [
     "profile",
     "rings",
     "sag_map",
+    "section_of",
+    "shape_of",
     "spiral",
     "tool_moves",
     "view",
@@ -249,14 +251,42 @@ def _plan(axes: Axes, image: Floats, border: Outline, **how: Any) -> Any:
     return drawn
 
 
-def sag_map(part: Part) -> Picture:
-    """Draw the nominal height map."""
+class PartShape(NamedTuple):
+    """What figures of a part show, so that a process that draws needs neither the part nor the kernels."""
+
+    border: Outline
+    sag: Floats  # on a square around the part, nan outside. (n, n) [mm]
+    sweep: Floats  # contact angle on the tool nose, likewise. (n, n) [rad]
+    points: tuple[Floats, Floats, Floats]  # of the perspective view: x, y, z. Each (n, m) [mm]
+
+
+@lru_cache(maxsize=2)
+def shape_of(part: Part) -> PartShape:
+    """Return the shape of a part, the same object for the same part."""
     x, y, on = _square(part.border)
-    sag = _fill_image(part.surface.sag(x[on], y[on]), on)
+    x, y = x[on], y[on]
+    zx, zy = part.surface.gradient(x, y)
+    sweep = np.arctan((x * zx + y * zy) / np.maximum(np.hypot(x, y), 1e-12))
+    sag = _fill_image(part.surface.sag(x, y), on)
+    if part.leaves_air:
+        x_low, x_high, low, high = part.border.box
+        x, y = np.meshgrid(np.linspace(x_low, x_high, 121), np.linspace(low, high, 121))
+    else:
+        radius, angle = np.meshgrid(np.linspace(part.nearest, part.reach, 91), np.linspace(0, TURN, 181))
+        # The border of an annulus may be outside by rounding.
+        radius = radius * (1 - 1e-12)
+        x, y = radius * np.cos(angle), radius * np.sin(angle)
+    return PartShape(part.border, sag, _fill_image(sweep, on), (x, y, part.heights(x, y)))
+
+
+def sag_map(shape: PartShape) -> Picture:
+    """Draw the nominal height map."""
+    border, sag = shape.border, shape.sag
+    x, y, _ = _square(border)
     factor, unit = _length(float(np.nanmax(sag) - np.nanmin(sag)))
     with _canvas() as canvas:
         axes = canvas.figure.add_subplot()
-        image = _plan(axes, sag * factor, part.border, cmap=HEIGHTS)
+        image = _plan(axes, sag * factor, border, cmap=HEIGHTS)
         if np.nanmax(sag) > np.nanmin(sag):
             few = (slice(None, None, 4),) * 2
             lines: dict[str, Any] = {"colors": "white", "linestyles": "solid", "linewidths": 0.5, "alpha": 0.55}
@@ -267,17 +297,9 @@ def sag_map(part: Part) -> Picture:
     return Picture(canvas.svg, f"Nominal height over the part, {extent}: check shape, sign and orientation.")
 
 
-def view(part: Part) -> Picture:
+def view(shape: PartShape) -> Picture:
     """Draw the nominal surface in perspective, heights exaggerated."""
-    if part.leaves_air:
-        x_low, x_high, low, high = part.border.box
-        x, y = np.meshgrid(np.linspace(x_low, x_high, 121), np.linspace(low, high, 121))
-    else:
-        radius, angle = np.meshgrid(np.linspace(part.nearest, part.reach, 91), np.linspace(0, TURN, 181))
-        # The border of an annulus may be outside by rounding.
-        radius = radius * (1 - 1e-12)
-        x, y = radius * np.cos(angle), radius * np.sin(angle)
-    z = part.heights(x, y)
+    x, y, z = shape.points
     height = float(np.nanmax(z) - np.nanmin(z))
     factor, unit = _length(height)
     stretch = 0.7 * float(np.ptp(x)) / 2 / height if height > 0 else 1.0
@@ -306,28 +328,22 @@ def view(part: Part) -> Picture:
     )
 
 
-def access_map(part: Part, findings: Sequence[AccessFinding]) -> Picture:
+def access_map(shape: PartShape, where: Sequence[tuple[float, float] | None]) -> Picture:
     """Draw the contact angle on the tool nose, and number the critical points as in the access table."""
-    x, y, inside = _square(part.border)
-    r = np.hypot(x, y)
-    zx, zy = part.surface.gradient(x[inside], y[inside])
-    sweep = np.arctan((x[inside] * zx + y[inside] * zy) / np.maximum(r[inside], 1e-12))
-    image = np.degrees(_fill_image(sweep, inside))
+    image = np.degrees(shape.sweep)
     limit = max(float(np.nanmax(np.abs(image))), 1e-6)
     with _canvas() as canvas:
         axes = canvas.figure.add_subplot()
-        drawn = _plan(axes, image, part.border, cmap=ANGLES, vmin=-limit, vmax=limit)
+        drawn = _plan(axes, image, shape.border, cmap=ANGLES, vmin=-limit, vmax=limit)
         places: dict[tuple[float, float], list[str]] = {}
-        for number, finding in enumerate(findings, 1):
-            if finding.where is not None:
+        for number, point in enumerate(where, 1):
+            if point is not None:
                 # Points closer than a marker share one.
-                at = next(
-                    (have for have in places if math.dist(have, finding.where) < 0.09 * part.reach), finding.where
-                )
+                at = next((have for have in places if math.dist(have, point) < 0.09 * shape.border.reach), point)
                 places.setdefault(at, []).append(str(number))
-        for where, numbers in places.items():
+        for at, numbers in places.items():
             box = {"boxstyle": "round,pad=0.28", "facecolor": PAPER, "edgecolor": INK, "linewidth": 0.8}
-            axes.text(*where, " ".join(numbers), ha="center", va="center", fontsize=7.5, bbox=box)
+            axes.text(*at, " ".join(numbers), ha="center", va="center", fontsize=7.5, bbox=box)
         _bar(canvas, axes, drawn, "contact angle on the tool nose [deg]")
     return Picture(
         canvas.svg,
@@ -337,21 +353,43 @@ def access_map(part: Part, findings: Sequence[AccessFinding]) -> Picture:
     )
 
 
-def approach_view(name: str, entry: Entry, tool: Tool) -> Picture:
-    """Draw the radial section where a pass begins: material before it, finished surface, tool and approach."""
+class ApproachSection(NamedTuple):
+    """Radial section where a pass begins. [mm]."""
+
+    begins: tuple[float, float]  # X and Z of the tool where the pass begins
+    top: float  # Z of the tool where the approach ends
+    plunges: bool
+    outward: bool
+    width: float  # of what is shown next to the tool, about
+    edge: tuple[Floats, Floats]  # u and e. Each (n,)
+    radius: Floats  # distances from the axis, with the material before the pass and the finished surface. (m,)
+    material: Floats  # (m,)
+    finished: Floats  # (m,)
+
+
+@lru_cache(maxsize=4)
+def section_of(entry: Entry, tool: Tool) -> ApproachSection:
+    """Return the section of an approach, the same object for the same one."""
     approach = entry.approach
     end = approach.start if approach.plunge is None else {k: float(v[-1]) for k, v in approach.plunge.axes.items()}
-    x, z, top = end["X"], end["Z"], approach.start["Z"]
     depth = max(entry.depth or 0.0, 0.0)
-    wide = 2.2 * math.sqrt(2 * tool.actual_radius * max(depth, 0.02)) + 0.1
-    sweep = np.linspace(-1.4, 1.4, 401)
-    u, _, e = tool.edge(sweep)
-    low, high = (x - wide, x + 1.6 * wide) if entry.outward else (x - 1.6 * wide, x + wide)
-    rim = entry.radius[np.isfinite(entry.finished)]
-    if approach.plunge is None and rim.size:
+    width = 2.2 * math.sqrt(2 * tool.actual_radius * max(depth, 0.02)) + 0.1
+    u, _, e = tool.edge(np.linspace(-1.4, 1.4, 401))
+    return ApproachSection(
+        (end["X"], end["Z"]), approach.start["Z"], approach.plunge is not None, entry.outward, width, (u, e),
+        entry.radius, entry.material, entry.finished,
+    )  # fmt: skip
+
+
+def approach_view(name: str, section: ApproachSection) -> Picture:
+    """Draw the radial section where a pass begins: material before it, finished surface, tool and approach."""
+    (x, z), top, wide, (u, e) = section.begins, section.top, section.width, section.edge
+    low, high = (x - wide, x + 1.6 * wide) if section.outward else (x - 1.6 * wide, x + wide)
+    rim = section.radius[np.isfinite(section.finished)]
+    if not section.plunges and rim.size:
         low = min(low, float(rim.max()) - 0.4 * wide)
-    near = (entry.radius >= low) & (entry.radius <= high)
-    radius, material, finished = entry.radius[near], entry.material[near], entry.finished[near]
+    near = (section.radius >= low) & (section.radius <= high)
+    radius, material, finished = section.radius[near], section.material[near], section.finished[near]
     heights = np.concatenate([material, finished, [z, top]])
     heights = heights[np.isfinite(heights)]
     span = float(np.ptp(heights))
@@ -369,17 +407,17 @@ def approach_view(name: str, entry: Entry, tool: Tool) -> Picture:
             (z, "-", "tool where the pass begins"),
         ):
             axes.plot(x + u, height + e, color=SERIES[0], linestyle=style, linewidth=1.2, label=label)
-        down = z if approach.plunge is None else top
+        down = top if section.plunges else z
         _arrow(axes, (x, ceiling), (x, down), INK, linewidth=0.9)
-        if approach.plunge is not None:
+        if section.plunges:
             _arrow(axes, (x, top), (x, z), SERIES[2])
             axes.plot([], [], color=SERIES[2], linewidth=1.6, label="plunge, part rotating")
-        _arrow(axes, (x, z), (x + (0.5 if entry.outward else -0.5) * wide, z), SERIES[0])
+        _arrow(axes, (x, z), (x + (0.5 if section.outward else -0.5) * wide, z), SERIES[0])
         axes.set(xlim=(low, high), ylim=(bottom, ceiling), xlabel="distance from the axis [mm]", ylabel="z [mm]")
         axes.set_title(f"pass {name}")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2, fontsize=7)
         axes.grid(visible=True)
-    how = "begins clear of the material" if approach.plunge is None else "plunges with the part rotating"
+    how = "plunges with the part rotating" if section.plunges else "begins clear of the material"
     return Picture(
         canvas.svg,
         f"Side view of the approach to pass {name}, which {how}: the dashed tool, where the plunge begins, must be at "

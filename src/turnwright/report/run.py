@@ -95,11 +95,13 @@ def draw_ahead(job: Job) -> Callable[[str, Any], None]:
 
 
 def _part_figures(job: Job) -> list[Drawing]:
-    return [draw(figures.sag_map, job.part), draw(figures.view, job.part)]
+    shape = figures.shape_of(job.part)
+    return [draw(figures.sag_map, shape), draw(figures.view, shape)]
 
 
 def _access_figures(result: Result) -> list[Drawing]:
-    return [draw(figures.access_map, result.part, result.access.findings)]
+    where = tuple(one.where for one in result.access.findings)
+    return [draw(figures.access_map, figures.shape_of(result.part), where)]
 
 
 def _path_figures(result: Result) -> list[Drawing]:
@@ -115,7 +117,8 @@ def _axes_figures(result: Result) -> list[Drawing]:
 
 
 def _approach_figures(result: Result) -> list[Drawing]:
-    return [draw(figures.approach_view, name, result.entries[name], result.tool) for name in _ends(result)]
+    entries, tool = result.entries, result.tool
+    return [draw(figures.approach_view, name, figures.section_of(entries[name], tool)) for name in _ends(result)]
 
 
 def _chip_figures(result: Result) -> list[Drawing]:
