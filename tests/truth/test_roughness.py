@@ -5,9 +5,12 @@ import dataclasses
 import mpmath
 import numpy as np
 import pytest
+from scipy.fft import next_fast_len
+from scipy.interpolate import RectBivariateSpline
 
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import remove_form, roughness
+from turnwright.metrology.autocorrelation import _fast_length, _spline, _spline_at, autocorrelation
 
 A, WAVE = 1e-4, 0.1  # amplitude and period of the sine [mm]
 
@@ -167,10 +170,8 @@ def test_missing_points_count_as_in_the_definitions():
 
 
 def test_autocorrelation_is_the_mean_product_over_valid_pairs():
-    from turnwright.metrology.areal_parameters import _autocorrelation
-
     z = holed((14, 11))
-    correlation, known = _autocorrelation(z)
+    correlation, known = autocorrelation(z)
     centred = z - np.nanmean(z)
     for dy in range(-7, 8):
         for dx in range(-5, 6):
@@ -183,6 +184,24 @@ def test_autocorrelation_is_the_mean_product_over_valid_pairs():
             assert known[dy + 7, dx + 5] == (pairs.size >= 0.1 * np.count_nonzero(~np.isnan(z)))
             if known[dy + 7, dx + 5]:
                 assert correlation[dy + 7, dx + 5] == pytest.approx(pairs.mean() / np.nanmean(centred**2), rel=1e-9)
+
+
+@pytest.mark.parametrize("shape", [(4, 5), (15, 40), (90, 61)])
+def test_the_autocorrelation_is_interpolated_by_a_cubic_spline(shape):
+    """Oracle: a banded solver for the spline of the values, mirrored twice at each border as no border counts there."""
+    values = np.random.default_rng(8).normal(size=shape)
+    row, column = np.random.default_rng(9).random((2, 200)) * (np.array(shape)[:, None] - 1)
+    row[:2], column[:2] = (0, shape[0] - 1), (0, shape[1] - 1)
+    far = 40
+    wide = np.pad(values, far, mode="symmetric")
+    spline = RectBivariateSpline(*(np.arange(-far, size + far) for size in shape), wide)
+    found = _spline_at(_spline(values), row, column)
+    assert found == pytest.approx(spline(row, column, grid=False), abs=1e-13)
+
+
+@pytest.mark.parametrize("least", [1, 2, 7, 97, 361, 1009, 5000])
+def test_lengths_of_transforms_are_scipys(least):
+    assert _fast_length(least) == next_fast_len(least, real=True)
 
 
 def test_a_scratched_and_masked_map_keeps_its_texture():

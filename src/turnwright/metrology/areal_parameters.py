@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints
+from turnwright._arrays import Floats
+from turnwright.metrology.autocorrelation import DECAY_THRESHOLD, autocorrelation, decay
 from turnwright.metrology.form import Form, remove_form
 from turnwright.metrology.grid import Grid, mean, measure, valid_points
-from turnwright.progress import cores
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
@@ -18,12 +18,6 @@ if TYPE_CHECKING:
 Notes: TypeAlias = tuple[str, ...]
 
 NM = 1e6
-
-DECAY_THRESHOLD = 0.2
-"""Autocorrelation at which Sal and Str are read (ISO 25178-3)."""
-
-MIN_OVERLAP_SHARE = 0.1
-"""Share of the valid points that must overlap at a lag for its autocorrelation to count."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -184,8 +178,8 @@ def _texture(residual: HeightMap, grid: Grid, sq: float) -> tuple[float, float, 
         return *nothing, ("Sal and Str cannot be stated: they need an even grid of at least 4 x 4 points",)
     if sq == 0:
         return *nothing, ("Sal and Str cannot be stated: the map is perfectly flat",)
-    correlation, has_overlap = _autocorrelation(residual.z)
-    lengths, fallen = _decay(correlation, has_overlap, steps[0].mean(), steps[1].mean())
+    correlation, has_overlap = autocorrelation(residual.z)
+    lengths, fallen = decay(correlation, has_overlap, steps[0].mean(), steps[1].mean())
     if not fallen.any():
         note = f"the autocorrelation stays above {DECAY_THRESHOLD} wherever it is known, so map a larger area"
         return *nothing, (f"Sal and Str cannot be stated: {note}",)
@@ -196,72 +190,3 @@ def _texture(residual: HeightMap, grid: Grid, sq: float) -> tuple[float, float, 
         f"str is an upper bound: the autocorrelation stays above {DECAY_THRESHOLD} to {longest:.3g} mm in one direction"
     )
     return sal, min(sal / longest, 1.0), (note,)
-
-
-def _autocorrelation(z: Floats) -> tuple[Floats, Bools]:
-    """Return the autocorrelation up to lags of half the field, lag 0 in the middle, and where enough points overlap."""
-    from scipy import fft  # noqa: PLC0415 - only this needs it
-
-    reach = z.shape[0] // 2, z.shape[1] // 2
-    shape = [fft.next_fast_len(size + lag, real=True) for size, lag in zip(z.shape, reach, strict=True)]
-
-    def correlate(values: Floats) -> Floats:
-        spectrum = fft.rfft2(values, shape, workers=cores())
-        power = fft.irfft2(spectrum.real**2 + spectrum.imag**2, shape, workers=cores())
-        folded = np.roll(power, reach, axis=(0, 1))
-        return np.asarray(folded[: 2 * reach[0] + 1, : 2 * reach[1] + 1])
-
-    valid = ~np.isnan(z)
-    if valid.all():
-        lags = [size - np.abs(np.arange(-lag, lag + 1)) for size, lag in zip(z.shape, reach, strict=True)]
-        overlap = np.multiply.outer(*lags).astype(np.float64)
-    else:
-        overlap = np.rint(correlate(valid.astype(np.float64)))
-    product = correlate(np.where(valid, z - np.nanmean(z), 0.0)) / np.maximum(overlap, 1)
-    has_overlap = overlap >= max(MIN_OVERLAP_SHARE * np.count_nonzero(valid), 1)
-    # Unknown values count as correlated, so that a hole does not look like the end of the lay.
-    return np.where(has_overlap, product / product[reach], 1.0), has_overlap
-
-
-def _decay(correlation: Floats, known: Bools, dx: float, dy: float) -> tuple[Floats, Bools]:
-    """Return how far the autocorrelation stays above `DECAY_THRESHOLD` along rays, and whether it falls. (n,) [mm].
-
-    The rays end half a pixel apart on the border. Each is searched every half pixel and then bisected.
-    """
-    from scipy import ndimage  # noqa: PLC0415 - only this needs it
-
-    reach_y, reach_x = np.array(correlation.shape) // 2
-    spline = ndimage.spline_filter(correlation, order=3, mode="nearest")
-    half_x, half_y = np.arange(-reach_x, reach_x, 0.5), np.arange(-reach_y, reach_y, 0.5)
-    ends_y = np.concatenate([np.full_like(half_x, reach_y), half_y])
-    ends_x = np.concatenate([half_x, np.full_like(half_y, reach_x)])
-
-    def at(rays: Ints, share: Floats | float) -> Floats:
-        places = np.stack([reach_y + ends_y[rays] * share, reach_x + ends_x[rays] * share])
-        return np.asarray(ndimage.map_coordinates(spline, places, order=3, mode="nearest", prefilter=False))
-
-    steps = 2 * int(max(reach_x, reach_y))
-    share = np.ones(ends_x.size)
-    fallen = np.zeros(ends_x.size, dtype=bool)
-    rays = np.arange(ends_x.size, dtype=np.int64)
-    for step in range(1, steps + 1):
-        row = np.rint(reach_y + ends_y[rays] * (step / steps)).astype(np.intp)
-        column = np.rint(reach_x + ends_x[rays] * (step / steps)).astype(np.intp)
-        lost = ~known[row, column]
-        share[rays[lost]] = (step - 1) / steps
-        rays = rays[~lost]
-        low = at(rays, step / steps) <= DECAY_THRESHOLD
-        share[rays[low]] = step / steps
-        fallen[rays[low]] = True
-        rays = rays[~low]
-        if rays.size == 0:
-            break
-    ended = np.flatnonzero(fallen).astype(np.int64)
-    low_end, high_end = share[ended] - 1 / steps, share[ended].copy()
-    for _ in range(40):
-        middle = (low_end + high_end) / 2
-        below = at(ended, middle) <= DECAY_THRESHOLD
-        high_end = np.where(below, middle, high_end)
-        low_end = np.where(below, low_end, middle)
-    share[ended] = (low_end + high_end) / 2
-    return share * np.hypot(ends_x * dx, ends_y * dy), fallen
