@@ -189,4 +189,23 @@ def test_loading_compiled_kernels_imports_nothing_that_compiles():
         )
     modules = done.stdout.split()
     assert "numba" in modules
-    assert not {"numba.np.arraymath", "numba.np.linalg", "scipy.linalg"} & set(modules)
+    assert not {"numba.np.arraymath", "numba.np.arrayobj", "numba.np.linalg", "scipy.fft", "scipy.linalg"} & set(
+        modules
+    )
+
+
+def test_an_error_in_a_function_of_numba_is_raised_by_kept_code(tmp_path):
+    code = (
+        "import pathlib, sys, numpy as np\n"
+        "from turnwright import _kernels\n"
+        "from turnwright._kernels import compiling\n"
+        "compiling.cache_folder = lambda _module: pathlib.Path(sys.argv[1])\n"
+        "kernel = _kernels.jit(lambda n: np.empty(n).size)\n"
+        "try:\n"
+        "    kernel(kernel(1) - 2)\n"
+        "except ValueError as error:\n"
+        "    print(sum(kernel.dispatcher.stats.cache_hits.values()), error)"
+    )
+    for hits in (0, 1):
+        done = subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=True)
+        assert done.stdout == f"{hits} negative dimensions not allowed\n"

@@ -138,7 +138,9 @@ class _Cache:
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Write the compiled code for a signature, if the disk is writable."""
         key = _key(signature, compiled.codegen)
-        body = serialize.dumps((key, compiled._reduce()))  # noqa: SLF001 - as numba does
+        *code, _ = compiled._reduce()  # noqa: SLF001 - as numba does
+        # The environments of called functions hold Python objects, which no kernel uses; reading them imports numba's.
+        body = serialize.dumps((key, (*code, ())))
         file = self._file(key)
         part = file.with_suffix(f".{uuid.uuid4().hex}")
         with suppress(OSError):
