@@ -24,25 +24,31 @@ class Kernel:
         self._function = function
         self._fastmath = fastmath
         self._inline = inline
-        self._dispatcher: Any = None
+        self._dispatchers: dict[bool, Any] = {}
 
     @property
     def dispatcher(self) -> Any:
         """The dispatcher of numba, with the compiled code."""
-        if self._dispatcher is None:
-            from turnwright._kernels.compiling import compiled  # noqa: PLC0415 - numba is costly to import
-
-            with _LOCK:
-                self._dispatcher = self._dispatcher or compiled(self._function, self._fastmath, inline=self._inline)
-        return self._dispatcher
+        return self._dispatcher(for_kernels=False)
 
     @property
     def _numba_type_(self) -> Any:
         """The type of this kernel where another one calls it."""
-        return self.dispatcher._numba_type_
+        return self._dispatcher(for_kernels=True)._numba_type_
+
+    def _dispatcher(self, *, for_kernels: bool) -> Any:
+        if for_kernels not in self._dispatchers:
+            from turnwright._kernels.compiling import compiled  # noqa: PLC0415 - numba is costly to import
+
+            with _LOCK:
+                if for_kernels not in self._dispatchers:
+                    self._dispatchers[for_kernels] = compiled(
+                        self._function, self._fastmath, inline=self._inline, for_kernels=for_kernels
+                    )
+        return self._dispatchers[for_kernels]
 
     def __call__(self, *arguments: Any) -> Any:
-        return self.dispatcher(*arguments)
+        return self._dispatcher(for_kernels=False)(*arguments)
 
 
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:
