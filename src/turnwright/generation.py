@@ -13,6 +13,7 @@ backplots on a polar grid with a linear tool table.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import Any, NamedTuple
@@ -42,6 +43,9 @@ CHORDS_PER_TILE, MIN_SIDE, MAX_SIDE = 4.0, 4, 16
 
 GROUPS_PER_CORE = 8
 """Fewest blocks of 16 groups for each core of which a grid is computed."""
+
+MIN_BOUNDED_POINTS = 65_536
+"""Points of the turns, about, whose bounds a thread finds at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +91,11 @@ def _cut(motion: Motion, tool: Tool, machine: Machine | None) -> _Cut:
     kernel.turn_starts(c, motion.sense, starts)
     bounds = np.empty((7, turns))
     edge = tool.cutting_edge(motion.sense)
-    kernel.turn_bounds(c, x, y, z, motion.sense, starts, edge.dx, bounds)
+    run_chunks(
+        lambda first, last: kernel.turn_bounds(c, x, y, z, motion.sense, starts, edge.dx, first, last, bounds),
+        turns,
+        max(math.ceil(MIN_BOUNDED_POINTS * turns / c.size), 1),
+    )
     gap, bend = (0.0, 0.0) if edge.perfect else _measure_drops(edge)
     return _Cut(c, x, y, z, motion.sense, starts, bounds, edge, gap, bend)
 
@@ -193,6 +201,12 @@ class Prepared:
     def narrowed(self, distances: tuple[float, float], most_rings: int) -> Prepared:
         """Prepare what is prepared already for a smaller range of distances [mm], at a small part of the cost."""
         return _prepare(self.cut, *distances, most_rings, "cpu" if self.card is None else "cuda")
+
+    def polar(self, radius: Floats, angle: Floats) -> HeightMap:
+        """Return the heights over a polar grid at any distances from the axis, see `generate_polar`."""
+        z = np.empty((angle.size, radius.size))
+        _fill_polar(self.cut, radius, angle, z, "cpu" if self.card is None else "cuda")
+        return HeightMap(z=z, radius=radius, angle=angle, name="generated")
 
     def sides(self, steps: tuple[float, float]) -> tuple[int, int]:
         """Return how many points of a grid with such steps [mm] go in one tile, along rows and columns."""
@@ -420,13 +434,18 @@ def generate_polar(
     if z.shape != shape or z.dtype != np.float64 or not z.flags.c_contiguous:
         raise InputError(f"out is {z.shape} of {z.dtype}, it must be contiguous, {shape} of float64: correct it")
     require_device(device)
-    cut = _cut(motion, tool, machine)
+    _fill_polar(_cut(motion, tool, machine), radius, angle, z, device, progress)
+    return HeightMap(z=z, radius=radius, angle=angle, name="generated")
+
+
+def _fill_polar(
+    cut: _Cut, radius: Floats, angle: Floats, z: Floats, device: str, progress: Progress | None = None
+) -> None:
     if cut.upright and cut.edge.convex and device == "cpu":
         _envelopes(cut, radius, angle, z, progress)
     else:
         ready = _prepare(cut, float(radius[0]), float(radius[-1]), z.size, device)
         z[...] = ready.fill_grid(radius, angle, polar=True, progress=progress)
-    return HeightMap(z=z, radius=radius, angle=angle, name="generated")
 
 
 def _envelopes(cut: _Cut, radius: Floats, angle: Floats, z: Floats, progress: Progress | None) -> None:

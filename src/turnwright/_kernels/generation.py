@@ -36,22 +36,27 @@ MAX_LINES = 400
 @jit
 def turn_starts(c, sense, starts):
     """Fill ``starts`` (turns + 1,) with the first index at or after each whole turn from the beginning."""
-    i = 0
+    low = 0
     for m in range(starts.size):
         goal = sense * c[0] + TURN * m
-        while i < c.size - 1 and sense * c[i] < goal:
-            i += 1
-        starts[m] = i
+        high = c.size - 1
+        while low < high:
+            middle = (low + high) // 2
+            if sense * c[middle] < goal:
+                low = middle + 1
+            else:
+                high = middle
+        starts[m] = low
 
 
 @jit
-def turn_bounds(c, x, y, z, sense, starts, dx, out):
-    """Fill ``out`` (7, turns) with bounds over each turn.
+def turn_bounds(c, x, y, z, sense, starts, dx, begin, end, out):
+    """Fill ``out`` (7, turns) with bounds over each turn, from one turn to before another.
 
     Least and greatest tip position, least and greatest height, most that the tip, its height and Y move per radian.
     """
     n = x.size
-    for m in range(out.shape[1]):
+    for m in range(begin, end):
         first, last = max(starts[m] - 1, 0), min(starts[m + 1] + 1, n)
         low, high, bottom, top = FAR, -FAR, FAR, -FAR
         for i in range(first, last):

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints
-from turnwright.generation import Prepared, Tiles, generate_polar
+from turnwright.generation import Prepared, Tiles
 from turnwright.heightmap import HeightMap
 from turnwright.machine import Machine
 from turnwright.part import Part
@@ -178,7 +178,7 @@ class _Tip(NamedTuple):
 
 class _Search:
     def __init__(self, motion: Motion, tool: Tool, part: Part, machine: Machine | None) -> None:
-        self.motion, self.tool, self.part, self.machine = motion, tool, part, machine
+        self.part = part
         self.on_axis = bool(part.covers(np.zeros(1), np.zeros(1))[0])
         self.ready = Prepared.of(motion, tool, machine, distances=(part.nearest, part.reach), most_rings=10_000)
         self.feed = min(self.ready.cut.feed, part.reach)
@@ -259,8 +259,7 @@ class _Search:
 
     def _scan(self, radius: Floats, count: int) -> _Places:
         angle = self._azimuths(count)
-        made = generate_polar(self.motion, self.tool, radius=radius, angle=angle, machine=self.machine)
-        error = self.part.form_error(made).z
+        error = self.part.form_error(self.ready.polar(radius, angle)).z
         shape = error.shape
         return _Places(np.broadcast_to(radius, shape), np.broadcast_to(angle[:, None], shape), error)
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from turnwright._arrays import Floats
 from turnwright.errors import LimitError
 from turnwright.generation import generate_polar
+from turnwright.heightmap import HeightMap
 from turnwright.job.approach import Entry, entries_of
 from turnwright.job.contributions import ErrorBreakdown, break_down_error, clear_azimuths
 from turnwright.job.pass_plan import PassPlan, Watch
@@ -29,6 +29,7 @@ from turnwright.post import (
     write_nc,
 )
 from turnwright.progress import Progress, StageProgress
+from turnwright.tool import Tool
 
 __all__ = ["predicted_motion", "program_shares", "read_back", "rounding_effect", "write_programs"]
 
@@ -152,15 +153,14 @@ def rounding_effect(job: Job, motion: Motion, again: Motion) -> tuple[float, flo
     if motion.spindle_mode is not None:  # decimals of feed and path add up to a difference in revolutions
         c = float(np.abs(again.axes["C"][-1] - motion.axes["C"][-1])) + 1e-9
 
-    def surface(one: Motion, **shifts: float) -> Floats:
-        axes = {**one.axes, **{letter: one.axes[letter] + shift for letter, shift in shifts.items()}}
-        made = generate_polar(replace(one, axes=axes), tool, radius=radius, angle=angle, machine=machine)
-        return part.crop(made).z
+    def surface(one: Motion, tool: Tool, turned: float = 0.0) -> HeightMap:
+        return generate_polar(one, tool, radius=radius, angle=angle - turned, machine=machine)
 
-    nominal = surface(motion)
+    nominal = part.crop(surface(motion, tool)).z
+    beside = replace(tool, offset=(tool.offset[0] + x, *tool.offset[1:]))
     difference, by_x, by_c = (
-        float(np.nanmax(np.abs(other - nominal)))
-        for other in (surface(again), surface(motion, X=x), surface(motion, C=c))
+        float(np.nanmax(np.abs(other.z - nominal)))
+        for other in (surface(again, tool), surface(motion, beside), surface(motion, tool, c))
     )
     dense = np.linspace(0, 2 * np.pi, 360, endpoint=False)
     cosine, sine = np.cos(dense)[:, None], np.sin(dense)[:, None]
