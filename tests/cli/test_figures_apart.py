@@ -58,7 +58,7 @@ def test_other_processes_draw_the_same_page(result, tmp_path):
         first, *_, last = ordered(page)
         assert first.picture().svg.startswith("<svg")
         write_page(page, apart)
-        assert first._future is drawing._apart[-1].order(figures.sag_map, figures.shape_of(result.job.part))
+        assert first._future is drawing._apart[-1].order(figures.sag_map, result.job.part)
         assert last._future.done()
     assert all(map(has_ended, processes))
     assert not drawing._apart
@@ -134,7 +134,7 @@ def test_one_core_draws_alone(result, monkeypatch):
     monkeypatch.setattr(drawing, "cores", lambda: 1)
     with draw_apart():
         assert not drawing._apart
-        assert drawing.draw(figures.sag_map, figures.shape_of(result.job.part))._future is None
+        assert drawing.draw(figures.sag_map, result.job.part)._future is None
 
 
 def test_a_process_that_starts_reports_no_interrupt():

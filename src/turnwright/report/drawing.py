@@ -13,18 +13,34 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
-from typing import Any, ParamSpec
+from typing import Any, Generic, ParamSpec, TypeVar
 
 from turnwright._processes import Recorded, start_worker
 from turnwright.progress import cores
 from turnwright.report.page import Drawing, Picture
 
-__all__ = ["draw", "draw_apart"]
+__all__ = ["Figure", "draw", "draw_apart"]
 
 PROCESSES = 3
 """Most processes that draw at the same time as this one: a page has some fifteen figures."""
 
 _P = ParamSpec("_P")
+_Shown = TypeVar("_Shown")
+
+
+class Figure(Generic[_P, _Shown]):
+    """A function that draws a figure, in two steps.
+
+    ``show`` returns what the figure shows of its arguments, which may be as large as a run. ``draw`` draws that; in
+    another process, it needs neither the arguments nor the kernels.
+    """
+
+    def __init__(self, show: Callable[_P, _Shown], draw: Callable[[_Shown], Picture]) -> None:
+        self.show, self.draw = show, draw
+
+    def __call__(self, *args: _P.args, **kwargs: _P.kwargs) -> Picture:
+        """Draw the figure in this process."""
+        return self.draw(self.show(*args, **kwargs))
 
 
 class _Apart:
@@ -46,12 +62,13 @@ class _Apart:
         """Return the picture that is or will be drawn of these very objects."""
         key = (function, *map(_key, args), *((name, _key(value)) for name, value in kwargs.items()))
         if key not in self.ordered:
-            future = self.threads.submit(self._draw, partial(function, *args, **kwargs))
+            future = self.threads.submit(self._draw, partial(_show, function, *args, **kwargs))
             self.ordered[key] = future, args, kwargs  # an object that is kept shares its id with no other
         return self.ordered[key][0]
 
-    def _draw(self, order: Callable[[], Picture]) -> Picture:
+    def _draw(self, show: Callable[[], Callable[[], Picture]]) -> Picture:
         """Return the picture from a free process; raise `EOFError` or `OSError` if it is dead."""
+        order = show()
         process = self.free.get()
         try:
             process.send(order)
@@ -68,6 +85,13 @@ class _Apart:
         for process in self.context.processes:
             process.kill()
         self.threads.shutdown()
+
+
+def _show(function: Callable[_P, Picture], *args: _P.args, **kwargs: _P.kwargs) -> Callable[[], Picture]:
+    """Return what is left to do in another process."""
+    if isinstance(function, Figure):
+        return partial(function.draw, function.show(*args, **kwargs))
+    return partial(function, *args, **kwargs)
 
 
 def _key(value: Any) -> Any:

@@ -23,6 +23,7 @@ from turnwright._io import write_atomic
 from turnwright.metrology import area_rms
 from turnwright.outline import Outline
 from turnwright.profile import Profile
+from turnwright.report.drawing import Figure
 from turnwright.report.page import Picture
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from turnwright._arrays import Bools, Floats
+    from turnwright.access import AccessFinding
     from turnwright.cutting import ChipMap, Experiment
     from turnwright.diagnosis import Move
     from turnwright.heightmap import HeightMap
@@ -61,8 +63,6 @@ __all__ = [
     "profile",
     "rings",
     "sag_map",
-    "section_of",
-    "shape_of",
     "spiral",
     "tool_moves",
     "view",
@@ -251,8 +251,8 @@ def _plan(axes: Axes, image: Floats, border: Outline, **how: Any) -> Any:
     return drawn
 
 
-class PartShape(NamedTuple):
-    """What figures of a part show, so that a process that draws needs neither the part nor the kernels."""
+class _PartShape(NamedTuple):
+    """What figures of a part show."""
 
     border: Outline
     sag: Floats  # on a square around the part, nan outside. (n, n) [mm]
@@ -261,8 +261,7 @@ class PartShape(NamedTuple):
 
 
 @lru_cache(maxsize=2)
-def shape_of(part: Part) -> PartShape:
-    """Return the shape of a part, the same object for the same part."""
+def _shape_of(part: Part) -> _PartShape:
     x, y, on = _square(part.border)
     x, y = x[on], y[on]
     zx, zy = part.surface.gradient(x, y)
@@ -276,12 +275,16 @@ def shape_of(part: Part) -> PartShape:
         # The border of an annulus may be outside by rounding.
         radius = radius * (1 - 1e-12)
         x, y = radius * np.cos(angle), radius * np.sin(angle)
-    return PartShape(part.border, sag, _fill_image(sweep, on), (x, y, part.heights(x, y)))
+    return _PartShape(part.border, sag, _fill_image(sweep, on), (x, y, part.heights(x, y)))
 
 
-def sag_map(shape: PartShape) -> Picture:
-    """Draw the nominal height map."""
-    border, sag = shape.border, shape.sag
+def _show_sag(part: Part) -> tuple[Outline, Floats]:
+    shape = _shape_of(part)
+    return shape.border, shape.sag
+
+
+def _draw_sag(shown: tuple[Outline, Floats]) -> Picture:
+    border, sag = shown
     x, y, _ = _square(border)
     factor, unit = _length(float(np.nanmax(sag) - np.nanmin(sag)))
     with _canvas() as canvas:
@@ -297,9 +300,16 @@ def sag_map(shape: PartShape) -> Picture:
     return Picture(canvas.svg, f"Nominal height over the part, {extent}: check shape, sign and orientation.")
 
 
-def view(shape: PartShape) -> Picture:
-    """Draw the nominal surface in perspective, heights exaggerated."""
-    x, y, z = shape.points
+sag_map = Figure(_show_sag, _draw_sag)
+"""Draw the nominal height map of a part."""
+
+
+def _show_view(part: Part) -> tuple[Floats, Floats, Floats]:
+    return _shape_of(part).points
+
+
+def _draw_view(shown: tuple[Floats, Floats, Floats]) -> Picture:
+    x, y, z = shown
     height = float(np.nanmax(z) - np.nanmin(z))
     factor, unit = _length(height)
     stretch = 0.7 * float(np.ptp(x)) / 2 / height if height > 0 else 1.0
@@ -328,18 +338,32 @@ def view(shape: PartShape) -> Picture:
     )
 
 
-def access_map(shape: PartShape, where: Sequence[tuple[float, float] | None]) -> Picture:
-    """Draw the contact angle on the tool nose, and number the critical points as in the access table."""
-    image = np.degrees(shape.sweep)
+view = Figure(_show_view, _draw_view)
+"""Draw the nominal surface of a part in perspective, heights exaggerated."""
+
+
+class _AccessView(NamedTuple):
+    border: Outline
+    sweep: Floats  # (n, n) [rad]
+    where: list[tuple[float, float] | None]
+
+
+def _show_access(part: Part, findings: Sequence[AccessFinding]) -> _AccessView:
+    shape = _shape_of(part)
+    return _AccessView(shape.border, shape.sweep, [one.where for one in findings])
+
+
+def _draw_access(shown: _AccessView) -> Picture:
+    image = np.degrees(shown.sweep)
     limit = max(float(np.nanmax(np.abs(image))), 1e-6)
     with _canvas() as canvas:
         axes = canvas.figure.add_subplot()
-        drawn = _plan(axes, image, shape.border, cmap=ANGLES, vmin=-limit, vmax=limit)
+        drawn = _plan(axes, image, shown.border, cmap=ANGLES, vmin=-limit, vmax=limit)
         places: dict[tuple[float, float], list[str]] = {}
-        for number, point in enumerate(where, 1):
+        for number, point in enumerate(shown.where, 1):
             if point is not None:
                 # Points closer than a marker share one.
-                at = next((have for have in places if math.dist(have, point) < 0.09 * shape.border.reach), point)
+                at = next((have for have in places if math.dist(have, point) < 0.09 * shown.border.reach), point)
                 places.setdefault(at, []).append(str(number))
         for at, numbers in places.items():
             box = {"boxstyle": "round,pad=0.28", "facecolor": PAPER, "edgecolor": INK, "linewidth": 0.8}
@@ -353,9 +377,14 @@ def access_map(shape: PartShape, where: Sequence[tuple[float, float] | None]) ->
     )
 
 
-class ApproachSection(NamedTuple):
+access_map = Figure(_show_access, _draw_access)
+"""Draw the contact angle on the tool nose, and number the critical points as in the access table."""
+
+
+class _Approach(NamedTuple):
     """Radial section where a pass begins. [mm]."""
 
+    name: str  # of the pass
     begins: tuple[float, float]  # X and Z of the tool where the pass begins
     top: float  # Z of the tool where the approach ends
     plunges: bool
@@ -367,22 +396,19 @@ class ApproachSection(NamedTuple):
     finished: Floats  # (m,)
 
 
-@lru_cache(maxsize=4)
-def section_of(entry: Entry, tool: Tool) -> ApproachSection:
-    """Return the section of an approach, the same object for the same one."""
+def _show_approach(name: str, entry: Entry, tool: Tool) -> _Approach:
     approach = entry.approach
     end = approach.start if approach.plunge is None else {k: float(v[-1]) for k, v in approach.plunge.axes.items()}
     depth = max(entry.depth or 0.0, 0.0)
     width = 2.2 * math.sqrt(2 * tool.actual_radius * max(depth, 0.02)) + 0.1
     u, _, e = tool.edge(np.linspace(-1.4, 1.4, 401))
-    return ApproachSection(
-        (end["X"], end["Z"]), approach.start["Z"], approach.plunge is not None, entry.outward, width, (u, e),
+    return _Approach(
+        name, (end["X"], end["Z"]), approach.start["Z"], approach.plunge is not None, entry.outward, width, (u, e),
         entry.radius, entry.material, entry.finished,
     )  # fmt: skip
 
 
-def approach_view(name: str, section: ApproachSection) -> Picture:
-    """Draw the radial section where a pass begins: material before it, finished surface, tool and approach."""
+def _draw_approach(section: _Approach) -> Picture:
     (x, z), top, wide, (u, e) = section.begins, section.top, section.width, section.edge
     low, high = (x - wide, x + 1.6 * wide) if section.outward else (x - 1.6 * wide, x + wide)
     rim = section.radius[np.isfinite(section.finished)]
@@ -414,15 +440,19 @@ def approach_view(name: str, section: ApproachSection) -> Picture:
             axes.plot([], [], color=SERIES[2], linewidth=1.6, label="plunge, part rotating")
         _arrow(axes, (x, z), (x + (0.5 if section.outward else -0.5) * wide, z), SERIES[0])
         axes.set(xlim=(low, high), ylim=(bottom, ceiling), xlabel="distance from the axis [mm]", ylabel="z [mm]")
-        axes.set_title(f"pass {name}")
+        axes.set_title(f"pass {section.name}")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2, fontsize=7)
         axes.grid(visible=True)
     how = "plunges with the part rotating" if section.plunges else "begins clear of the material"
     return Picture(
         canvas.svg,
-        f"Side view of the approach to pass {name}, which {how}: the dashed tool, where the plunge begins, must be at "
-        f"least {GAP_TEXT} clear of the material.",
+        f"Side view of the approach to pass {section.name}, which {how}: the dashed tool, where the plunge begins, "
+        f"must be at least {GAP_TEXT} clear of the material.",
     )
+
+
+approach_view = Figure(_show_approach, _draw_approach)
+"""Draw the radial section where a pass begins: material before it, finished surface, tool and approach."""
 
 
 def _turn_number(motion: Motion) -> Floats:
@@ -618,15 +648,65 @@ def _resampled(heights: HeightMap, border: Outline) -> Floats:
     return np.where(on, heights.z[row, column], np.nan)
 
 
-def error_map(
-    heights: HeightMap, what: str = "Error (cut minus nominal)", *, title: str = "", border: Outline | None = None
-) -> Picture:
-    """Draw an error map, colours centred at zero; ``what`` begins the caption. A polar map may have a border."""
-    with _canvas() as canvas:
-        _draw_map(canvas, heights, "cut minus nominal [nm]", border)
-    finite = heights.z[np.isfinite(heights.z)] * NM
-    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
-    return Picture(canvas.svg, f"{what}, from {low:.4g} to {high:.4g} nm: {COLOUR_TEXT}", title)
+class _MapView(NamedTuple):
+    """What a figure of a map shows of its heights."""
+
+    image: Floats  # heights in colours. [nm]
+    colours: dict[str, Any]
+    extend: str  # ends of their bar with an arrow
+    border: Outline | None  # of a polar map, resampled to a square grid around it
+    extent: Any = None  # of a grid
+    places: tuple[Floats, Floats] | None = None  # of scattered points
+    xlabel: str = ""
+    ylabel: str = ""
+
+
+def _view_of(heights: HeightMap, border: Outline | None = None) -> _MapView:
+    """Return gridded or scattered heights, colours centred at zero."""
+    colours, extend = _error_colours(heights.z * NM)
+    if heights.radius is not None:
+        border = border or Outline(disc=float(heights.radius[-1]))
+        return _MapView(_resampled(heights, border) * NM, colours, extend, border)
+    assert heights.x is not None  # noqa: S101 - a map that is not polar has x and y
+    assert heights.y is not None  # noqa: S101
+    x, y = heights.x, heights.y
+    centre = (float(x.min() + x.max()) / 2, float(y.min() + y.max()) / 2)
+    factor, unit = _length(float(max(np.ptp(x), np.ptp(y)))) if heights.calibrated else (1.0, "pixels")
+    extent = places = None
+    if heights.scattered:
+        few = heights.thinned(PIXELS**2 // 8)
+        across, along = few.points()
+        image, places = few.z, ((across - centre[0]) * factor, (along - centre[1]) * factor)
+    else:
+        stride = math.ceil(max(heights.z.shape) / MAX_PIXELS)
+        image = heights.z[::stride, ::stride]
+        grown = [float(np.diff(axis[:2]).sum()) / 2 or 0.5 / factor for axis in (x, y)]
+        extent = tuple(
+            (end - middle) * factor
+            for end, middle in (
+                (x[0] - grown[0], centre[0]), (x[-1] + grown[0], centre[0]),
+                (y[0] - grown[1], centre[1]), (y[-1] + grown[1], centre[1]),
+            )
+        )  # fmt: skip
+    shift = " mm" if heights.calibrated else ""
+    labels = [f"{name} from {round(at, 9) + 0.0:.6g}{shift} [{unit}]" for name, at in zip("xy", centre, strict=True)]
+    return _MapView(image * NM, colours, extend, None, extent, places, *labels)
+
+
+def _draw_map(canvas: _Canvas, view: _MapView, label: str) -> None:
+    axes = canvas.figure.add_subplot()
+    if view.border is not None:
+        drawn = _plan(axes, view.image, view.border, **view.colours)
+    else:
+        if view.places is not None:
+            drawn = axes.scatter(*view.places, c=view.image, s=2, rasterized=True, **view.colours)
+            axes.set_aspect("equal")
+        else:
+            drawn = axes.imshow(
+                view.image, origin="lower", extent=view.extent, interpolation="antialiased", **view.colours
+            )
+        axes.set(xlabel=view.xlabel, ylabel=view.ylabel)
+    _bar(canvas, axes, drawn, label, view.extend)
 
 
 def _error_colours(values: Floats) -> tuple[dict[str, Any], str]:
@@ -637,47 +717,28 @@ def _error_colours(values: Floats) -> tuple[dict[str, Any], str]:
     return {"cmap": ERRORS, "vmin": -limit, "vmax": limit}, "both" if beyond else "neither"
 
 
-def _draw_map(canvas: _Canvas, heights: HeightMap, label: str, border: Outline | None = None) -> None:
-    """Draw gridded or scattered heights, colours centred at zero."""
-    axes = canvas.figure.add_subplot()
-    colours, extend = _error_colours(heights.z * NM)
-    if heights.radius is not None:
-        border = border or Outline(disc=float(heights.radius[-1]))
-        drawn = _plan(axes, _resampled(heights, border) * NM, border, **colours)
-    else:
-        assert heights.x is not None  # noqa: S101 - a map that is not polar has x and y
-        assert heights.y is not None  # noqa: S101
-        x, y = heights.x, heights.y
-        centre = (float(x.min() + x.max()) / 2, float(y.min() + y.max()) / 2)
-        factor, unit = _length(float(max(np.ptp(x), np.ptp(y)))) if heights.calibrated else (1.0, "pixels")
-        if heights.scattered:
-            few = heights.thinned(PIXELS**2 // 8)
-            across, along = few.points()
-            drawn = axes.scatter(
-                (across - centre[0]) * factor, (along - centre[1]) * factor, c=few.z * NM, s=2, rasterized=True,
-                **colours,
-            )  # fmt: skip
-            axes.set_aspect("equal")
-        else:
-            stride = math.ceil(max(heights.z.shape) / MAX_PIXELS)
-            grown = [float(np.diff(axis[:2]).sum()) / 2 or 0.5 / factor for axis in (x, y)]
-            extent = tuple(
-                (end - middle) * factor
-                for end, middle in (
-                    (x[0] - grown[0], centre[0]), (x[-1] + grown[0], centre[0]),
-                    (y[0] - grown[1], centre[1]), (y[-1] + grown[1], centre[1]),
-                )
-            )  # fmt: skip
-            drawn = axes.imshow(
-                heights.z[::stride, ::stride] * NM, origin="lower", extent=extent, interpolation="antialiased",
-                **colours,
-            )  # fmt: skip
-        shift = " mm" if heights.calibrated else ""
-        axes.set(
-            xlabel=f"x from {round(centre[0], 9) + 0.0:.6g}{shift} [{unit}]",
-            ylabel=f"y from {round(centre[1], 9) + 0.0:.6g}{shift} [{unit}]",
-        )
-    _bar(canvas, axes, drawn, label, extend)
+class _ErrorView(NamedTuple):
+    view: _MapView
+    text: str
+    title: str
+
+
+def _show_errors(
+    heights: HeightMap, what: str = "Error (cut minus nominal)", *, title: str = "", border: Outline | None = None
+) -> _ErrorView:
+    finite = heights.z[np.isfinite(heights.z)] * NM
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    return _ErrorView(_view_of(heights, border), f"{what}, from {low:.4g} to {high:.4g} nm: {COLOUR_TEXT}", title)
+
+
+def _draw_errors(shown: _ErrorView) -> Picture:
+    with _canvas() as canvas:
+        _draw_map(canvas, shown.view, "cut minus nominal [nm]")
+    return Picture(canvas.svg, shown.text, shown.title)
+
+
+error_map = Figure(_show_errors, _draw_errors)
+"""Draw an error map, colours centred at zero; ``what`` begins the caption. A polar map may have a border."""
 
 
 def write_fit_picture(experiment: Experiment, path: str | PathLike[str]) -> None:
@@ -713,7 +774,7 @@ def write_picture(shown: HeightMap | Profile, path: str | PathLike[str]) -> None
             axes = canvas.chart(f"distance [{unit}]", "height [nm]")
             axes.plot(shown.distance * factor, shown.z * NM, linewidth=0.8)
         else:
-            _draw_map(canvas, shown, "height [nm]")
+            _draw_map(canvas, _view_of(shown), "height [nm]")
         canvas.write(File(path))
 
 
@@ -768,14 +829,22 @@ def over_radius(heights: HeightMap, radius: float) -> Picture:
     return _draw_radial(middle, mean, (low, high), "5th to 95th percentile")._replace(title="around the axis")
 
 
-def rings(heights: HeightMap) -> Picture:
-    """Draw the azimuthal mean and range of a polar error map over the radius."""
+def _show_rings(heights: HeightMap) -> tuple[Floats, ...]:
+    """Return distances from the axis, with the mean and the ends of the range around it."""
     assert heights.radius is not None  # noqa: S101 - the map is polar
     filled = np.isfinite(heights.z).any(axis=0)
     radius, z = heights.radius[filled], heights.z[:, filled] * NM
     few = slice(None, None, max(1, math.ceil(radius.size / 600)))
-    low, mean, high = (end(z[:, few], axis=0) for end in (np.nanmin, np.nanmean, np.nanmax))
-    return _draw_radial(radius[few], mean, (low, high), "range")
+    return (radius[few], *(end(z[:, few], axis=0) for end in (np.nanmean, np.nanmin, np.nanmax)))
+
+
+def _draw_rings(shown: tuple[Floats, ...]) -> Picture:
+    radius, mean, low, high = shown
+    return _draw_radial(radius, mean, (low, high), "range")
+
+
+rings = Figure(_show_rings, _draw_rings)
+"""Draw the azimuthal mean and range of a polar error map over the radius."""
 
 
 def _draw_radial(radius: Floats, mean: Floats, ends: tuple[Floats, Floats], band: str) -> Picture:
@@ -828,8 +897,16 @@ def tool_moves(moves: Sequence[Move]) -> Picture:
     )
 
 
-def profile(heights: HeightMap, feed: float) -> Picture:
-    """Draw a profile across the cusps through the middle of a rectangular map."""
+class _Profile(NamedTuple):
+    at: Floats  # [µm]
+    error: Floats  # [nm]
+    letter: str
+    across: str
+    where: float  # on the other axis [mm]
+    feed: float
+
+
+def _show_profile(heights: HeightMap, feed: float) -> _Profile:
     x, y = heights.x, heights.y
     assert x is not None  # noqa: S101 - the map is rectangular
     assert y is not None  # noqa: S101
@@ -843,16 +920,24 @@ def profile(heights: HeightMap, feed: float) -> Picture:
         shown = np.ones(at.shape, dtype=bool)
     few = slice(None, None, max(1, math.ceil(np.count_nonzero(shown) / 3000)))
     letter, across = ("x", "y") if over_x else ("y", "x")
+    return _Profile(at[shown][few], z[shown][few], letter, across, float(other[middle]), feed)
+
+
+def _draw_profile(one: _Profile) -> Picture:
     with _canvas() as canvas:
-        xlabel = f"{letter} from the middle, at {across} = {other[middle]:.5g} mm [µm]"
+        xlabel = f"{one.letter} from the middle, at {one.across} = {one.where:.5g} mm [µm]"
         axes = canvas.chart(xlabel, "cut minus nominal [nm]")
         axes.axhline(0, color=LINE, linewidth=0.8)
-        axes.plot(at[shown][few], z[shown][few], color=SERIES[0])
+        axes.plot(one.at, one.error, color=SERIES[0])
     return Picture(
         canvas.svg,
-        f"Profile of the error along {letter}: cusps repeat every {feed * 1e3:.3g} µm, the feed; look for any other "
-        "period.",
+        f"Profile of the error along {one.letter}: cusps repeat every {one.feed * 1e3:.3g} µm, the feed; look for any "
+        "other period.",
     )
+
+
+profile = Figure(_show_profile, _draw_profile)
+"""Draw a profile across the cusps through the middle of a rectangular map, made with a feed."""
 
 
 def density(spectrum: Spectrum) -> Picture:
@@ -873,7 +958,7 @@ def wavefront_map(light: Wavefront) -> Picture:
     """Draw a wavefront over the pupil, colours centred at zero."""
     with _canvas() as canvas:
         border = Outline(disc=light.radius, centre=light.centre) if light.opd.polar else None
-        _draw_map(canvas, light.opd, "optical path [nm]", border)
+        _draw_map(canvas, _view_of(light.opd, border), "optical path [nm]")
     return Picture(canvas.svg, f"Wavefront over the pupil, {light.rms * NM:.4g} nm rms: {PATH_TEXT}")
 
 
@@ -907,11 +992,16 @@ def modulation(transfer: Modulation, ideal: Modulation, unit: str) -> Picture:
     return Picture(canvas.svg, "Modulation transfer of form and marks together, and of a perfect surface.")
 
 
-def minutes_and_errors(tried: Sequence[Candidate]) -> Picture:
-    """Draw form error PV over cutting time for each strategy."""
+def _show_minutes(tried: Sequence[Candidate]) -> tuple[list[tuple[float, float]], str]:
+    """Return minutes and errors, and the numbered names."""
+    points = [(one.limits.cycle_time_s / 60, one.breakdown.pv_nm) for one in tried if one.limits and one.breakdown]
+    return points, ", ".join(f"{number} {one.name}" for number, one in enumerate(tried, 1))
+
+
+def _draw_minutes(shown: tuple[list[tuple[float, float]], str]) -> Picture:
+    points, named = shown
     with _canvas() as canvas:
         axes = canvas.chart("minutes", "form error PV [nm]")
-        points = [(one.limits.cycle_time_s / 60, one.breakdown.pv_nm) for one in tried if one.limits and one.breakdown]
         # Pareto front: no other strategy is both faster and more accurate.
         best = sorted(p for p in points if not any(o != p and o[0] <= p[0] and o[1] <= p[1] for o in points))
         axes.plot(*zip(*best, strict=True), color=LINE, linewidth=0.8)
@@ -928,7 +1018,6 @@ def minutes_and_errors(tried: Sequence[Candidate]) -> Picture:
             else:
                 near.set_text(f"{near.get_text()}, {number}")
         axes.margins(0.12)
-    named = ", ".join(f"{number} {one.name}" for number, one in enumerate(tried, 1))
     return Picture(
         canvas.svg,
         f"Form error over cutting time, {named}: the line (the Pareto front) joins the strategies that no other "
@@ -936,16 +1025,23 @@ def minutes_and_errors(tried: Sequence[Candidate]) -> Picture:
     )
 
 
-def breakdown_of(tried: Sequence[Candidate]) -> Picture:
-    """Draw the error contributions of each strategy."""
+minutes_and_errors = Figure(_show_minutes, _draw_minutes)
+"""Draw form error PV over cutting time for each strategy."""
+
+
+def _show_breakdown(tried: Sequence[Candidate]) -> dict[str, list[float]]:
+    """Return the largest contributions of each source, by strategy."""
     sources = {"cusps": "cusp_nm", "chord": "chord_nm", "servos": "tracking_nm"}
+    return {name: [getattr(one.breakdown, field) for one in tried] for name, field in sources.items()}
+
+
+def _draw_breakdown(shown: dict[str, list[float]]) -> Picture:
     with _canvas() as canvas:
         axes = canvas.chart("largest contribution [nm]", "strategy", tight=False)
-        rows = np.arange(len(tried))
-        for k, ((error_source, name), colour) in enumerate(zip(sources.items(), SERIES, strict=True)):
-            sizes = [getattr(one.breakdown, name) for one in tried]
+        rows = np.arange(len(shown["cusps"]))
+        for k, ((error_source, sizes), colour) in enumerate(zip(shown.items(), SERIES, strict=True)):
             axes.barh(rows + (k - 1) * 0.26, sizes, height=0.24, color=colour, label=error_source)
-        axes.set_yticks(rows, [str(number) for number in range(1, len(tried) + 1)])
+        axes.set_yticks(rows, [str(number + 1) for number in rows])
         axes.invert_yaxis()
         _legend_above(axes, 3)
         axes.grid(visible=False, axis="y")
@@ -954,6 +1050,10 @@ def breakdown_of(tried: Sequence[Candidate]) -> Picture:
         "Error contributions of cusps, chord and servos for each strategy, numbered as in the table: the longest bar "
         "limits its accuracy.",
     )
+
+
+breakdown_of = Figure(_show_breakdown, _draw_breakdown)
+"""Draw the error contributions of each strategy."""
 
 
 def dislocation_map(lenslets: Lenslets) -> Picture:

@@ -95,13 +95,11 @@ def draw_ahead(job: Job) -> Callable[[str, Any], None]:
 
 
 def _part_figures(job: Job) -> list[Drawing]:
-    shape = figures.shape_of(job.part)
-    return [draw(figures.sag_map, shape), draw(figures.view, shape)]
+    return [draw(figures.sag_map, job.part), draw(figures.view, job.part)]
 
 
 def _access_figures(result: Result) -> list[Drawing]:
-    where = tuple(one.where for one in result.access.findings)
-    return [draw(figures.access_map, figures.shape_of(result.part), where)]
+    return [draw(figures.access_map, result.part, result.access.findings)]
 
 
 def _path_figures(result: Result) -> list[Drawing]:
@@ -118,7 +116,7 @@ def _axes_figures(result: Result) -> list[Drawing]:
 
 def _approach_figures(result: Result) -> list[Drawing]:
     entries, tool = result.entries, result.tool
-    return [draw(figures.approach_view, name, figures.section_of(entries[name], tool)) for name in _ends(result)]
+    return [draw(figures.approach_view, name, entries[name], tool) for name in _ends(result)]
 
 
 def _chip_figures(result: Result) -> list[Drawing]:
