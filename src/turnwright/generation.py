@@ -205,7 +205,8 @@ class Prepared:
     def polar(self, radius: Floats, angle: Floats) -> HeightMap:
         """Return the heights over a polar grid at any distances from the axis, see `generate_polar`."""
         z = np.empty((angle.size, radius.size))
-        _fill_polar(self.cut, radius, angle, z, "cpu" if self.card is None else "cuda")
+        device = "cpu" if self.card is None else "cuda"
+        _fill_polar(self.cut, only_read(radius), only_read(angle), z, device)
         return HeightMap(z=z, radius=radius, angle=angle, name="generated")
 
     def sides(self, steps: tuple[float, float]) -> tuple[int, int]:
