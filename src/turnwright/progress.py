@@ -150,7 +150,7 @@ def _count_cores() -> int:
 
 @functools.cache
 def _helpers() -> ThreadPoolExecutor:
-    """Return the threads that help to carry out chunks; starting them anew for each call takes longer than many."""
+    """Return the threads that help to carry out chunks; starting some for each call takes longer than many of them."""
     return ThreadPoolExecutor(_count_cores(), thread_name_prefix="chunks")
 
 

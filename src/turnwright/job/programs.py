@@ -157,10 +157,10 @@ def rounding_effect(job: Job, motion: Motion, again: Motion) -> tuple[float, flo
         return generate_polar(one, tool, radius=radius, angle=angle - turned, machine=machine)
 
     nominal = part.crop(surface(motion, tool)).z
-    beside = replace(tool, offset=(tool.offset[0] + x, *tool.offset[1:]))
+    shifted = replace(tool, offset=(tool.offset[0] + x, *tool.offset[1:]))
     difference, by_x, by_c = (
         float(np.nanmax(np.abs(other.z - nominal)))
-        for other in (surface(again, tool), surface(motion, beside), surface(motion, tool, c))
+        for other in (surface(again, tool), surface(motion, shifted), surface(motion, tool, c))
     )
     dense = np.linspace(0, 2 * np.pi, 360, endpoint=False)
     cosine, sine = np.cos(dense)[:, None], np.sin(dense)[:, None]

@@ -145,5 +145,5 @@ def _spline_at(coefficients: Floats, row: Floats, column: Floats) -> Floats:
 
 def _basis(share: Floats) -> Floats:
     """Return the weights of four coefficients at a share of the way from the second to the third. (4, n)."""
-    left = 1 - share
-    return np.stack([left**3, 4 - 3 * share**2 * (1 + left), 4 - 3 * left**2 * (1 + share), share**3]) / 6
+    to_third = 1 - share
+    return np.stack([to_third**3, 4 - 3 * share**2 * (1 + to_third), 4 - 3 * to_third**2 * (1 + share), share**3]) / 6
