@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+from turnwright._validate import require_finite
 from turnwright.metrology import line_profile
 from turnwright.speed_profile import SpeedProfile
 
@@ -87,6 +88,28 @@ def test_spirals_of_any_plan_are_no_degrees(per_turn):
         for angle in (even, even + 100.0, -even, np.sort(rng.uniform(0, even[-1], 4000))):
             if np.median(np.abs(np.diff(angle))) <= np.pi:
                 tw.Spiral(angle=angle, radius=np.linspace(5, 0, angle.size))
+
+
+LARGEST = np.finfo(float).max
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "values",
+    [
+        [], [LARGEST, LARGEST], [-LARGEST, -LARGEST, 1.0], [LARGEST, np.inf], [np.inf, -np.inf], [np.nan, 1.0], [5, 7],
+        np.array([6e4, 6e4], dtype=np.float16), np.array([2.0, 1j]), np.array([complex(np.nan, 1)]),
+        np.ones((3, 4))[:, ::2],
+    ],
+)  # fmt: skip
+def test_finite_values_are_those_of_which_each_is_finite(values):
+    values = np.asarray(values)
+    wrong = [value for value in values.ravel() if not np.isfinite(value)]
+    if not wrong:
+        require_finite(values, "it")
+        return
+    with pytest.raises(tw.InputError, match=f"it holds {len(wrong)} values that are not finite"):
+        require_finite(values, "it")
 
 
 BEYOND = {

@@ -13,7 +13,7 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright._io import write_atomic
-from turnwright._validate import one_of
+from turnwright._validate import has_finite_sum, one_of
 from turnwright.errors import MapError
 from turnwright.heightmap import HeightMap
 from turnwright.units import convert
@@ -132,6 +132,8 @@ def check_inflated_size(path: Path, packed: int, claimed: int) -> None:
 def finite_or_missing(heights: Floats) -> Floats:
     """Return heights with infinite values replaced by nan."""
     heights = np.asarray(heights, dtype=np.float64)
+    if has_finite_sum(heights):
+        return heights
     infinite = np.isinf(heights)
     return np.where(infinite, np.nan, heights) if infinite.any() else heights
 
