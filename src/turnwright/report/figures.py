@@ -260,7 +260,7 @@ class _PartShape(NamedTuple):
     points: tuple[Floats, Floats, Floats]  # of the perspective view: x, y, z. Each (n, m) [mm]
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=1)
 def _shape_of(part: Part) -> _PartShape:
     x, y, on = _square(part.border)
     x, y = x[on], y[on]
