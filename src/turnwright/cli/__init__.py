@@ -35,6 +35,9 @@ NOT_CORRECTED_CODE = 3
 SUCCESS_CODES = (0, 4)
 DISK_FULL_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
+FEWEST_OBJECTS = 20_000
+"""Objects made between two collections: imports make many, and at every 700 they take a tenth of a second longer."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line, by default with the arguments of the process; return the exit code."""
@@ -42,6 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             stop.arm()
             _open_closed()
+            gc.set_threshold(FEWEST_OBJECTS)
             atexit.register(gc.freeze)  # or the last collection would examine every object
             # The matrices are small: on a busy machine, BLAS threads would mostly wait for each other.
             os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
