@@ -13,34 +13,18 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
-from typing import Any, Generic, ParamSpec, TypeVar
+from typing import Any, ParamSpec
 
 from turnwright._processes import Recorded, start_worker
 from turnwright.progress import cores
-from turnwright.report.page import Drawing, Picture
+from turnwright.report.page import Drawing, Figure, Picture
 
-__all__ = ["Figure", "draw", "draw_apart"]
+__all__ = ["draw", "draw_apart"]
 
 PROCESSES = 3
 """Most processes that draw at the same time as this one: a page has some fifteen figures."""
 
 _P = ParamSpec("_P")
-_Shown = TypeVar("_Shown")
-
-
-class Figure(Generic[_P, _Shown]):
-    """A function that draws a figure, in two steps.
-
-    ``show`` returns what the figure shows of its arguments, which may be as large as a run. ``draw`` draws that; in
-    another process, it needs neither the arguments nor the kernels.
-    """
-
-    def __init__(self, show: Callable[_P, _Shown], draw: Callable[[_Shown], Picture]) -> None:
-        self.show, self.draw = show, draw
-
-    def __call__(self, *args: _P.args, **kwargs: _P.kwargs) -> Picture:
-        """Draw the figure in this process."""
-        return self.draw(self.show(*args, **kwargs))
 
 
 class _Apart:

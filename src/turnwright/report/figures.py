@@ -23,8 +23,7 @@ from turnwright._io import write_atomic
 from turnwright.metrology import area_rms
 from turnwright.outline import Outline
 from turnwright.profile import Profile
-from turnwright.report.drawing import Figure
-from turnwright.report.page import Picture
+from turnwright.report.page import Figure, Picture
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -12,7 +12,7 @@ from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path as File
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Generic, NamedTuple, ParamSpec, TypeVar
 
 import jinja2
 
@@ -24,7 +24,12 @@ if TYPE_CHECKING:
 
     from turnwright.job import Job
 
-__all__ = ["Cell", "Code", "Drawing", "Number", "Page", "Picture", "Section", "Table", "page_file", "write_page"]
+__all__ = [
+    "Cell", "Code", "Drawing", "Figure", "Number", "Page", "Picture", "Section", "Table", "page_file", "write_page",
+]  # fmt: skip
+
+_P = ParamSpec("_P")
+_Shown = TypeVar("_Shown")
 
 
 class Number(NamedTuple):
@@ -44,6 +49,21 @@ class Picture(NamedTuple):
     alt: str
     title: str = ""
     span: int = 3
+
+
+class Figure(Generic[_P, _Shown]):
+    """A function that draws a figure, in two steps.
+
+    ``show`` returns what the figure shows of its arguments, which may be as large as a run. ``draw`` draws that; in
+    another process, it needs neither the arguments nor the kernels.
+    """
+
+    def __init__(self, show: Callable[_P, _Shown], draw: Callable[[_Shown], Picture]) -> None:
+        self.show, self.draw = show, draw
+
+    def __call__(self, *args: _P.args, **kwargs: _P.kwargs) -> Picture:
+        """Draw the figure in this process."""
+        return self.draw(self.show(*args, **kwargs))
 
 
 class Drawing:
