@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+from job_files import changed
 from proof_verdict import judged, random_job
 from tolerance_jobs import SERVO, job_of
 from turnwright.generation import generate_polar
-from turnwright.job import PassPlan, any_missed, finishing_motion, judge, judge_form, not_evaluated, plan
+from turnwright.job import PassPlan, any_missed, finishing_motion, judge, judge_form, not_evaluated, plan, run
 from turnwright.job.extremes import find_extremes
+from turnwright.post import dialect_of
 from turnwright.studies import ErrorBudget, Store
 from turnwright.studies.draws import CaseContext, plan_cuts
 
@@ -36,6 +38,20 @@ def test_the_cusp_on_the_axis_counts_as_closed_form_has_it():
     assert not result.keeps_tolerances
     assert [one.is_kept for one in result.verdicts] == [False]
     assert any("form error PV is 5" in one for one in result.warnings)
+
+
+def test_decimals_of_x_lift_the_tool_of_a_machine_that_is_not_square():
+    """Oracle: half a decimal of Z, and half a decimal of X times the slope of the axis and of the cusps."""
+    slope, feed = 0.099, 7.3e-3
+    strategy = {"kind": "slow tool servo", "feed": f"{feed} mm/rev", "points_per_rev": 117}
+    plane = ("part.surface", {"family": "plane"}), ("strategy", strategy)
+    job = tw.Job.read(changed(*plane, ("machine.squareness", f"{slope * 1e3} mm/m")))
+    result = run(job)
+    decimals = dialect_of(job.machine).decimals
+    half_x, half_z = (0.5 * 10.0 ** -decimals[letter] * 1e6 for letter in "XZ")
+    assert result.rounding_nm <= result.rounding_limit_nm
+    assert result.rounding_limit_nm >= half_z + half_x * slope
+    assert result.rounding_limit_nm <= half_z + half_x * (slope + feed / (2 * 0.5)) * 1.2
 
 
 def test_the_worst_of_many_scattered_points_is_found():

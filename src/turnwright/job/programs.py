@@ -29,7 +29,6 @@ from turnwright.post import (
     write_nc,
 )
 from turnwright.progress import Progress, StageProgress
-from turnwright.tool import Tool
 
 __all__ = ["predicted_motion", "program_shares", "read_back", "rounding_effect", "write_programs"]
 
@@ -153,14 +152,13 @@ def rounding_effect(job: Job, motion: Motion, again: Motion) -> tuple[float, flo
     if motion.spindle_mode is not None:  # decimals of feed and path add up to a difference in revolutions
         c = float(np.abs(again.axes["C"][-1] - motion.axes["C"][-1])) + 1e-9
 
-    def surface(one: Motion, tool: Tool, turned: float = 0.0) -> HeightMap:
+    def surface(one: Motion, turned: float = 0.0) -> HeightMap:
         return generate_polar(one, tool, radius=radius, angle=angle - turned, machine=machine)
 
-    nominal = part.crop(surface(motion, tool)).z
-    shifted = replace(tool, offset=(tool.offset[0] + x, *tool.offset[1:]))
+    nominal = part.crop(surface(motion)).z
+    shifted = replace(motion, axes={**motion.axes, "X": motion.axes["X"] + x})
     difference, by_x, by_c = (
-        float(np.nanmax(np.abs(other.z - nominal)))
-        for other in (surface(again, tool), surface(motion, shifted), surface(motion, tool, c))
+        float(np.nanmax(np.abs(other.z - nominal))) for other in (surface(again), surface(shifted), surface(motion, c))
     )
     dense = np.linspace(0, 2 * np.pi, 360, endpoint=False)
     cosine, sine = np.cos(dense)[:, None], np.sin(dense)[:, None]
