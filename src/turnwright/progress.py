@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Lock
+from queue import SimpleQueue
+from threading import Condition, Thread
 from typing import TypeAlias
 
 from turnwright.errors import LimitError
@@ -148,14 +147,41 @@ def _count_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
-@functools.cache
-def _helpers() -> ThreadPoolExecutor:
-    """Return the threads that help to carry out chunks; starting some for each call takes longer than many of them."""
-    return ThreadPoolExecutor(_count_cores(), thread_name_prefix="chunks")
+class _Helpers:
+    """Threads that help to carry out chunks; starting some for each call takes longer than many of them.
+
+    They end with the process: it need not wait for one that is still at work after an interrupt.
+    """
+
+    def __init__(self) -> None:
+        self.offered: SimpleQueue[_Chunks] = SimpleQueue()
+        self.started = 0
+
+    def offer(self, chunks: _Chunks, helpers: int) -> None:
+        """Have so many threads, or all there are, carry out chunks as soon as they are free."""
+        with suppress(RuntimeError):  # the system has no further thread
+            while self.started < min(helpers, _count_cores()):
+                Thread(target=self._help, name="chunks", daemon=True).start()
+                self.started += 1
+        for _ in range(min(helpers, self.started)):
+            self.offered.put(chunks)
+
+    def _help(self) -> None:
+        while True:
+            self.offered.get().help_out()
+
+
+_helpers = _Helpers()
+
+
+def _forget_helpers() -> None:
+    """Start with no threads, of which a forked process has none."""
+    global _helpers  # noqa: PLW0603 - they belong to the process
+    _helpers = _Helpers()
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_helpers.cache_clear)  # the child has none of these threads
+    os.register_at_fork(after_in_child=_forget_helpers)
 
 
 class _Chunks:
@@ -163,25 +189,46 @@ class _Chunks:
 
     def __init__(self, work: Callable[[int, int], object], spans: Sequence[tuple[int, int]]) -> None:
         self.work, self.waiting, self.total, self.finished = work, iter(spans), spans[-1][1], 0
-        self.lock, self.is_stopped = Lock(), False
+        self.changed, self.is_stopped = Condition(), False
+        self.helpers = 0  # at work
+        self.error: BaseException | None = None  # of one of them
 
     def carry_out(self, progress: Progress | None = None) -> None:
-        """Carry out one chunk after another until none is left, or an exception in any thread stops the work."""
-        try:
-            with at_most(1):
-                while not self.is_stopped and (span := self._take()) is not None:
-                    self.work(*span)
-                    with self.lock:
-                        self.finished += span[1] - span[0]
-                    if progress is not None:
-                        progress(self.finished, self.total)
-        except BaseException:
-            self.is_stopped = True
-            raise
+        """Carry out one chunk after another until none is left, or the work is stopped."""
+        limited = copy_context()
+        limited.run(_thread_limit.set, 1)
+        while (span := self._take()) is not None:
+            limited.run(self.work, *span)
+            with self.changed:
+                self.finished += span[1] - span[0]
+            if progress is not None:
+                progress(self.finished, self.total)
 
     def _take(self) -> tuple[int, int] | None:
-        with self.lock:
-            return next(self.waiting, None)
+        with self.changed:
+            return None if self.is_stopped else next(self.waiting, None)
+
+    def help_out(self) -> None:
+        """Carry out chunks in another thread, and keep its error for the caller."""
+        with self.changed:
+            self.helpers += 1
+        try:
+            self.carry_out()
+        except BaseException as error:  # noqa: BLE001 - it is raised in the caller's thread
+            self.stop(error)
+        with self.changed:
+            self.helpers -= 1
+            self.changed.notify_all()
+
+    def stop(self, error: BaseException | None = None) -> None:
+        """Begin no further chunk."""
+        with self.changed:
+            self.is_stopped, self.error = True, self.error or error
+
+    def wait(self) -> None:
+        """Wait until no other thread is at work."""
+        with self.changed:
+            self.changed.wait_for(lambda: not self.helpers)
 
 
 def run_chunks(
@@ -211,18 +258,26 @@ def run_chunks(
                 progress(stop, total)
         return
     chunks = _Chunks(work, spans)
-    helping = [_helpers().submit(chunks.carry_out) for _ in range(threads - 1)]
+    reported = 0
+
+    def report(done: int, of: int) -> None:
+        nonlocal reported
+        reported = done
+        if progress is not None:
+            progress(done, of)
+
     try:
-        chunks.carry_out(progress)
-        for one in helping:
-            if not one.cancel():  # it has begun
-                one.result()
+        _helpers.offer(chunks, threads - 1)
+        chunks.carry_out(report)
+        chunks.wait()
     except BaseException:
-        chunks.is_stopped = True
-        wait([one for one in helping if not one.cancel()])
+        chunks.stop()
+        chunks.wait()
         raise
-    if progress is not None:
-        progress(total, total)
+    if chunks.error is not None:
+        raise chunks.error
+    if reported < total:
+        report(total, total)
 
 
 def free_memory_gb(system: Path = Path("/")) -> float | None:

@@ -9,7 +9,7 @@ import pytest
 
 from turnwright.errors import LimitError
 from turnwright.part import Part
-from turnwright.progress import OverallProgress, Step, cores, require_memory, run_chunks
+from turnwright.progress import OverallProgress, Step, _Helpers, cores, require_memory, run_chunks
 from turnwright.strategy import SlowToolServo
 from turnwright.surface import Plane
 from turnwright.tool import Tool
@@ -27,7 +27,7 @@ def test_every_place_is_worked_on_once_and_reported(threads, total, chunk):
         threads=threads,
     )
     assert sorted(places) == list(range(total))
-    assert report == sorted(report)
+    assert report == sorted(set(report))
     assert report[-1:] == [(total, total)] * (total > 0)
 
 
@@ -88,6 +88,59 @@ def test_work_within_a_chunk_has_one_core_and_needs_no_other_thread():
     run_chunks(work, 6, 1, threads=3)
     assert inner.count(1) == 6
     assert sorted(one for one in inner if one != 1) == [(n, a, a + 2) for n in range(6) for a in (0, 2)]
+
+
+def test_progress_has_all_cores_and_an_interrupt_leaves_them(monkeypatch):
+    monkeypatch.setattr("turnwright.progress._count_cores", lambda: 3)
+    seen = []
+
+    def stop(_finished, _total):
+        seen.append(cores())
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_chunks(lambda _start, _stop: None, 8, 1, stop, threads=2)
+    assert [*seen, cores()] == [3, 3]
+
+
+def test_an_interrupt_while_threads_are_asked_leaves_no_work(monkeypatch):
+    """Oracle: nothing is done after it has reached the caller, whatever the threads had begun."""
+    offer, done = _Helpers.offer, []
+
+    def interrupted(self, chunks, helpers):
+        offer(self, chunks, helpers)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_Helpers, "offer", interrupted)
+    for _ in range(20):
+        with pytest.raises(KeyboardInterrupt):
+            run_chunks(lambda start, _stop: done.append(start), 10_000, 1, threads=2)
+        count = len(done)
+        run_chunks(lambda _start, _stop: None, 1, 1)
+        assert len(done) == count
+        done.clear()
+
+
+def test_a_system_without_threads_works_alone(monkeypatch):
+    def refused(self):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr("turnwright.progress._helpers", _Helpers())
+    monkeypatch.setattr(threading.Thread, "start", refused)
+    done = []
+    run_chunks(lambda start, _stop: done.append(start), 5, 1, threads=3)
+    assert done == [0, 1, 2, 3, 4]
+
+
+def test_a_process_does_not_wait_for_work_that_nobody_waits_for():
+    code = (
+        "import threading, time; from turnwright.progress import run_chunks\n"
+        "begun = threading.Barrier(3)\n"
+        "def work(a, b): begun.wait(); time.sleep(600)\n"
+        "threading.Thread(target=run_chunks, args=(work, 2, 1), kwargs={'threads': 2}, daemon=True).start()\n"
+        "begun.wait()"
+    )
+    subprocess.run([sys.executable, "-c", code], timeout=120, check=True)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
