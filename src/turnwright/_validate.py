@@ -147,7 +147,7 @@ def require_finite(values: NDArray[Any], name: str) -> None:
 def has_finite_sum(values: NDArray[Any]) -> bool:
     """Whether the sum of an array is finite, as it is only if all values are: a third of the time of a test of each."""
     with np.errstate(over="ignore", invalid="ignore"):
-        return bool(np.isfinite(values.sum()))
+        return bool(np.isfinite(np.asarray(values).sum()))
 
 
 def finite(value: object, name: str) -> float:

@@ -13,7 +13,6 @@ import math
 import re
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -250,36 +249,10 @@ def _plan(axes: Axes, image: Floats, border: Outline, **how: Any) -> Any:
     return drawn
 
 
-class _PartShape(NamedTuple):
-    """What figures of a part show."""
-
-    border: Outline
-    sag: Floats  # on a square around the part, nan outside. (n, n) [mm]
-    sweep: Floats  # contact angle on the tool nose, likewise. (n, n) [rad]
-    points: tuple[Floats, Floats, Floats]  # of the perspective view: x, y, z. Each (n, m) [mm]
-
-
-@lru_cache(maxsize=1)
-def _shape_of(part: Part) -> _PartShape:
-    x, y, on = _square(part.border)
-    x, y = x[on], y[on]
-    zx, zy = part.surface.gradient(x, y)
-    sweep = np.arctan((x * zx + y * zy) / np.maximum(np.hypot(x, y), 1e-12))
-    sag = _fill_image(part.surface.sag(x, y), on)
-    if part.leaves_air:
-        x_low, x_high, low, high = part.border.box
-        x, y = np.meshgrid(np.linspace(x_low, x_high, 121), np.linspace(low, high, 121))
-    else:
-        radius, angle = np.meshgrid(np.linspace(part.nearest, part.reach, 91), np.linspace(0, TURN, 181))
-        # The border of an annulus may be outside by rounding.
-        radius = radius * (1 - 1e-12)
-        x, y = radius * np.cos(angle), radius * np.sin(angle)
-    return _PartShape(part.border, sag, _fill_image(sweep, on), (x, y, part.heights(x, y)))
-
-
 def _show_sag(part: Part) -> tuple[Outline, Floats]:
-    shape = _shape_of(part)
-    return shape.border, shape.sag
+    """Return the border of a part, and the heights on a square around it, nan outside. (n, n) [mm]."""
+    x, y, on = _square(part.border)
+    return part.border, _fill_image(part.surface.sag(x[on], y[on]), on)
 
 
 def _draw_sag(shown: tuple[Outline, Floats]) -> Picture:
@@ -304,7 +277,16 @@ sag_map = Figure(_show_sag, _draw_sag)
 
 
 def _show_view(part: Part) -> tuple[Floats, Floats, Floats]:
-    return _shape_of(part).points
+    """Return points of the surface of a part: x, y, z. Each (n, m) [mm]."""
+    if part.leaves_air:
+        x_low, x_high, low, high = part.border.box
+        x, y = np.meshgrid(np.linspace(x_low, x_high, 121), np.linspace(low, high, 121))
+    else:
+        radius, angle = np.meshgrid(np.linspace(part.nearest, part.reach, 91), np.linspace(0, TURN, 181))
+        # The border of an annulus may be outside by rounding.
+        radius = radius * (1 - 1e-12)
+        x, y = radius * np.cos(angle), radius * np.sin(angle)
+    return x, y, part.heights(x, y)
 
 
 def _draw_view(shown: tuple[Floats, Floats, Floats]) -> Picture:
@@ -343,13 +325,16 @@ view = Figure(_show_view, _draw_view)
 
 class _AccessView(NamedTuple):
     border: Outline
-    sweep: Floats  # (n, n) [rad]
+    sweep: Floats  # contact angle on the tool nose, nan outside the part. (n, n) [rad]
     where: list[tuple[float, float] | None]
 
 
 def _show_access(part: Part, findings: Sequence[AccessFinding]) -> _AccessView:
-    shape = _shape_of(part)
-    return _AccessView(shape.border, shape.sweep, [one.where for one in findings])
+    x, y, on = _square(part.border)
+    x, y = x[on], y[on]
+    zx, zy = part.surface.gradient(x, y)
+    sweep = np.arctan((x * zx + y * zy) / np.maximum(np.hypot(x, y), 1e-12))
+    return _AccessView(part.border, _fill_image(sweep, on), [one.where for one in findings])
 
 
 def _draw_access(shown: _AccessView) -> Picture:
