@@ -17,7 +17,7 @@ _LOCK = threading.RLock()
 
 
 class Kernel:
-    """A function of plain arrays that numba compiles at its first call; other kernels may call it."""
+    """A function of plain arrays that numba compiles at its first call; other kernels may call it, but not itself."""
 
     def __init__(self, function: Callable[..., Any], fastmath: set[str], *, inline: bool = False) -> None:
         functools.update_wrapper(self, function)
