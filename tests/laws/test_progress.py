@@ -9,7 +9,7 @@ import pytest
 
 from turnwright.errors import LimitError
 from turnwright.part import Part
-from turnwright.progress import OverallProgress, Step, _Helpers, cores, require_memory, run_chunks
+from turnwright.progress import THREADS, OverallProgress, Step, _Helpers, cores, require_memory, run_chunks
 from turnwright.strategy import SlowToolServo
 from turnwright.surface import Plane
 from turnwright.tool import Tool
@@ -92,6 +92,7 @@ def test_work_within_a_chunk_has_one_core_and_needs_no_other_thread():
 
 def test_progress_has_all_cores_and_an_interrupt_leaves_them(monkeypatch):
     monkeypatch.setattr("turnwright.progress._count_cores", lambda: 3)
+    monkeypatch.delenv(THREADS, raising=False)
     seen = []
 
     def stop(_finished, _total):
