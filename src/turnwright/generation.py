@@ -198,15 +198,19 @@ class Prepared:
         require_device(device)
         return _prepare(_cut(motion, tool, machine), *distances, most_rings, device)
 
+    @property
+    def device(self) -> str:
+        """What computes the grids, "cpu" or "cuda"."""
+        return "cpu" if self.card is None else "cuda"
+
     def narrowed(self, distances: tuple[float, float], most_rings: int) -> Prepared:
         """Prepare what is prepared already for a smaller range of distances [mm], at a small part of the cost."""
-        return _prepare(self.cut, *distances, most_rings, "cpu" if self.card is None else "cuda")
+        return _prepare(self.cut, *distances, most_rings, self.device)
 
     def polar(self, radius: Floats, angle: Floats) -> HeightMap:
         """Return the heights over a polar grid at any distances from the axis, see `generate_polar`."""
         z = np.empty((angle.size, radius.size))
-        device = "cpu" if self.card is None else "cuda"
-        _fill_polar(self.cut, only_read(radius), only_read(angle), z, device)
+        _fill_polar(self.cut, radius, angle, z, self.device)
         return HeightMap(z=z, radius=radius, angle=angle, name="generated")
 
     def sides(self, steps: tuple[float, float]) -> tuple[int, int]:
@@ -450,6 +454,8 @@ def _fill_polar(
 
 
 def _envelopes(cut: _Cut, radius: Floats, angle: Floats, z: Floats, progress: Progress | None) -> None:
+    radius, angle = only_read(radius), only_read(angle)
+
     def work(start: int, stop: int) -> None:
         kernel.polar_block(
             cut.c, cut.x, cut.z, cut.sense, cut.starts, cut.bounds, cut.edge,

@@ -188,7 +188,8 @@ class _Chunks:
     """Chunks of work that several threads carry out."""
 
     def __init__(self, work: Callable[[int, int], object], spans: Sequence[tuple[int, int]]) -> None:
-        self.work, self.waiting, self.total, self.finished = work, iter(spans), spans[-1][1], 0
+        self.work, self.waiting, self.total = work, iter(spans), spans[-1][1]
+        self.finished = self.reported = 0
         self.changed, self.is_stopped = Condition(), False
         self.helpers = 0  # at work
         self.error: BaseException | None = None  # of one of them
@@ -201,8 +202,10 @@ class _Chunks:
             limited.run(self.work, *span)
             with self.changed:
                 self.finished += span[1] - span[0]
+                done = self.finished
             if progress is not None:
-                progress(self.finished, self.total)
+                self.reported = done
+                progress(done, self.total)
 
     def _take(self) -> tuple[int, int] | None:
         with self.changed:
@@ -258,17 +261,9 @@ def run_chunks(
                 progress(stop, total)
         return
     chunks = _Chunks(work, spans)
-    reported = 0
-
-    def report(done: int, of: int) -> None:
-        nonlocal reported
-        reported = done
-        if progress is not None:
-            progress(done, of)
-
     try:
         _helpers.offer(chunks, threads - 1)
-        chunks.carry_out(report)
+        chunks.carry_out(progress)
         chunks.wait()
     except BaseException:
         chunks.stop()
@@ -276,8 +271,8 @@ def run_chunks(
         raise
     if chunks.error is not None:
         raise chunks.error
-    if reported < total:
-        report(total, total)
+    if progress is not None and chunks.reported < total:
+        progress(total, total)
 
 
 def free_memory_gb(system: Path = Path("/")) -> float | None:

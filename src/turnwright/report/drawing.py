@@ -72,7 +72,7 @@ class _Apart:
 
 
 def _show(function: Callable[_P, Picture], *args: _P.args, **kwargs: _P.kwargs) -> Callable[[], Picture]:
-    """Return what is left to do in another process."""
+    """Find what a figure shows, and return the drawing of it for another process."""
     if isinstance(function, Figure):
         return partial(function.draw, function.show(*args, **kwargs))
     return partial(function, *args, **kwargs)

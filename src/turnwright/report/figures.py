@@ -225,10 +225,15 @@ def _frame(border: Outline) -> tuple[float, float, float, float]:
     return x - half, x + half, y - half, y + half
 
 
+def _sides(border: Outline) -> tuple[Floats, Floats]:
+    """Return the columns and rows of a square grid around an outline: x and y. Each (n,) [mm]."""
+    x_low, x_high, low, high = _frame(border)
+    return np.linspace(x_low, x_high, PIXELS), np.linspace(low, high, PIXELS)
+
+
 def _square(border: Outline) -> tuple[Floats, Floats, Bools]:
     """Return x, y and the mask of the part on a square grid around it. Each (n, n) [mm]."""
-    x_low, x_high, low, high = _frame(border)
-    x, y = np.meshgrid(np.linspace(x_low, x_high, PIXELS), np.linspace(low, high, PIXELS))
+    x, y = np.meshgrid(*_sides(border))
     return x, y, border.covers(x, y)
 
 
@@ -257,15 +262,15 @@ def _show_sag(part: Part) -> tuple[Outline, Floats]:
 
 def _draw_sag(shown: tuple[Outline, Floats]) -> Picture:
     border, sag = shown
-    x, y, _ = _square(border)
     factor, unit = _length(float(np.nanmax(sag) - np.nanmin(sag)))
     with _canvas() as canvas:
         axes = canvas.figure.add_subplot()
         image = _plan(axes, sag * factor, border, cmap=HEIGHTS)
         if np.nanmax(sag) > np.nanmin(sag):
-            few = (slice(None, None, 4),) * 2
+            few = slice(None, None, 4)
+            x, y = _sides(border)
             lines: dict[str, Any] = {"colors": "white", "linestyles": "solid", "linewidths": 0.5, "alpha": 0.55}
-            axes.contour(x[few], y[few], sag[few] * factor, levels=9, **lines)
+            axes.contour(x[few], y[few], sag[few, few] * factor, levels=9, **lines)
         _bar(canvas, axes, image, f"nominal height z [{unit}]")
     low, high = float(np.nanmin(sag)) * factor, float(np.nanmax(sag)) * factor
     extent = f"from {low:.4g} to {high:.4g} {unit}"

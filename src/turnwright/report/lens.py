@@ -13,10 +13,9 @@ from turnwright.report.figures import (
     _arrow,
     _bar,
     _Canvas,
-    _fill_image,
     _length,
     _plan,
-    _square,
+    _show_sag,
     _styled,
 )
 
@@ -49,8 +48,7 @@ def write_lens_picture(part: Part, surface: LensSurface, side: LensSide, path: s
         canvas = _Canvas(9.2, 4.4, 160)
         section, plan = canvas.figure.subplots(1, 2, width_ratios=(1, 1.25))
         _draw_section(section, part, surface, side)
-        x, y, on = _square(part.border)
-        sag = _fill_image(part.surface.sag(x[on], y[on]), on)
+        _, sag = _show_sag(part)
         factor, unit = _length(float(np.nanmax(sag) - np.nanmin(sag)))
         image = _plan(plan, sag * factor, part.border, cmap=HEIGHTS)
         x_low, x_high, y_low, y_high = part.border.box
