@@ -3,7 +3,8 @@
 import numpy as np
 
 from turnwright._kernels import jit
-from turnwright._kernels.edge import outline
+from turnwright._kernels.dilation import under_edge
+from turnwright._kernels.edge import outlines
 from turnwright._kernels.trig import sincos
 
 GOLDEN = 0.6180339887498949  # the golden ratio less 1: its multiples, without their whole parts, leave no large gap
@@ -20,9 +21,11 @@ def rates(
     if that is below ``near``: then ``tangent`` is set. Fill ``across`` (2, n) with the derivative of the contact point
     by the angle, ``along`` (2, n) and ``rise`` with those of the contact point and of the edge height by the sweep.
     """
+    place = np.empty((6, sweep.size))
+    outlines(edge, sweep, place)
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
-        _, _, du, dw, ddu, ddw = outline(edge, sweep[i])
+        du, dw, ddu, ddw = place[2, i], place[3, i], place[4, i], place[5, i]
         dx = du * cosine - edge.rake_sin * dw * sine
         dy = du * sine + edge.rake_sin * dw * cosine
         ddx = ddu * cosine - edge.rake_sin * ddw * sine
@@ -47,9 +50,11 @@ def normal_rates(edge, angle, x, y, sweep, fx, fy, fxx, fxy, fyy, outward, upwar
     The contact moves ``outward`` along the rake plane; ``upward`` is how the height of the tip above centre changes.
     The sweep follows so that the edge stays in the tangent plane; the tip follows the contact and the sweep.
     """
+    place = np.empty((6, sweep.size))
+    outlines(edge, sweep, place)
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
-        _, _, du, dw, ddu, ddw = outline(edge, sweep[i])
+        du, dw, ddu, ddw = place[2, i], place[3, i], place[4, i], place[5, i]
         # Derivatives of the contact by the angle at a fixed sweep, and by the sweep: rake moves it laterally.
         turned_x = outward[i] * cosine - upward[i] * sine - y[i]
         turned_y = outward[i] * sine + upward[i] * cosine + x[i]
@@ -82,22 +87,17 @@ def spread(edge, angle, radius, lateral, first, step, below, above, x, y, e):
     at its ends, as far as ``below`` and ``above`` reach. [rad]
     """
     low, high = edge.low, edge.high
+    sweep = np.empty(angle.size)
     for i in range(angle.size):
         at = (first + step * i) * GOLDEN
         at = 2.0 * (at - np.floor(at)) - 1.0
         if at < -0.5:
-            sweep = low - below * (2.0 * at + 1.0) ** 2
+            sweep[i] = low - below * (2.0 * at + 1.0) ** 2
         elif at > 0.5:
-            sweep = high + above * (2.0 * at - 1.0) ** 2
+            sweep[i] = high + above * (2.0 * at - 1.0) ** 2
         else:
-            sweep = 0.5 * (low + high) + (high - low) * at
-        sine, cosine = sincos(angle[i])
-        u, w, _, _, _, _ = outline(edge, sweep)
-        along = radius[i] + edge.dx + u
-        across = lateral[i] + edge.dy + edge.rake_sin * w
-        x[i] = along * cosine - across * sine
-        y[i] = along * sine + across * cosine
-        e[i] = edge.rake_cos * w + edge.dz
+            sweep[i] = 0.5 * (low + high) + (high - low) * at
+    under_edge(edge, angle, radius, lateral, sweep, x, y, e)
 
 
 @jit

@@ -3,7 +3,7 @@
 import numpy as np
 
 from turnwright._kernels import jit, jit_inline
-from turnwright._kernels.edge import height, outline, slope
+from turnwright._kernels.edge import height, outline, outlines, slope
 from turnwright._kernels.trig import sincos
 
 FULL, COARSE, OUTSIDE = -1, -2, -3  # return values of `candidates` without a result
@@ -19,9 +19,11 @@ def under_edge(edge, angle, radius, lateral, sweep, x, y, e):
 
     Fill ``e`` with its height above the commanded tip.
     """
+    place = np.empty((6, sweep.size))
+    outlines(edge, sweep, place)
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
-        u, w, _, _, _, _ = outline(edge, sweep[i])
+        u, w = place[0, i], place[1, i]
         along = radius[i] + edge.dx + u
         across = lateral[i] + edge.dy + edge.rake_sin * w
         x[i] = along * cosine - across * sine
@@ -38,9 +40,11 @@ def newton_step(edge, angle, sweep, f, fx, fy, fxx, fxy, fyy, value, first, top,
     the surface under the edge, per distance along it. [1/mm]
     A step of nan means that the parabola opens upward: no maximum is near.
     """
+    place = np.empty((6, sweep.size))
+    outlines(edge, sweep, place)
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
-        _, w, du, dw, ddu, ddw = outline(edge, sweep[i])
+        w, du, dw, ddu, ddw = place[1, i], place[2, i], place[3, i], place[4, i], place[5, i]
         dx = du * cosine - edge.rake_sin * dw * sine
         dy = du * sine + edge.rake_sin * dw * cosine
         ddx = ddu * cosine - edge.rake_sin * ddw * sine

@@ -66,20 +66,44 @@ def outline(edge, s):
     return arc(edge.radius, d, d1, d2, s)
 
 
+@jit_inline
+def is_circle(edge):
+    """Return whether the arc is one of a circle with the radius of the edge."""
+    return edge.coefficients.size == 1 and edge.coefficients[0, 0] == 0.0
+
+
+@jit
+def outlines(edge, sweep, out):
+    """Fill ``out`` (6, n) with what `outline` returns at each ``sweep``; for a circle in a loop that vectorises."""
+    low, high = edge.low, edge.high
+    if is_circle(edge):
+        for i in range(sweep.size):
+            s = sweep[i]
+            held = low if s < low else high if s > high else s
+            beyond = s - held
+            u, w, du, dw, ddu, ddw = arc(edge.radius, 0.0, 0.0, 0.0, held)
+            out[0, i], out[1, i], out[2, i], out[3, i] = u + beyond * du, w + beyond * dw, du, dw
+            out[4, i], out[5, i] = (ddu, ddw) if held == s else (0.0, 0.0)
+        return
+    for i in range(sweep.size):
+        out[0, i], out[1, i], out[2, i], out[3, i], out[4, i], out[5, i] = outline(edge, sweep[i])
+
+
 @jit
 def points(edge, sweep, out):
     """Fill ``out`` (3, n) with (u, v, e) from the commanded tip."""
+    place = np.empty((6, sweep.size))
+    outlines(edge, sweep, place)
     for i in range(sweep.size):
-        u, w, _, _, _, _ = outline(edge, sweep[i])
-        out[0, i] = edge.dx + u
-        out[1, i] = edge.dy + edge.rake_sin * w
-        out[2, i] = edge.dz + edge.rake_cos * w
+        out[0, i] = edge.dx + place[0, i]
+        out[1, i] = edge.dy + edge.rake_sin * place[1, i]
+        out[2, i] = edge.dz + edge.rake_cos * place[1, i]
 
 
 @jit
 def sweeps_at(edge, u, sweep):
     """Fill ``sweep`` with where the edge stands at the distances ``u`` from its nominal tip."""
-    circle = edge.coefficients.size == 1 and edge.coefficients[0, 0] == 0.0
+    circle = is_circle(edge)
     for i in range(u.size):
         if u[i] < edge.low_u or u[i] > edge.high_u:  # a flank is straight
             end = edge.low if u[i] < edge.low_u else edge.high
