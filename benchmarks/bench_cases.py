@@ -3,6 +3,7 @@
 Workers import this module, so it imports little.
 """
 
+import os
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -57,12 +58,18 @@ def dask(workers):
     from dask import config  # noqa: PLC0415 - of an extra
     from distributed import LocalCluster  # noqa: PLC0415
 
-    with (
-        config.set(RARELY),
-        LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as there,
-        cluster(there.scheduler_address) as executor,
-    ):
-        yield executor
+    before = dict(os.environ)
+    try:
+        with (
+            config.set(RARELY),
+            LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as there,
+            cluster(there.scheduler_address) as executor,
+        ):
+            yield executor
+    finally:
+        # Starting workers sets how memory is given back to the system, which would slow down the commands that follow.
+        os.environ.clear()
+        os.environ.update(before)
 
 
 def lens_cases(job, executors, cases, rounds):

@@ -165,21 +165,27 @@ def peak_gb():
     return None
 
 
+WATCH = """
+import resource, subprocess, sys, time
+start = time.perf_counter()
+failed = subprocess.call(sys.argv[1:], stdout=subprocess.DEVNULL)
+print(time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6)
+sys.exit(failed)
+"""
+"""Prints the seconds of a command and the peak of its memory [GB]: a new process counts that of the one it is forked
+from too, so a small one starts it."""
+
+
 def commanded(*arguments, times=3):
     """Seconds of a command, several times after one run to warm up, with the peak of its memory."""
     taken = Times()
+    command = [sys.executable, "-S", "-c", WATCH, str(Path(sys.executable).with_name("turnwright")), *arguments]
     for turn in range(times + 1):
-        start = perf_counter()
-        process = subprocess.Popen(
-            [Path(sys.executable).with_name("turnwright"), *arguments], stdout=subprocess.DEVNULL
-        )
-        _, status, used = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        if process.returncode:
-            raise subprocess.CalledProcessError(process.returncode, arguments)
+        said = subprocess.run(command, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True).stdout
+        spent, peak = (float(one) for one in said.split())
         if turn:
-            taken.append(perf_counter() - start)
-            taken.peak_gb = max(taken.peak_gb or 0.0, used.ru_maxrss / 1e6)
+            taken.append(spent)
+            taken.peak_gb = max(taken.peak_gb or 0.0, peak)
     return taken
 
 
