@@ -186,6 +186,7 @@ class Prepared:
     rings: Floats
     useful: Ints
     core: Bools
+    ceilings: Floats  # that the surface is below on each ring, for an edge out of the plane through the axis [mm]
     most_y: float
     card: Any = None  # the `Card` that computes the grids, if the processors do not
 
@@ -262,7 +263,7 @@ class Prepared:
         cut = self.cut
         return (
             cut.c, cut.x, None if cut.upright else cut.y, cut.z, cut.sense, cut.starts, cut.bounds, self.blocks,
-            self.rings, self.useful, self.core, cut.edge, cut.gap, cut.bend, self.most_y,
+            self.rings, self.useful, self.core, self.ceilings, cut.edge, cut.gap, cut.bend, self.most_y,
         )  # fmt: skip
 
 
@@ -282,6 +283,7 @@ def _prepare(cut: _Cut, low: float, high: float, most_rings: int, device: str = 
     count = int(np.clip(2 * (high - low) / max(cut.feed, 1e-9), 1, max(min(most, most_rings), 1)))
     rings = np.linspace(low, high, count + 1)
     useful, core = np.empty((count, 2, 2), dtype=np.int64), np.zeros(count, dtype=np.bool_)
+    ceilings = np.full(count, kernel.FAR)
     most_y = float(np.abs(cut.y).max(initial=0.0))
     blocks = np.empty((5, 0 if cut.upright else -(-(cut.c.size - 1) // kernel.BLOCK)))
     if not cut.upright:
@@ -289,8 +291,8 @@ def _prepare(cut: _Cut, low: float, high: float, most_rings: int, device: str = 
     if cut.upright and cut.edge.convex:
         kernel.useful_by_ring(cut.bounds, cut.edge, rings, useful)
     else:
-        kernel.useful_lateral(cut.bounds, cut.edge, cut.gap, cut.bend, most_y, rings, useful, core)
-    ready = Prepared(cut, blocks, rings, useful, core, most_y)
+        kernel.useful_lateral(cut.bounds, cut.edge, cut.gap, cut.bend, most_y, rings, useful, core, ceilings)
+    ready = Prepared(cut, blocks, rings, useful, core, ceilings, most_y)
     return ready if device == "cpu" else replace(ready, card=_on_card(ready))
 
 

@@ -63,7 +63,7 @@ def surround(columns, rows, polar, sense, r, azimuth):
 @jit
 def list_passes(motion, y, grid, lists):
     """List the passes that can be lowest in each tile of a group, one thread a group; see `Card`."""
-    c, x, _, z, sense, starts, _, _, rings, useful, core, edge, _, bend, _ = motion
+    c, x, _, z, sense, starts, _, _, rings, useful, core, _, edge, _, bend, _ = motion
     columns, rows, polar, down, across, groups = grid
     numbers, shifts, work, tilts, chosen, counts, middles = lists
     g = cuda.grid(1)
@@ -107,7 +107,7 @@ def list_passes(motion, y, grid, lists):
 @jit
 def lower_point(motion, y, grid, lists, on_axis, first_row, out):
     """Compute the height of one point of a group, one thread a point; see `Card`."""
-    c, x, _, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y = motion
+    c, x, _, z, sense, starts, bounds, blocks, rings, useful, core, ceilings, edge, gap, bend, most_y = motion
     columns, rows, polar, down, across, groups = grid
     numbers, shifts, _, _, _, counts, middles = lists
     thread = cuda.grid(1)
@@ -132,8 +132,8 @@ def lower_point(motion, y, grid, lists, on_axis, first_row, out):
         else:
             pieces, line = cuda.local.array((64, 2), np.float64), cuda.local.array(6, np.float64)
             lowest = height_alone(
-                c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, r, azimuth,
-                pieces, line,
+                c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, ceilings, edge, gap, bend, most_y, r,
+                azimuth, pieces, line,
             )  # fmt: skip
     else:
         # On the branch of the tile.

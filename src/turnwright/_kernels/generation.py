@@ -518,26 +518,29 @@ def misses(blocks, k, edge, gap, lean, dip, sense, r, phase, half, spread, ceili
     sine, cosine = sincos(phase)
     along = r * half * (abs(sine) + 0.5 * half) + spread
     across = r * half * (abs(cosine) + 0.5 * half) + spread
-    low, high = r * cosine - along - blocks[1, k], r * cosine + along - blocks[0, k]
     rise = (ceiling - blocks[4, k] - edge.dz) / edge.rake_cos
+    across += 0.5 * (blocks[3, k] - blocks[2, k]) + ROUNDING * (1.0 + r)
+    aside = abs(-sense * r * sine - edge.dy - 0.5 * (blocks[2, k] + blocks[3, k])) - across
+    if aside > lean * max(rise, dip):  # most blocks, so it comes first
+        return True
+    low, high = r * cosine - along - blocks[1, k], r * cosine + along - blocks[0, k]
     if least_between(edge, gap, low, high) > rise:
         return True
     rise = min(rise, max(height(edge, low), height(edge, high)) + gap)
-    across += 0.5 * (blocks[3, k] - blocks[2, k]) + lean * max(rise, dip) + ROUNDING * (1.0 + r)
-    return abs(-sense * r * sine - edge.dy - 0.5 * (blocks[2, k] + blocks[3, k])) > across
+    return aside > lean * max(rise, dip)
 
 
 @jit
 def core_height(
-    c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r, azimuth, useful, pieces, line,
+    c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r, azimuth, useful, ceiling, pieces, line,
 ):  # fmt: skip
     """Return the height at one point that a turn may pass over at any number of moments.
 
     Such a point is close to the axis, or Y moves about as fast as the part. From either side the edge can pass over the
     point only while the lateral distance of the point from the plane through the axis is at most that of the edge:
     within a quarter turn, or much less. Each such stretch of each turn of ``useful`` (2, 2), see `useful_lateral`, is
-    searched block by block (see `block_bounds`) and line by line, those likely to be lowest first. ``pieces`` (64, 2)
-    and ``line`` (6,) are scratch.
+    searched block by block (see `block_bounds`) and line by line, those likely to be lowest first. The height is not
+    above ``ceiling``, so passes that are need not be found. ``pieces`` (64, 2) and ``line`` (6,) are scratch.
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
     turns, lines = bounds.shape[1], c.size - 1
@@ -547,6 +550,7 @@ def core_height(
     if edge.rake_sin * edge.dy >= 0.0 and r + 64.0 * EPSILON * size < abs(edge.dy) - lean * dip - most_y:
         return FAR  # the lateral distance of the edge from the axis is always larger
     lowest = FAR
+    level = min(ceiling + ROUNDING, FAR)  # a pass above it does not matter
     for which in range(2):
         side = -1.0 if which == 1 else 1.0
         first, last = useful[which, 0], useful[which, 1]
@@ -566,14 +570,14 @@ def core_height(
             after = min(max(int((t + 0.5 * np.pi - begin) / TURN), 0), turns - 1)
             bottom = min(bounds[2, before], bounds[2, after]) + edge.dz
             low, high = min(bounds[0, before], bounds[0, after]), max(bounds[1, before], bounds[1, after])
-            lateral = off + lean * max((lowest - bottom) / edge.rake_cos, dip)
+            lateral = off + lean * max((level - bottom) / edge.rake_cos, dip)
             share = min(lateral / r * (1.0 + 1e-12), 1.0) if r > 0.0 else 1.0
             wide, inner = np.arcsin(share) + ROUNDING, r * np.sqrt(1.0 - share * share)
             if which == 0:
                 least = least_between(edge, gap, inner - high, r - low)
             else:
                 least = least_between(edge, gap, -r - high, -inner - low)
-            if bottom + edge.rake_cos * least > lowest or t - wide > end + ROUNDING or t + wide < begin - ROUNDING:
+            if bottom + edge.rake_cos * least > level or t - wide > end + ROUNDING or t + wide < begin - ROUNDING:
                 continue
             base = t - behind
             at = min(max(t - wide, begin), end)
@@ -584,7 +588,7 @@ def core_height(
                 block += 1
                 phase = sense * c[i] - base
                 half = 0.5 * (sense * c[stop] - base - phase)
-                if misses(blocks, k, edge, gap, lean, dip, sense, r, phase + half, half + ROUNDING, 0.0, lowest):
+                if misses(blocks, k, edge, gap, lean, dip, sense, r, phase + half, half + ROUNDING, 0.0, level):
                     continue
                 for j in range(i, stop):
                     following = sense * c[j + 1] - base
@@ -596,10 +600,12 @@ def core_height(
                         (z[j + 1] - z[j]) / length,
                     )
                     line[1], line[4] = (y[j], (y[j + 1] - y[j]) / length) if y.size > 0 else (0.0, 0.0)
-                    lowest = lowest_on_line(
+                    h = lowest_on_line(
                         line, edge, bend, sense, r, phase, -ROUNDING if j == 0 else 0.0,
-                        length + ROUNDING if j == lines - 1 else length, pieces, lowest,
+                        length + ROUNDING if j == lines - 1 else length, pieces, level,
                     )  # fmt: skip
+                    if h < level:
+                        lowest, level = h, h
                     phase = following
     return lowest
 
@@ -680,13 +686,14 @@ def nearest_use(begin, end, which, lateral, low, high):
 
 
 @jit
-def useful_lateral(bounds, edge, gap, bend, most_y, rings, out, core):
+def useful_lateral(bounds, edge, gap, bend, most_y, rings, out, core, ceilings):
     """Fill ``out`` like `useful_by_ring`, for any edge; mark in ``core`` the rings that need `core_height`.
 
-    Some pass is over every point of the ring, which gives a ceiling to the surface. A pass under the ceiling has its
-    edge at most W above the tip, so at most the lateral distance A, and is between sqrt(r^2 - A^2) and r from the axis
-    in its own plane. There the lateral distance of the edge changes by a fraction of that of the point. Where the
-    fraction is at most a half, up to 2 A, a fixed-point iteration finds the pass, and it is the only one of its side.
+    Some pass is over every point of the ring, which gives a ceiling to the surface, kept in ``ceilings``. A pass under
+    the ceiling has its edge at most W above the tip, so at most the lateral distance A, and is between sqrt(r^2 - A^2)
+    and r from the axis in its own plane. There the lateral distance of the edge changes by a fraction of that of the
+    point. Where the fraction is at most a half, up to 2 A, a fixed-point iteration finds the pass, and it is the only
+    one of its side.
     ``gap`` is the largest drop of the edge on its way out from the tip, ``bend`` the largest decrease of its slope.
     """
     turns = bounds.shape[1]
@@ -735,6 +742,7 @@ def useful_lateral(bounds, edge, gap, bend, most_y, rings, out, core):
                     if off + lean * max(most, dip) <= lateral and tops[m] + edge.dz + edge.rake_cos * most < ceiling:
                         ceiling = tops[m] + edge.dz + edge.rake_cos * most
                         nearest = k
+        ceilings[ring] = ceiling
         most = 0.0
         for which in range(2):
             side = -1.0 if which == 1 else 1.0
@@ -823,7 +831,8 @@ def gather(c, sense, starts, rings, useful, upright, low, high, middle, half, si
 
 @jit
 def height_alone(
-    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, r, azimuth, pieces, line,
+    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, ceilings, edge, gap, bend, most_y, r, azimuth,
+    pieces, line,
 ):  # fmt: skip
     """Return the height at one point off the axis, by all passes that may matter there.
 
@@ -833,8 +842,8 @@ def height_alone(
         ring, _ = rings_between(rings, r, r)
         if core[ring]:
             return core_height(
-                c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r, azimuth, useful[ring], pieces,
-                line,
+                c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r, azimuth, useful[ring],
+                ceilings[ring], pieces, line,
             )  # fmt: skip
     lowest = FAR
     for which in range(2):
@@ -1235,8 +1244,8 @@ def lines_near(
 
 @jit
 def fill_by_lines(
-    c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, rings, useful, r, azimuth, tiles, work,
-    lines, floor, out,
+    c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, rings, useful, ceilings, r, azimuth, tiles,
+    work, lines, floor, out,
 ):  # fmt: skip
     """Fill ``out`` at the points (r, azimuth) of some tiles, of which tile k holds tiles[k] to tiles[k + 1].
 
@@ -1259,9 +1268,10 @@ def fill_by_lines(
     if spread < 0.25 * rc:
         lowest, highest = FAR, -FAR
         for k in (0, r.size - 1):
+            ring, _ = rings_between(rings, r[k], r[k])
             h = core_height(
                 c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r[k], azimuth[k], range_of,
-                pieces, scratch,
+                ceilings[ring], pieces, scratch,
             )  # fmt: skip
             lowest, highest = min(lowest, h), max(highest, h)
         if highest < FAR:
@@ -1302,14 +1312,14 @@ def fill_by_lines(
                 ring, _ = rings_between(rings, r[i], r[i])
                 lowest = core_height(
                     c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r[i], azimuth[i], useful[ring],
-                    pieces, scratch,
+                    ceilings[ring], pieces, scratch,
                 )  # fmt: skip
             out[i] = lowest
 
 
 @jit
 def fill_groups(
-    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, r, azimuth,
+    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, ceilings, edge, gap, bend, most_y, r, azimuth,
     offsets, groups, shared, out,
 ):  # fmt: skip
     """Fill ``out`` at the points (r, azimuth) of some groups, azimuths along the motion.
@@ -1361,9 +1371,9 @@ def fill_groups(
         if y is not None:  # noqa: SIM102 - alone, so that numba leaves out what follows
             if close and not together:
                 fill_by_lines(
-                    c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, rings, useful, r[origin:end],
-                    azimuth[origin:end], offsets[groups[g] : groups[g + 1] + 1] - (origin + first_point), floors,
-                    lines, floor, out[origin:end],
+                    c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, rings, useful, ceilings,
+                    r[origin:end], azimuth[origin:end], offsets[groups[g] : groups[g + 1] + 1] - (origin + first_point),
+                    floors, lines, floor, out[origin:end],
                 )  # fmt: skip
                 continue
         if not together:
@@ -1373,8 +1383,8 @@ def fill_groups(
                         out[i] = axis_height(x, z, starts, bounds, edge, gap)
                         continue
                 out[i] = height_alone(
-                    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, r[i],
-                    azimuth[i], pieces, line,
+                    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, ceilings, edge, gap, bend, most_y,
+                    r[i], azimuth[i], pieces, line,
                 )  # fmt: skip
             continue
         n, source = in_block, 1
@@ -1411,7 +1421,7 @@ def fill_groups(
 
 @jit
 def scattered(
-    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, px, py,
+    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, ceilings, edge, gap, bend, most_y, px, py,
     offsets, groups, shared, start, stop, out,
 ):  # fmt: skip
     """Fill ``out`` at the points (px, py) of groups ``start`` to ``stop``, each alone, see `fill_groups`."""
@@ -1421,7 +1431,7 @@ def scattered(
         r[i - first] = np.sqrt(px[i] * px[i] + py[i] * py[i])
         azimuth[i - first] = sense * np.arctan2(py[i], px[i])
     fill_groups(
-        c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, r, azimuth,
+        c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, ceilings, edge, gap, bend, most_y, r, azimuth,
         offsets, groups[start : stop + 1], shared, out[first:last],
     )  # fmt: skip
 
@@ -1465,8 +1475,8 @@ def polar_tile(columns, rows, polar, sense, r, azimuth):
 
 @jit
 def grid(
-    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, columns, rows, polar,
-    sides, wanted, several, shared, start, stop, out,
+    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, ceilings, edge, gap, bend, most_y, columns, rows,
+    polar, sides, wanted, several, shared, start, stop, out,
 ):  # fmt: skip
     """Fill ``out`` (rows, columns) block by block from ``start`` to ``stop``, blocks counted row by row.
 
@@ -1502,8 +1512,8 @@ def grid(
             continue
         points = offsets[tile]
         fill_groups(
-            c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, r[:points],
-            azimuth[:points], offsets, groups[: number + 1], shared, heights_of[:points],
+            c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, ceilings, edge, gap, bend, most_y,
+            r[:points], azimuth[:points], offsets, groups[: number + 1], shared, heights_of[:points],
         )  # fmt: skip
         for k in range(tile):
             j, i = corner[k]
