@@ -395,11 +395,15 @@ def candidates(
             near = max(low, distance_at_slope(edge, falling / edge.rake_cos, low, high) - 2.0 * step)
             far = min(high, distance_at_slope(edge, steepest / edge.rake_cos, low, high) + 2.0 * step)
         curve = greatest_rise(edge, max(near, edge.low_u), min(far, edge.high_u), step)
+        has_end = False
+        for b in range(first_break, last_break):
+            has_end |= min(break_height[0, b], break_height[1, b]) == -np.inf
+        after = first_break  # the first break that is not before the window; tips that follow each other share most
         for k in range(offsets[row], offsets[row + 1]):
             p = position[k]
             # An end of the domain is touched whatever its slope.
             left_end, right_end = p + near, p + far
-            for b in range(first_break, last_break):
+            for b in range(first_break, last_break if has_end else first_break):
                 if p + low <= break_at[b] <= p + high and min(break_height[0, b], break_height[1, b]) == -np.inf:
                     left_end, right_end = min(left_end, break_at[b]), max(right_end, break_at[b])
             # Outward to the next sample, so that the window is covered.
@@ -414,12 +418,15 @@ def candidates(
                 return OUTSIDE - k
             direct[k], ended[k], narrow[k] = -np.inf, False, False
             top = greatest
+            while after > first_break and break_after[after - 1] >= begin:
+                after -= 1
+            while after < last_break and break_after[after] < begin:
+                after += 1
             first, last = -1, -1
-            for b in range(first_break, last_break):
-                if break_after[b] < begin or break_after[b] >= end:
-                    continue
-                first = b if first < 0 else first
-                last = b
+            for b in range(after, last_break):
+                if break_after[b] >= end:
+                    break
+                first, last = after, b
                 e = edge.rake_cos * height(edge, break_at[b] - p)
                 top = max(top, max(break_height[0, b], break_height[1, b]) - e)
             if summit - above > top or (top == greatest and (where == begin or where == end)):
