@@ -26,9 +26,9 @@ ARRAYS = {
 @pytest.mark.parametrize("name", ARRAYS)
 def test_the_nearest_centre_decides_by_brute_force(name):
     array = ARRAYS[name]
-    # Some points close to the centres, some over the array, some far away.
+    # Some points close to the centres, some over the array, some far away; and a walk, close to the one before.
     scale = RNG.choice([0.02, 4.0, 100.0], 3000)
-    x, y = RNG.uniform(-1, 1, (2, 3000)) * scale
+    x, y = np.hstack([RNG.uniform(-1, 1, (2, 3000)) * scale, RNG.normal(size=(2, 3000)).cumsum(axis=1) * 0.07])
     distance = np.hypot(x[:, None] - array.centres[:, 0], y[:, None] - array.centres[:, 1])
     piece = array.piece(x, y)
     chosen = distance[np.arange(x.size), piece]

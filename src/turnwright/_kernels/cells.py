@@ -6,16 +6,23 @@ from turnwright._kernels import jit
 
 
 @jit
-def nearest(x, y, centres, corner, step, counts, first, candidates, index, u, v):
+def nearest(x, y, centres, near, corner, step, counts, first, candidates, index, u, v):
     """Fill ``index`` (n,) with the centre nearest to each point, the lowest of several, and ``u, v`` from there.
 
     Beyond the bins the index is -1.
 
-    Bins are squares of ``step`` from ``corner``, ``counts`` of them along x and y, row after row. The candidates of
-    bin b, ascending, are ``candidates[first[b]:first[b + 1]]``.
+    Points that follow each other mostly have the same centre: it is that of any point within ``near``, below half the
+    distance of the closest two. Bins are squares of ``step`` from ``corner``, ``counts`` of them along x and y, row
+    after row. The candidates of bin b, ascending, are ``candidates[first[b]:first[b + 1]]``.
     """
     columns, rows = counts
+    nearest, square_near = 0, near * near
     for i in range(x.size):
+        near_u = x[i] - centres[nearest, 0]
+        near_v = y[i] - centres[nearest, 1]
+        if near_u * near_u + near_v * near_v < square_near:
+            index[i], u[i], v[i] = nearest, near_u, near_v
+            continue
         across = (x[i] - corner[0]) / step
         along = (y[i] - corner[1]) / step
         if not (across >= 0.0 and along >= 0.0 and across < columns and along < rows):

@@ -29,6 +29,9 @@ __all__ = ["LensArray"]
 MAX_LENSES = 1_000_000
 """Lenses of an array; more come from a wrong unit."""
 
+NEAR = 0.499
+"""Share of the smallest distance of two centres within which there is no nearer one, whatever rounds."""
+
 
 class _Bins(NamedTuple):
     """Square bins of the plane, each with the centres that may be nearest to its points. See `_kernels.cells`."""
@@ -388,7 +391,7 @@ class LensArray(Surface):
         """Return the piece of each point, and its position relative to the nearest centre. Each (n,)."""
         x, y = x.ravel(), y.ravel()
         index, u, v = np.empty(x.size, dtype=np.int64), np.empty(x.size), np.empty(x.size)
-        nearest(x, y, self.centres, *self._bins, index, u, v)
+        nearest(x, y, self.centres, NEAR * self._spacing, *self._bins, index, u, v)
         beyond = np.flatnonzero(index < 0)
         if beyond.size:
             points = np.stack([x[beyond], y[beyond]], axis=-1)
