@@ -50,7 +50,9 @@ def read(path: Path, data: bytes) -> HeightMap:
     if is_rotated:
         metadata["placement"] = f"rotation {rotation.tolist()}, offset {offset.tolist()} mm, not applied"
         offset = np.zeros(3)
-    heights = layer.z * 1e3 + offset[2]
+    heights = layer.z * 1e3
+    if offset[2] != 0:
+        heights += offset[2]
     if not layer.is_regular_grid:
         points = layer.points(coordinate_system=x3pio.CoordinateSystem.VIEW).reshape(-1, 3) * 1e3 + offset
         measured = np.isfinite(points).all(axis=1)
