@@ -181,8 +181,10 @@ def commanded(*arguments, times=3):
     taken = Times()
     command = [sys.executable, "-S", "-c", WATCH, str(Path(sys.executable).with_name("turnwright")), *arguments]
     for turn in range(times + 1):
-        said = subprocess.run(command, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True).stdout
-        spent, peak = (float(one) for one in said.split())
+        done = subprocess.run(command, check=False, capture_output=True, text=True)
+        if done.returncode:
+            raise SystemExit(f"turnwright {' '.join(arguments)} failed:\n{done.stderr}")
+        spent, peak = (float(one) for one in done.stdout.split())
         if turn:
             taken.append(spent)
             taken.peak_gb = max(taken.peak_gb or 0.0, peak)

@@ -36,6 +36,14 @@ def test_the_nearest_centre_decides_by_brute_force(name):
     np.testing.assert_allclose(array.sag(x, y), chosen**2 / 20, rtol=1e-14)
 
 
+@pytest.mark.parametrize("far", [np.inf, -np.inf, 1e200])
+def test_a_point_that_no_distance_reaches_is_over_some_lens(far):
+    x, y = np.array([far]), np.array([0.0])
+    assert ARRAYS["row"].piece(x, y)[0] in range(9)
+    with pytest.raises(DomainError, match="not defined at x = "):
+        ARRAYS["row"].sag(x, y)
+
+
 @pytest.mark.parametrize("name", ["square", "hexagonal"])
 def test_on_a_border_the_first_of_the_nearest_has_the_point(name):
     array = ARRAYS[name]

@@ -16,12 +16,12 @@ def nearest(x, y, centres, near, corner, step, counts, first, candidates, index,
     after row. The candidates of bin b, ascending, are ``candidates[first[b]:first[b + 1]]``.
     """
     columns, rows = counts
-    nearest, square_near = 0, near * near
+    centre, square_near = 0, near * near
     for i in range(x.size):
-        near_u = x[i] - centres[nearest, 0]
-        near_v = y[i] - centres[nearest, 1]
+        near_u = x[i] - centres[centre, 0]
+        near_v = y[i] - centres[centre, 1]
         if near_u * near_u + near_v * near_v < square_near:
-            index[i], u[i], v[i] = nearest, near_u, near_v
+            index[i], u[i], v[i] = centre, near_u, near_v
             continue
         across = (x[i] - corner[0]) / step
         along = (y[i] - corner[1]) / step
@@ -29,9 +29,9 @@ def nearest(x, y, centres, near, corner, step, counts, first, candidates, index,
             index[i] = -1
             continue
         b = np.int64(along) * columns + np.int64(across)
-        nearest = candidates[first[b]]
-        near_u = x[i] - centres[nearest, 0]
-        near_v = y[i] - centres[nearest, 1]
+        centre = candidates[first[b]]
+        near_u = x[i] - centres[centre, 0]
+        near_v = y[i] - centres[centre, 1]
         best = near_u * near_u + near_v * near_v
         for j in range(first[b] + 1, first[b + 1]):
             other_u = x[i] - centres[candidates[j], 0]
@@ -39,9 +39,9 @@ def nearest(x, y, centres, near, corner, step, counts, first, candidates, index,
             square = other_u * other_u + other_v * other_v
             if square < best:
                 best = square
-                nearest = candidates[j]
+                centre = candidates[j]
                 near_u = other_u
                 near_v = other_v
-        index[i] = nearest
+        index[i] = centre
         u[i] = near_u
         v[i] = near_v

@@ -520,14 +520,14 @@ def misses(blocks, k, edge, gap, lean, dip, sense, r, phase, half, spread, ceili
     across = r * half * (abs(cosine) + 0.5 * half) + spread
     rise = (ceiling - blocks[4, k] - edge.dz) / edge.rake_cos
     across += 0.5 * (blocks[3, k] - blocks[2, k]) + ROUNDING * (1.0 + r)
-    aside = abs(-sense * r * sine - edge.dy - 0.5 * (blocks[2, k] + blocks[3, k])) - across
-    if aside > lean * max(rise, dip):  # most blocks, so it comes first
+    excess = abs(-sense * r * sine - edge.dy - 0.5 * (blocks[2, k] + blocks[3, k])) - across
+    if excess > lean * max(rise, dip):  # most blocks, so it comes first
         return True
     low, high = r * cosine - along - blocks[1, k], r * cosine + along - blocks[0, k]
     if least_between(edge, gap, low, high) > rise:
         return True
     rise = min(rise, max(height(edge, low), height(edge, high)) + gap)
-    return aside > lean * max(rise, dip)
+    return excess > lean * max(rise, dip)
 
 
 @jit
@@ -550,7 +550,7 @@ def core_height(
     if edge.rake_sin * edge.dy >= 0.0 and r + 64.0 * EPSILON * size < abs(edge.dy) - lean * dip - most_y:
         return FAR  # the lateral distance of the edge from the axis is always larger
     lowest = FAR
-    level = min(ceiling + ROUNDING, FAR)  # a pass above it does not matter
+    level = min(ceiling + ROUNDING * (1.0 + abs(ceiling)), FAR)  # a pass above it does not matter
     for which in range(2):
         side = -1.0 if which == 1 else 1.0
         first, last = useful[which, 0], useful[which, 1]

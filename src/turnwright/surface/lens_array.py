@@ -29,6 +29,9 @@ __all__ = ["LensArray"]
 MAX_LENSES = 1_000_000
 """Lenses of an array; more come from a wrong unit."""
 
+FARTHEST_MM = 1e100
+"""Distance beyond which the nearest lens is looked for as if the point were there."""
+
 NEAR = 0.499
 """Share of the smallest distance of two centres within which there is no nearer one, whatever rounds."""
 
@@ -395,8 +398,8 @@ class LensArray(Surface):
         beyond = np.flatnonzero(index < 0)
         if beyond.size:
             points = np.stack([x[beyond], y[beyond]], axis=-1)
-            # A point that is not finite keeps its nan in u and v.
-            centre = self._tree.query(np.nan_to_num(points))[1]
+            # A point that is not finite, or too far away to be squared, keeps what it is in u and v.
+            centre = self._tree.query(np.clip(np.nan_to_num(points), -FARTHEST_MM, FARTHEST_MM))[1]
             index[beyond] = centre
             u[beyond], v[beyond] = (points - self.centres[centre]).T
         if self.aperture is not None:
