@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from turnwright._arrays import STEP_TOL, Bools, Floats, is_even
+from turnwright._arrays import STEP_TOL, Bools, Floats, is_even, row_blocks
 from turnwright.errors import InputError
+from turnwright.progress import run_chunks
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
+
+T = TypeVar("T")
 
 
 class Grid(NamedTuple):
@@ -28,6 +32,18 @@ class Grid(NamedTuple):
     row_width: Floats
     column_step_area: Floats  # the same between neighbouring columns
     row_step: Floats
+
+
+def by_row_blocks(work: Callable[[slice], T], shape: tuple[int, ...]) -> list[T]:
+    """Return the results of ``work`` for blocks of the rows of an array, in order, computed on all cores."""
+    blocks, results = tuple(row_blocks(shape)), dict[int, T]()
+
+    def carry_out(start: int, stop: int) -> None:
+        for k in range(start, stop):
+            results[k] = work(blocks[k])
+
+    run_chunks(carry_out, len(blocks), 1)
+    return [results[k] for k in range(len(blocks))]
 
 
 def measure(heights: HeightMap) -> Grid:

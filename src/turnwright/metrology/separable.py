@@ -8,14 +8,14 @@ side those of the heights: products of blocks of rows with narrow matrices, for 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
 
 from turnwright._arrays import Bools, Floats, Ints, row_blocks
-from turnwright.metrology.grid import Grid
+from turnwright.metrology.grid import Grid, by_row_blocks
 
 MAX_STEPS = 20
 
@@ -62,9 +62,12 @@ def subtract_polynomial(z: Floats, valid: Bools, grid: Grid, degree: int, *, pol
         last = size
         if size <= CONVERGENCE_TOL * np.abs(total).max():
             break
-    remainder = np.empty_like(z)
-    for rows, block in _residuals(basis, z, missing, total, fill=np.nan):
-        remainder[rows] = block
+    remainder, residuals = np.empty_like(z), _residuals(basis, z, missing, total, fill=np.nan)
+
+    def fill(rows: slice) -> None:
+        remainder[rows] = residuals(rows)
+
+    by_row_blocks(fill, z.shape)
     return remainder
 
 
@@ -89,26 +92,28 @@ def _normal(basis: Basis, grid: Grid, valid: Bools) -> Floats:
 
 def _residuals(
     basis: Basis, z: Floats, missing: Bools | None, total: Floats, *, fill: float
-) -> Iterator[tuple[slice, Floats]]:
-    """Yield blocks of rows and their heights minus the polynomial, with ``fill`` for missing points."""
+) -> Callable[[slice], Floats]:
+    """Return a function for the heights of some rows minus the polynomial, with ``fill`` for missing points."""
     p, q = basis.terms
     table = np.zeros((basis.rows.shape[1], basis.columns.shape[1]))
     table[q, p] = total
     columns, subtracts = np.ascontiguousarray(basis.columns.T), total.any()
-    for rows in row_blocks(z.shape):
+
+    def residuals(rows: slice) -> Floats:
         block = z[rows] - (basis.rows[rows] @ table) @ columns if subtracts else z[rows]
-        yield rows, block if missing is None else np.where(missing[rows], fill, block)
+        return block if missing is None else np.where(missing[rows], fill, block)
+
+    return residuals
 
 
 def _right_side(basis: Basis, grid: Grid, z: Floats, missing: Bools | None, total: Floats) -> Floats:
     """Return the right-hand side of the next iteration. (k,)."""
     weighted = basis.columns * grid.column_area[:, None]
     across = basis.rows * grid.row_width[:, None]
-    sums = np.zeros((across.shape[1], weighted.shape[1]))
-    for rows, block in _residuals(basis, z, missing, total, fill=0.0):
-        sums += across[rows].T @ (block @ weighted)
+    residuals = _residuals(basis, z, missing, total, fill=0.0)
+    parts = by_row_blocks(lambda rows: across[rows].T @ (residuals(rows) @ weighted), z.shape)
     p, q = basis.terms
-    return np.asarray(sums[q, p])
+    return np.asarray(np.sum(parts, axis=0)[q, p])
 
 
 def _unit(axis: Floats, used: Bools) -> Floats:

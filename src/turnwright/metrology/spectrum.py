@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, frozen, row_blocks
+from turnwright._arrays import Bools, Floats, frozen
 from turnwright._kernels.rectangle import largest_rectangle
 from turnwright._validate import one_of
 from turnwright.errors import InputError
 from turnwright.metrology.form import Form, remove_form
-from turnwright.metrology.grid import even_rectangle, even_step, measure, valid_points
+from turnwright.metrology.grid import by_row_blocks, even_rectangle, even_step, measure, valid_points
 from turnwright.metrology.profile import without_form
 from turnwright.profile import Profile
 from turnwright.progress import cores
@@ -281,22 +281,23 @@ def _taper(size: int, window: str) -> Floats:
 
 def _line_power(z: Floats, taper: Floats) -> tuple[Floats, float, int]:
     """Return the power of all lines (columns // 2 + 1,) [nm²], the sum of their squared weights, and their number."""
+    blocks = by_row_blocks(lambda rows: _power_of_block(z[rows], taper), z.shape)
+    power, squares, count = zip(*blocks, strict=True)
+    return np.asarray(np.sum(power, axis=0)), sum(squares), sum(count)
+
+
+def _power_of_block(lines: Floats, taper: Floats) -> tuple[Floats, float, int]:
     from scipy import fft  # noqa: PLC0415 - only this needs it
 
-    power, squares, count = np.zeros(z.shape[1] // 2 + 1), 0.0, 0
-    for rows in row_blocks(z.shape):
-        lines, weight = z[rows], taper[None]
-        gaps = np.isnan(lines)
-        if gaps.any():
-            weight, lines = np.where(gaps, 0.0, taper), np.where(gaps, 0.0, lines)
-        total = weight.sum(axis=1, keepdims=True)
-        mean = (weight * lines).sum(axis=1, keepdims=True) / np.where(total > 0, total, 1.0)
-        waves = fft.rfft((lines - mean) * (weight * NM), axis=1, workers=cores())
-        power += (np.square(waves.real) + np.square(waves.imag)).sum(axis=0)
-        repeats = lines.shape[0] // weight.shape[0]
-        squares += repeats * float(np.vdot(weight, weight))
-        count += repeats * int(np.count_nonzero(total > 0))
-    return power, squares, count
+    weight, gaps = taper[None], np.isnan(lines)
+    if gaps.any():
+        weight, lines = np.where(gaps, 0.0, taper), np.where(gaps, 0.0, lines)
+    total = weight.sum(axis=1, keepdims=True)
+    mean = (weight * lines).sum(axis=1, keepdims=True) / np.where(total > 0, total, 1.0)
+    waves = fft.rfft((lines - mean) * (weight * NM), axis=1)
+    power = (np.square(waves.real) + np.square(waves.imag)).sum(axis=0)
+    repeats = lines.shape[0] // weight.shape[0]
+    return power, repeats * float(np.vdot(weight, weight)), repeats * int(np.count_nonzero(total > 0))
 
 
 def _cut(
