@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from itertools import count
 from multiprocessing import get_context
 from time import perf_counter
+from unittest.mock import patch
 
 from turnwright.studies import Case, Store, cluster, local, run_cases
 
@@ -58,18 +59,13 @@ def dask(workers):
     from dask import config  # noqa: PLC0415 - of an extra
     from distributed import LocalCluster  # noqa: PLC0415
 
-    before = dict(os.environ)
-    try:
-        with (
-            config.set(RARELY),
-            LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as there,
-            cluster(there.scheduler_address) as executor,
-        ):
-            yield executor
-    finally:
-        # Starting workers sets how memory is given back to the system, which would slow down the commands that follow.
-        os.environ.clear()
-        os.environ.update(before)
+    with (
+        patch.dict(os.environ),  # starting workers changes how memory is given back, which would slow later commands
+        config.set(RARELY),
+        LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as there,
+        cluster(there.scheduler_address) as executor,
+    ):
+        yield executor
 
 
 def lens_cases(job, executors, cases, rounds):
