@@ -40,8 +40,7 @@ MORE = {
     "upright, beyond the axis, half a circle": (moving(still, beyond=0.1), tw.Tool(nose_radius=0.3)),
     "upright, thousands of turns before": (moving(still, first=3e4), ROUND),
 }
-LATERAL = "raked, height error"
-MOTIONS = {"upright": UPRIGHT, "lateral": {LATERAL: CASES[LATERAL]}, "more": MORE | CASES}
+MOTIONS = {"upright": UPRIGHT, "lateral": {"raked": CASES["raked, height error"]}, "more": MORE | CASES}
 
 
 def one_after_the_other():

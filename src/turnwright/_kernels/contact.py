@@ -21,8 +21,7 @@ def rates(
     if that is below ``near``: then ``tangent`` is set. Fill ``across`` (2, n) with the derivative of the contact point
     by the angle, ``along`` (2, n) and ``rise`` with those of the contact point and of the edge height by the sweep.
     """
-    place = np.empty((6, sweep.size))
-    outlines(edge, sweep, place)
+    place = outlines(edge, sweep)
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
         du, dw, ddu, ddw = place[2, i], place[3, i], place[4, i], place[5, i]
@@ -50,8 +49,7 @@ def normal_rates(edge, angle, x, y, sweep, fx, fy, fxx, fxy, fyy, outward, upwar
     The contact moves ``outward`` along the rake plane; ``upward`` is how the height of the tip above centre changes.
     The sweep follows so that the edge stays in the tangent plane; the tip follows the contact and the sweep.
     """
-    place = np.empty((6, sweep.size))
-    outlines(edge, sweep, place)
+    place = outlines(edge, sweep)
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
         du, dw, ddu, ddw = place[2, i], place[3, i], place[4, i], place[5, i]

@@ -19,8 +19,7 @@ def under_edge(edge, angle, radius, lateral, sweep, x, y, e):
 
     Fill ``e`` with its height above the commanded tip.
     """
-    place = np.empty((6, sweep.size))
-    outlines(edge, sweep, place)
+    place = outlines(edge, sweep)
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
         u, w = place[0, i], place[1, i]
@@ -40,8 +39,7 @@ def newton_step(edge, angle, sweep, f, fx, fy, fxx, fxy, fyy, value, first, top,
     the surface under the edge, per distance along it. [1/mm]
     A step of nan means that the parabola opens upward: no maximum is near.
     """
-    place = np.empty((6, sweep.size))
-    outlines(edge, sweep, place)
+    place = outlines(edge, sweep)
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
         w, du, dw, ddu, ddw = place[1, i], place[2, i], place[3, i], place[4, i], place[5, i]

@@ -73,8 +73,9 @@ def is_circle(edge):
 
 
 @jit
-def outlines(edge, sweep, out):
-    """Fill ``out`` (6, n) with what `outline` returns at each ``sweep``; for a circle in a loop that vectorises."""
+def outlines(edge, sweep):
+    """Return what `outline` returns at each ``sweep`` (6, n); for a circle from a loop that vectorises."""
+    out = np.empty((6, sweep.size))
     low, high = edge.low, edge.high
     if is_circle(edge):
         for i in range(sweep.size):
@@ -84,16 +85,16 @@ def outlines(edge, sweep, out):
             u, w, du, dw, ddu, ddw = arc(edge.radius, 0.0, 0.0, 0.0, held)
             out[0, i], out[1, i], out[2, i], out[3, i] = u + beyond * du, w + beyond * dw, du, dw
             out[4, i], out[5, i] = (ddu, ddw) if held == s else (0.0, 0.0)
-        return
+        return out
     for i in range(sweep.size):
         out[0, i], out[1, i], out[2, i], out[3, i], out[4, i], out[5, i] = outline(edge, sweep[i])
+    return out
 
 
 @jit
 def points(edge, sweep, out):
     """Fill ``out`` (3, n) with (u, v, e) from the commanded tip."""
-    place = np.empty((6, sweep.size))
-    outlines(edge, sweep, place)
+    place = outlines(edge, sweep)
     for i in range(sweep.size):
         out[0, i] = edge.dx + place[0, i]
         out[1, i] = edge.dy + edge.rake_sin * place[1, i]
@@ -125,8 +126,10 @@ def sweeps_at(edge, u, sweep):
 @jit
 def trace(edge, sweep, out):
     """Fill ``out`` (4, n) with (u, w, u', w') along the edge."""
-    for i in range(sweep.size):
-        out[0, i], out[1, i], out[2, i], out[3, i], _, _ = outline(edge, sweep[i])
+    place = outlines(edge, sweep)
+    for k in range(4):
+        for i in range(sweep.size):
+            out[k, i] = place[k, i]
 
 
 @jit
