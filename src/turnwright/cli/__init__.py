@@ -142,13 +142,12 @@ def _carry_out(arguments: Sequence[str] | None, session: Session) -> int:
 
     import typer  # noqa: PLC0415
 
-    from turnwright.cli.commands import app, print_status  # noqa: PLC0415
+    from turnwright.cli.commands import command, print_status  # noqa: PLC0415
     from turnwright.errors import CorrectionError, InputError, Stopped  # noqa: PLC0415
 
     try:
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_args, **_more: print_status(f"warning: {message}")
-            command = typer.main.get_command(app)
             return command.main(arguments, prog_name="turnwright", standalone_mode=False, obj=session) or 0
     except (KeyboardInterrupt, typer.Abort, Stopped):
         return INTERRUPTED_CODE  # the code that some versions of typer return by themselves
@@ -156,9 +155,7 @@ def _carry_out(arguments: Sequence[str] | None, session: Session) -> int:
         _print_error(str(error))
         return NOT_CORRECTED_CODE
     except InputError as error:
-        _print_error(
-            _with_options(str(error), typer.main.get_command(app), sys.argv[1:] if arguments is None else arguments)
-        )
+        _print_error(_with_options(str(error), command, sys.argv[1:] if arguments is None else arguments))
     except MemoryError as error:
         _print_error(f"out of memory ({error}): use fewer points or a coarser map")
     except OSError as error:

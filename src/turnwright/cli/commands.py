@@ -1,5 +1,7 @@
 """All commands of the command line; importing this module registers them."""
 
+import typer
+
 from turnwright.cli import (  # noqa: F401 - importing them registers the commands
     cutting,
     exporting,
@@ -16,4 +18,6 @@ from turnwright.cli import (  # noqa: F401 - importing them registers the comman
 )
 from turnwright.cli.shared import Session, app, print_status
 
-__all__ = ["Session", "app", "print_status"]
+__all__ = ["Session", "app", "command", "print_status"]
+
+command = typer.main.get_command(app)
