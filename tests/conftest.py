@@ -1,5 +1,6 @@
 """The order of the tests, what several of them need, and what each process of theirs has of the machine."""
 
+import gc
 import os
 import signal
 import sys
@@ -21,6 +22,9 @@ if sys.dont_write_bytecode:
     sys.dont_write_bytecode = False
     sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = platformdirs.user_cache_dir("turnwright-tests")
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
+# Half a million objects of the tests themselves live as long as the process: collecting looks at none of them.
+gc.disable()
 
 # A busy machine takes its time, which says nothing of the code.
 hypothesis.settings.register_profile("turnwright", deadline=None)
@@ -97,3 +101,9 @@ def signals_heard():
 def pytest_collection_modifyitems(items):
     """Begin with what waits for a browser, a minute in one test: at the end only one process would be at work."""
     items.sort(key=lambda item: item.path.name != "test_web_page.py")
+
+
+def pytest_collection_finish():
+    """Collect from now on, and only what the tests make."""
+    gc.freeze()
+    gc.enable()

@@ -724,7 +724,7 @@ BAD = {
     "x3p, negative": ("a.x3p", x3p(columns=-4, rows=-3), "damaged"),
     "x3p, nan pixel": ("a.x3p", x3p(x="nan"), "damaged"),
     "x3p, laughs": ("a.x3p", x3p(before=LAUGHS, comment="&c;&c;&c;"), "damaged"),
-    "x3p, bomb": ("a.x3p", x3p(data=bytes(1 << 29), columns=1 << 13, rows=1 << 13), "damaged or malicious"),
+    "x3p, bomb": ("a.x3p", x3p(data=bytes((1 << 28) + 8), columns=1 << 13, rows=(1 << 12) + 1), "damaged or malicious"),
     "x3p, XML bomb": ("a.x3p", archive({"main.xml": X3P.encode() + b" " * (70 << 20)}), "bytes of XML"),
     "x3p, other zip": ("a.x3p", archive({"a.txt": b"hello"}), "neither an .x3p nor an .npz"),
     "npy, huge": ("a.npy", huge_npy((1_000_000_000, 1_000_000_000)), "the limit is"),

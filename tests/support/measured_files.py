@@ -225,7 +225,7 @@ def x3p(picture=PICTURE, *, data=None, **fields):
 
 def archive(members):
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as file:
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
         for name, data in members.items():
             file.writestr(name, data)
     return buffer.getvalue()
