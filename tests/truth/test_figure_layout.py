@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 
+from cases import every_second
 from turnwright.heightmap import HeightMap
 from turnwright.outline import Outline
 from turnwright.report import figures, printing, study_figures
@@ -120,10 +121,9 @@ def printed(monkeypatch):
     return seen
 
 
-@pytest.mark.parametrize(("middle", "half"), EXTENTS)
-@pytest.mark.parametrize("name", DRAWN)
-def test_texts_stand_where_matplotlib_puts_them_and_in_no_others_place(name, middle, half, printed):
-    DRAWN[name](middle, half)
+@pytest.mark.parametrize(("name", "extent"), every_second(DRAWN, EXTENTS))
+def test_texts_stand_where_matplotlib_puts_them_and_in_no_others_place(name, extent, printed):
+    DRAWN[name](*extent)
     figure, svg = printed[0]
     text = io.StringIO()
     with figures._styled(figures.STYLE):
