@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import example, given, strategies as st
 from scipy.interpolate import CubicSpline
 
 from laws import examples
@@ -40,6 +40,9 @@ def lathe(*, acceleration=None, c_acceleration=None, jerk=None, varied=True, rat
     inside_out=st.booleans(),
     high=st.floats(0.0, 0.01),
 )
+@example(
+    acceleration=5.0, c_acceleration=None, jerk=None, way={"chord": 1e-5}, sense=-1, inside_out=False, high=1e-6
+)  # fmt: skip
 def test_every_limit_is_kept_and_no_time_is_lost(acceleration, c_acceleration, jerk, way, sense, inside_out, high):
     part = Part(surface=SineGrid(amplitude=(high, high), period=(0.7, 0.9)), radius=1.0)
     servo = SlowToolServo(feed=0.02, sense=sense, inside_out=inside_out, **way)

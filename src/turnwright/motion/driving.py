@@ -287,5 +287,7 @@ def _find_variable_speed(course: Course, machine: Machine) -> Floats:
         for k in order:
             squares[k] = min(squares[k], squares[k - step] + rise)
     omega: Floats = np.sqrt(np.interp(angle, borders, squares))
-    # The varying speed adds to the accelerations of the other axes.
-    return omega * min(1.0, find_speed_factor(course.at_speed(omega), machine))
+    # The varying speed adds to the accelerations of the other axes; it may cost more than it gains.
+    omega *= min(1.0, find_speed_factor(course.at_speed(omega), machine))
+    constant = find_speed_factor(course, machine)
+    return omega if course.at_speed(omega).time[-1] < angle[-1] / constant else np.full(angle.size, constant)
