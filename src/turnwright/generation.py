@@ -285,9 +285,9 @@ def _prepare(cut: _Cut, low: float, high: float, most_rings: int, device: str = 
     useful, core = np.empty((count, 2, 2), dtype=np.int64), np.zeros(count, dtype=np.bool_)
     ceilings = np.full(count, kernel.FAR)
     most_y = float(np.abs(cut.y).max(initial=0.0))
-    blocks = np.empty((5, 0 if cut.upright else -(-(cut.c.size - 1) // kernel.BLOCK)))
+    blocks = np.empty((7, 0 if cut.upright else kernel.block_columns(cut.c.size - 1)[2]))
     if not cut.upright:
-        kernel.block_bounds(cut.x, cut.y, cut.z, cut.edge.dx, blocks)
+        kernel.block_bounds(cut.c, cut.x, cut.y, cut.z, cut.sense, cut.edge.dx, blocks)
     if cut.upright and cut.edge.convex:
         kernel.useful_by_ring(cut.bounds, cut.edge, rings, useful)
     else:
@@ -452,7 +452,12 @@ def _fill_polar(
         _envelopes(cut, radius, angle, z, progress)
     else:
         ready = _prepare(cut, float(radius[0]), float(radius[-1]), z.size, device)
-        z[...] = ready.fill_grid(radius, angle, polar=True, progress=progress)
+        # The axis is one point, whichever azimuth it is approached along; it takes as long as a thousand others.
+        first = 1 if radius[0] == 0 else 0
+        if first:
+            z[:, 0] = ready.fill_grid(radius[:1], angle[:1], polar=True)[0]
+        if radius.size > first:
+            z[:, first:] = ready.fill_grid(radius[first:], angle, polar=True, progress=progress)
 
 
 def _envelopes(cut: _Cut, radius: Floats, angle: Floats, z: Floats, progress: Progress | None) -> None:

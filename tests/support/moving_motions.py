@@ -73,6 +73,8 @@ CASES = {
     "off centre": (moving(sine(0.02, 2.3)), tool(offset=(0.02, -0.03, 0.001))),
     "few points": (moving(sine(0.08, 1.9), points=11), ROUND),
     "thousands of turns before": (moving(sine(0.02, 3.3), first=3e4), ROUND),
+    "as many points as a tracked motion": (moving(sine(0.1, 3.3), radius=0.3, feed=0.1, points=9000), ROUND),
+    "as many points, raked": (moving(sine(0.1, 3.3), radius=0.3, feed=0.1, points=9000), tool(rake=-25 * DEG)),
     "any walk": (moving(walk(0.004, 1)), ROUND),
     "tip held over an azimuth": (moving(lambda c, x: x * np.tan(0.1 * np.sin(9 * c))), ROUND),
 }

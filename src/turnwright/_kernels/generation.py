@@ -23,8 +23,9 @@ FAR = 1e300
 # Angles this close to an end of the motion count as the end: spindle angles of thousands of turns round at 4e-12 rad.
 ROUNDING = 1e-9
 EPSILON = 2.3e-16
-# Lines of a motion, from point to point, that share bounds.
+# Lines of a motion, from point to point, that share bounds; blocks that share bounds, and as many of these again.
 BLOCK = 8
+RUN = 16
 # Turns of a motion that share bounds.
 HEAP = 32
 # Most kinks of a pass within a tile whose points are computed in one loop for each of them.
@@ -410,17 +411,40 @@ def pass_at(c, x, y, z, sense, edge, t, r, side, hint):
     return FAR, i, 0.0, t, 0.0
 
 
+@jit_inline
+def block_columns(lines):
+    """Return where the bounds of blocks end, of runs of blocks, and of runs of these, for a number of lines."""
+    blocks = (lines + BLOCK - 1) // BLOCK
+    runs = (blocks + RUN - 1) // RUN
+    return blocks, blocks + runs, blocks + runs + (runs + RUN - 1) // RUN
+
+
 @jit
-def block_bounds(x, y, z, dx, out):
-    """Fill ``out`` (5, blocks) with least and greatest tip position and Y, and least height, of `BLOCK` lines each."""
-    for k in range(out.shape[1]):
+def block_bounds(c, x, y, z, sense, dx, out):
+    """Fill ``out`` (7, columns) with bounds of the lines of each block, run, and run of runs, see `block_columns`.
+
+    They are the least and the greatest tip position and Y, the least height, and where the lines begin and end along
+    the motion.
+    """
+    lines = c.size - 1
+    blocks, runs, columns = block_columns(lines)
+    for k in range(blocks):
         low, high, back, front, bottom = FAR, -FAR, 0.0, 0.0, FAR
-        for i in range(BLOCK * k, min(BLOCK * (k + 1) + 1, x.size)):
+        first, last = BLOCK * k, min(BLOCK * (k + 1), lines)
+        for i in range(first, last + 1):
             low, high, bottom = min(low, x[i]), max(high, x[i]), min(bottom, z[i])
             if y.size > 0:
-                first = i == BLOCK * k
-                back, front = y[i] if first else min(back, y[i]), y[i] if first else max(front, y[i])
+                back, front = y[i] if i == first else min(back, y[i]), y[i] if i == first else max(front, y[i])
         out[0, k], out[1, k], out[2, k], out[3, k], out[4, k] = low + dx, high + dx, back, front, bottom
+        out[5, k], out[6, k] = sense * c[first], sense * c[last]
+    for k in range(blocks, columns):
+        begin, end = (0, blocks) if k < runs else (blocks, runs)
+        first = begin + RUN * (k - end)
+        last = min(first + RUN, end)
+        for row in (0, 2, 4, 5):
+            out[row, k] = out[row, first:last].min()
+        for row in (1, 3, 6):
+            out[row, k] = out[row, first:last].max()
 
 
 @jit_inline
@@ -510,12 +534,13 @@ def lowest_on_line(line, edge, bend, sense, r, phase, first, last, pieces, lowes
 
 
 @jit_inline
-def misses(blocks, k, edge, gap, lean, dip, sense, r, phase, half, spread, ceiling):
+def misses(blocks, k, edge, gap, lean, dip, sense, r, base, spread, ceiling):
     """Return whether the edge passes over no point within ``spread`` of one, below ``ceiling``, on lines of a block.
 
-    The lines turn ``half`` to either side of ``phase`` from the point. ``lean`` and ``dip`` are of `core_height`.
+    The tool is at the azimuth of the point at ``base`` along the motion; ``lean`` and ``dip`` are of `core_height`.
     """
-    sine, cosine = sincos(phase)
+    sine, cosine = sincos(0.5 * (blocks[5, k] + blocks[6, k]) - base)
+    half = 0.5 * (blocks[6, k] - blocks[5, k]) + ROUNDING
     along = r * half * (abs(sine) + 0.5 * half) + spread
     across = r * half * (abs(cosine) + 0.5 * half) + spread
     rise = (ceiling - blocks[4, k] - edge.dz) / edge.rake_cos
@@ -531,6 +556,26 @@ def misses(blocks, k, edge, gap, lean, dip, sense, r, phase, half, spread, ceili
 
 
 @jit
+def after_runs(blocks, columns, block, fresh, wide, edge, gap, lean, dip, sense, r, base, spread, ceiling):
+    """Return ``block`` unless `misses` holds for a run that begins with it, and else the block after that run.
+
+    ``fresh`` if the runs that it is in were not looked at. A run that turns by more than ``wide``, half of the search,
+    is not worth a look. ``columns`` are those of `block_columns`.
+    """
+    size, column = RUN * RUN, columns[1]
+    for _ in range(2):
+        k = column + block // size
+        if (
+            (fresh or block % size == 0)
+            and blocks[6, k] - blocks[5, k] < wide
+            and misses(blocks, k, edge, gap, lean, dip, sense, r, base, spread, ceiling)
+        ):
+            return size * (block // size + 1)
+        size, column = RUN, columns[0]
+    return block
+
+
+@jit
 def core_height(
     c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r, azimuth, useful, ceiling, pieces, line,
 ):  # fmt: skip
@@ -543,7 +588,7 @@ def core_height(
     above ``ceiling``, so passes that are need not be found. ``pieces`` (64, 2) and ``line`` (6,) are scratch.
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
-    turns, lines = bounds.shape[1], c.size - 1
+    turns, lines, columns = bounds.shape[1], c.size - 1, block_columns(c.size - 1)
     off, lean = abs(edge.dy) + most_y, abs(edge.rake_sin)
     dip = max(gap - height(edge, 0.0), 0.0)  # the most that the edge is below the tip
     size = r + edge.base + abs(edge.dx) + abs(edge.dy) + most_y + max(abs(bounds[1, 0]), abs(bounds[0, turns - 1]))
@@ -581,18 +626,26 @@ def core_height(
                 continue
             base = t - behind
             at = min(max(t - wide, begin), end)
-            block = locate(c, sense, at, guess_index(c, sense, at, starts)) // BLOCK
-            while block < blocks.shape[1] and sense * c[BLOCK * block] <= t + wide:
-                i, stop = BLOCK * block, min(BLOCK * (block + 1), lines)
+            block, fresh = locate(c, sense, at, guess_index(c, sense, at, starts)) // BLOCK, True
+            while block < columns[0] and blocks[5, block] <= t + wide:
+                run = columns[0] + block // RUN
+                if (fresh or block % RUN == 0) and blocks[6, run] - blocks[5, run] < wide:
+                    following = after_runs(
+                        blocks, columns, block, fresh, wide, edge, gap, lean, dip, sense, r, base, 0.0, level
+                    )  # fmt: skip
+                    fresh = False
+                    if following > block:
+                        block = following
+                        continue
                 k = block
+                i, stop = BLOCK * block, min(BLOCK * (block + 1), lines)
                 block += 1
-                phase = sense * c[i] - base
-                half = 0.5 * (sense * c[stop] - base - phase)
-                if misses(blocks, k, edge, gap, lean, dip, sense, r, phase + half, half + ROUNDING, 0.0, level):
+                if misses(blocks, k, edge, gap, lean, dip, sense, r, base, 0.0, level):
                     continue
+                phase = sense * c[i] - base
                 for j in range(i, stop):
-                    following = sense * c[j + 1] - base
-                    length = following - phase
+                    ahead = sense * c[j + 1] - base
+                    length = ahead - phase
                     line[0], line[2], line[3], line[5] = (
                         x[j],
                         z[j],
@@ -606,7 +659,7 @@ def core_height(
                     )  # fmt: skip
                     if h < level:
                         lowest, level = h, h
-                    phase = following
+                    phase = ahead
     return lowest
 
 
@@ -1186,7 +1239,7 @@ def lines_near(
     ``floor`` (n,). Return how many they are, -1 if they are too many.
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
-    turns, count = bounds.shape[1], 0
+    turns, columns, count = bounds.shape[1], block_columns(c.size - 1), 0
     off, lean = abs(edge.dy) + most_y, abs(edge.rake_sin)
     dip = max(gap - height(edge, 0.0), 0.0)  # the most that the edge is below the tip
     near, far = r - spread, r + spread
@@ -1215,14 +1268,21 @@ def lines_near(
                 continue
             base = t - behind
             at = min(max(t - wide, begin), end)
-            block = locate(c, sense, at, guess_index(c, sense, at, starts)) // BLOCK
-            while block < blocks.shape[1] and sense * c[BLOCK * block] <= t + wide:
-                i, stop = BLOCK * block, min(BLOCK * (block + 1), c.size - 1)
+            block, fresh = locate(c, sense, at, guess_index(c, sense, at, starts)) // BLOCK, True
+            while block < columns[0] and blocks[5, block] <= t + wide:
+                run = columns[0] + block // RUN
+                if (fresh or block % RUN == 0) and blocks[6, run] - blocks[5, run] < wide:
+                    following = after_runs(
+                        blocks, columns, block, fresh, wide, edge, gap, lean, dip, sense, r, base, spread, ceiling
+                    )  # fmt: skip
+                    fresh = False
+                    if following > block:
+                        block = following
+                        continue
                 k = block
+                i, stop = BLOCK * block, min(BLOCK * (block + 1), c.size - 1)
                 block += 1
-                phase = sense * c[i] - base
-                half = 0.5 * (sense * c[stop] - base - phase)
-                if misses(blocks, k, edge, gap, lean, dip, sense, r, phase + half, half + ROUNDING, spread, ceiling):
+                if misses(blocks, k, edge, gap, lean, dip, sense, r, base, spread, ceiling):
                     continue
                 for j in range(i, stop):
                     if count == floor.size:
