@@ -42,6 +42,10 @@ class _Outlined(Surface):
         """Return the pieces of the surface. See `Surface.piece`."""
         return self.surface.piece(x, y)
 
+    def border(self, first: Ints, second: Ints, x: Floats, y: Floats) -> Floats:
+        """Return that of the surface. See `Surface.border`."""
+        return self.surface.border(first, second, x, y)
+
     @property
     def convex_pieces(self) -> bool:
         """Whether the surface has convex pieces. See `Surface.convex_pieces`."""

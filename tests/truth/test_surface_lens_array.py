@@ -184,3 +184,33 @@ def test_many_points_are_evaluated_as_few_are():
     x[1, 39_000:39_010], x[0, 7] = 9.0, -8.5
     with pytest.raises(DomainError, match=r"at x = -8.5 mm, .* \(11 of 120000 points\)"):
         array.sag(x, y)
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [
+        LensArray.square(pitch=0.7, rows=5, columns=4, lenslet=Sphere(radius=3.0)),
+        LensArray.hexagonal(pitch=0.5, rings=3, lenslet=Sphere(radius=3.0), aperture=0.2, surround=0.0),
+        LensArray.hexagonal(pitch=0.5, rings=3, lenslet=Sphere(radius=3.0)).placed(shift=(0.1, -0.2, 0.3), rotation=0.4)
+        + Plane(slope=(0.1, 0.0)),
+    ],
+    ids=["square", "round", "placed and sloping"],
+)
+def test_a_border_is_where_the_piece_changes(surface):
+    """Oracle: bisection between points of two pieces, whose border has no third piece on the line at its root."""
+    rng = np.random.default_rng(3)
+    a, b = rng.uniform(-1.2, 1.2, (2, 2, 500))
+    first, second = surface.piece(*a), surface.piece(*b)
+    apart = first != second
+    a, b, first, second = a[:, apart], b[:, apart], first[apart], second[apart]
+    assert (surface.border(first, second, *a) > 0).all()
+    assert (surface.border(first, second, *b) < 0).all()
+    low, high = a.copy(), b.copy()
+    for _ in range(60):
+        middle = (low + high) / 2
+        mine = surface.piece(*middle) == first
+        low, high = np.where(mine, middle, low), np.where(mine, high, middle)
+    met = surface.piece(*high) == second
+    assert met.sum() > 50
+    value = [surface.border(first, second, *side)[met] for side in (low, high)]
+    assert np.abs(value).max() < 1e-14

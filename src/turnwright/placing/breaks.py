@@ -52,6 +52,9 @@ WALL_STEP_RATIO = 10.0
 """A lower step, over that distance, is the slope of the surface."""
 WALL_SAMPLES = 8
 """Every how many samples a wall is looked for along pieces that are not convex."""
+NARROWINGS, NARROW = 3, 4
+"""Times that a border which the surface knows is intersected with a line, and the distance to both sides of that at
+which the pieces are looked at, in the distance that is wanted."""
 LEAST_BULGE_MM = 1e-6
 """Length of a curved track below which it leaves a piece by no more than rounding."""
 
@@ -83,6 +86,13 @@ class _Intervals(NamedTuple):
 
     def select(self, which: Bools | Ints) -> _Intervals:
         return _Intervals(self.row[which], self.after[which], self.a[which], self.b[which])
+
+
+class _Lines(NamedTuple):
+    """Pieces of a surface along some lines."""
+
+    piece: Callable[[Ints, Floats], Ints]  # of lines by index, at distances from their tips
+    border: Callable[[Ints, Ints, Ints, Floats], Floats]  # see `Surface.border`; of two pieces, there
 
 
 def find_extremes(surface: Surface, radius: float, *, radial: bool) -> SurfaceExtremes:
@@ -207,13 +217,16 @@ def find_breaks(
     def piece(row: Ints, u: Floats) -> Ints:
         return piece_of(*locate(row, u))
 
+    def border(first: Ints, second: Ints, row: Ints, u: Floats) -> Floats:
+        return surface.border(first, second, *locate(row, u))
+
     numbers = number(pieces, missing)
     row, after = np.nonzero(numbers[:, 1:] != numbers[:, :-1])
     between = _Intervals(row, after, u[row, after], u[row, after + 1])
     if edge.rake_sin != 0 and surface.in_pieces:
         bulges = _find_bulges(contact, tips, u, numbers, piece_of)
         between = _Intervals(*(np.concatenate(both) for both in zip(between, bulges, strict=True)))
-    row, after, before_at, behind_at = _split_intervals(piece, between, 4e-16 * contact.farthest, 4)
+    row, after, before_at, behind_at = _split_intervals(_Lines(piece, border), between, 4e-16 * contact.farthest, 4)
     order = np.lexsort((before_at, after, row))
     row, after = row[order], after[order]
     sides = np.stack([before_at[order], behind_at[order]])
@@ -303,21 +316,20 @@ def _compare_sides(
     return np.asarray(numbers[0] != numbers[1]), sides
 
 
-def _split_intervals(
-    piece_at: Callable[[Ints, Floats], Ints], between: _Intervals, close: float, depth: int
-) -> _Intervals:
+def _split_intervals(lines: _Lines, between: _Intervals, close: float, depth: int) -> _Intervals:
     """Return both sides, at most ``close`` apart, of each change of piece in some intervals.
 
     A piece is assumed to meet a line in one interval. Bisection locates where the first piece ends. If that is not
     where the last one begins, bisection locates this too, and the interval in between is split again.
     """
     row, after, a, b = between
-    low, over = _bisect(piece_at, row, a, b, close)
+    piece_at = lines.piece
+    low, over = _bisect(lines, row, a, b, close)
     several = np.flatnonzero(piece_at(row, over) != piece_at(row, b))
     if not several.size:
         return _Intervals(row, after, low, over)
     more = _Intervals(row, after, over, b).select(several)
-    high, under = _bisect(piece_at, more.row, more.b, more.a, close)
+    high, under = _bisect(lines, more.row, more.b, more.a, close)
     wide = (under - more.a > 1e-13) & (depth > 0)
     over[several] = np.where(wide, more.a, high)
     more, high, under = more.select(wide), high[wide], under[wide]
@@ -326,20 +338,43 @@ def _split_intervals(
     parts = (
         _Intervals(row, after, low, over),
         more._replace(a=under, b=high),
-        _split_intervals(piece_at, more._replace(b=under).select(changes), close, depth - 1),
+        _split_intervals(lines, more._replace(b=under).select(changes), close, depth - 1),
     )
     return _Intervals(*(np.concatenate(one) for one in zip(*parts, strict=True)))
 
 
-def _bisect(
-    piece_at: Callable[[Ints, Floats], Ints], row: Ints, inside: Floats, outside: Floats, close: float
-) -> tuple[Floats, Floats]:
+def _bisect(lines: _Lines, row: Ints, inside: Floats, outside: Floats, close: float) -> tuple[Floats, Floats]:
     """Return both sides, at most ``close`` apart, of where the piece at ``inside`` ends toward ``outside``."""
-    piece = piece_at(row, inside)
+    piece = lines.piece(row, inside)
+    inside, outside = _narrow(lines, row, piece, inside.copy(), outside.copy(), close)
     for _ in range(64):
-        middle = 0.5 * (inside + outside)
-        mine = piece_at(row, middle) == piece
-        inside, outside = np.where(mine, middle, inside), np.where(mine, outside, middle)
-        if np.abs(outside - inside).max(initial=0.0) <= close:
+        left = np.flatnonzero(np.abs(outside - inside) > close)
+        if not left.size:
             break
+        middle = 0.5 * (inside[left] + outside[left])
+        mine = lines.piece(row[left], middle) == piece[left]
+        inside[left[mine]], outside[left[~mine]] = middle[mine], middle[~mine]
+    return inside, outside
+
+
+def _narrow(
+    lines: _Lines, row: Ints, piece: Ints, inside: Floats, outside: Floats, close: float
+) -> tuple[Floats, Floats]:
+    """Return both sides of where a piece ends, close together where the surface knows the border of both pieces."""
+    for _ in range(NARROWINGS):
+        left = np.flatnonzero(np.abs(outside - inside) > 4 * NARROW * close)
+        rows, mine, ends = row[left], piece[left], (inside[left], outside[left])
+        beyond = lines.piece(rows, ends[1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            first, last = (lines.border(mine, beyond, rows, end) for end in ends)
+            guess = ends[0] + first / (first - last) * (ends[1] - ends[0])
+        known = np.flatnonzero((first > 0) & (last <= 0))
+        if not known.size:
+            break
+        left, rows, mine, guess = left[known], rows[known], mine[known], guess[known]
+        for way in (-1, 1):
+            margin = way * NARROW * close * np.sign(outside[left] - inside[left])
+            at = np.clip(guess + margin, *np.sort([inside[left], outside[left]], axis=0))
+            within = lines.piece(rows, at) == mine
+            inside[left[within]], outside[left[~within]] = at[within], at[~within]
     return inside, outside

@@ -177,6 +177,20 @@ class Surface(Family, Value, ABC):
         """
         return None
 
+    def border(self, first: Ints, second: Ints, x: Floats, y: Floats) -> Floats:  # noqa: ARG002
+        """Return a smooth function that is positive on the side of one piece and negative on that of another. (n,).
+
+        It is zero where the two meet, and nan where no such function is known.
+
+        Parameters
+        ----------
+        first, second
+            Numbers of pieces, see `piece`; negative numbers are none. (n,)
+        x, y
+            Position on the part. (n,) [mm]
+        """
+        return np.full(x.shape, np.nan)
+
     def sample(self, x: Floats, y: Floats) -> tuple[Floats, Ints | None]:
         """Return the height, nan outside the domain, and the `piece`, which may take less than one after the other."""
         z = self.evaluate(x, y, 0)[0]

@@ -103,6 +103,11 @@ class Sum(Surface):
         """Return a number for each combination of the terms' pieces; convex pieces intersect in convex pieces."""
         return _combined([part for term in self.terms if (part := term.piece(x, y)) is not None])
 
+    def border(self, first: Ints, second: Ints, x: Floats, y: Floats) -> Floats:
+        """Return that of the only term with pieces, if it is the only one. See `Surface.border`."""
+        parted = [term for term in self.terms if term.in_pieces]
+        return parted[0].border(first, second, x, y) if len(parted) == 1 else np.full(x.shape, np.nan)
+
     def sample(self, x: Floats, y: Floats) -> tuple[Floats, Ints | None]:
         """Return the sum of the terms' heights, and the piece. See `Surface.sample`."""
         heights, pieces = zip(*(term.sample(x, y) for term in self.terms), strict=True)
@@ -233,6 +238,11 @@ class Placed(Surface):
         u, v, _ = self._local(x, y)
         number = self.surface.piece(u, v)
         return None if number is None else number.reshape(x.shape)
+
+    def border(self, first: Ints, second: Ints, x: Floats, y: Floats) -> Floats:
+        """Return that of the moved surface. See `Surface.border`."""
+        u, v, _ = self._local(x, y)
+        return self.surface.border(first, second, u, v)
 
     def sample(self, x: Floats, y: Floats) -> tuple[Floats, Ints | None]:
         """Return height and piece of the moved surface. See `Surface.sample`."""

@@ -374,6 +374,20 @@ class LensArray(Surface):
         """Return the index of the nearest centre, or the number of centres for the surround."""
         return self._cell(x, y)[0].reshape(x.shape)
 
+    def border(self, first: Ints, second: Ints, x: Floats, y: Floats) -> Floats:
+        """Return how much the square of the distance from one lens is below that from another. See `Surface.border`.
+
+        For the surround, the square is that of the aperture.
+        """
+        count, wide = self.centres.shape[0], np.nan if self.aperture is None else self.aperture**2
+
+        def square(piece: Ints) -> Floats:
+            centre_x, centre_y = self.centres[np.clip(piece, 0, count - 1)].T
+            away = (x - centre_x) ** 2 + (y - centre_y) ** 2
+            return np.where(piece < 0, np.nan, np.where(piece == count, wide, away))
+
+        return square(second) - square(first)
+
     @property
     def convex_pieces(self) -> bool:
         """Whether lenslets fill their cells: a surround is not convex."""
