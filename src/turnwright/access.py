@@ -686,12 +686,12 @@ def _starts(values: Floats, places: _Places) -> tuple[Ints, Floats]:
     best = np.argsort(values)[::-1][: 32 * MAX_STARTS]
     x, y = places.radius[best] * np.cos(places.angle[best]), places.radius[best] * np.sin(places.angle[best])
     starts: list[int] = []
-    left = np.ones(best.size, bool)
-    while len(starts) < MAX_STARTS and left.any():
-        i = int(np.argmax(left))
+    free = np.ones(best.size, bool)
+    while len(starts) < MAX_STARTS and free.any():
+        i = int(np.argmax(free))
         starts.append(i)
-        left &= np.hypot(x - x[i], y - y[i]) >= 3 * places.step
-        left[i] = False
+        free &= np.hypot(x - x[i], y - y[i]) >= 3 * places.step
+        free[i] = False
     return best[starts], values[best[starts]]
 
 

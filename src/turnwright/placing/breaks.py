@@ -348,12 +348,12 @@ def _bisect(lines: _Lines, row: Ints, inside: Floats, outside: Floats, close: fl
     piece = lines.piece(row, inside)
     inside, outside = _narrow(lines, row, piece, inside.copy(), outside.copy(), close)
     for _ in range(64):
-        left = np.flatnonzero(np.abs(outside - inside) > close)
-        if not left.size:
+        wide = np.flatnonzero(np.abs(outside - inside) > close)
+        if not wide.size:
             break
-        middle = 0.5 * (inside[left] + outside[left])
-        mine = lines.piece(row[left], middle) == piece[left]
-        inside[left[mine]], outside[left[~mine]] = middle[mine], middle[~mine]
+        middle = 0.5 * (inside[wide] + outside[wide])
+        mine = lines.piece(row[wide], middle) == piece[wide]
+        inside[wide[mine]], outside[wide[~mine]] = middle[mine], middle[~mine]
     return inside, outside
 
 
@@ -362,19 +362,19 @@ def _narrow(
 ) -> tuple[Floats, Floats]:
     """Return both sides of where a piece ends, close together where the surface knows the border of both pieces."""
     for _ in range(NARROWINGS):
-        left = np.flatnonzero(np.abs(outside - inside) > 4 * NARROW * close)
-        rows, mine, ends = row[left], piece[left], (inside[left], outside[left])
+        wide = np.flatnonzero(np.abs(outside - inside) > 4 * NARROW * close)
+        rows, mine, ends = row[wide], piece[wide], (inside[wide], outside[wide])
         beyond = lines.piece(rows, ends[1])
         with np.errstate(divide="ignore", invalid="ignore"):
             first, last = (lines.border(mine, beyond, rows, end) for end in ends)
             guess = ends[0] + first / (first - last) * (ends[1] - ends[0])
-        known = np.flatnonzero((first > 0) & (last <= 0))
-        if not known.size:
+        crossed = np.flatnonzero((first > 0) & (last <= 0))
+        if not crossed.size:
             break
-        left, rows, mine, guess = left[known], rows[known], mine[known], guess[known]
+        wide, rows, mine, guess = wide[crossed], rows[crossed], mine[crossed], guess[crossed]
         for way in (-1, 1):
-            margin = way * NARROW * close * np.sign(outside[left] - inside[left])
-            at = np.clip(guess + margin, *np.sort([inside[left], outside[left]], axis=0))
+            margin = way * NARROW * close * np.sign(outside[wide] - inside[wide])
+            at = np.clip(guess + margin, *np.sort([inside[wide], outside[wide]], axis=0))
             within = lines.piece(rows, at) == mine
-            inside[left[within]], outside[left[~within]] = at[within], at[~within]
+            inside[wide[within]], outside[wide[~within]] = at[within], at[~within]
     return inside, outside
