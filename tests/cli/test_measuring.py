@@ -40,10 +40,10 @@ def once(stage, key):
 def computed_once():
     """The same maps of the same jobs have one diagnosis and one proof: most of these tests only go on from them.
 
-    A proof cuts a quarter of its next parts: how much of them it takes is not the subject here.
+    A proof cuts an eighth of its next parts: how much of them it takes is not the subject here.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_draws, "DRAWS", 50)
+        patch.setattr(_draws, "DRAWS", 25)
         patch.setattr(
             _measure, "_diagnose_all", once(DIAGNOSE, lambda every: [(one.job, one.fingerprint) for one in every])
         )
@@ -266,7 +266,7 @@ surface = { family = "sphere", radius = "2 cm" } # concave
 # as we always do it
 kind = "slow tool servo"
 feed = "20000 nm/rev"
-points_per_rev = 360
+points_per_rev = 120
 spindle_speed = "60 rpm"
 
 [simulation]
@@ -396,10 +396,11 @@ def test_a_correction_goes_into_any_folder(shop, tmp_path, monkeypatch):
         assert Job.load(out / "job.toml") == better.job
 
 
-def test_measure_and_diagnose_state_the_same_form_error(shop):
+def test_measure_and_diagnose_state_the_same_form_error(shop, monkeypatch):
     """Also of a map of more points than the diagnosis takes, whose cells average the noise out."""
+    monkeypatch.setattr(_measure, "CELL_COUNT", 2000)
     job = Job.load(shop / "job.toml")
-    axis = np.linspace(-2, 2, 301)
+    axis = np.linspace(-2, 2, 101)
     x, y = np.meshgrid(axis, axis)
     z = tw.Sphere(radius=20.0).sag(x, y) + 20e-6 * np.hypot(x, y) ** 3
     z += 8e-6 * np.random.default_rng(1).normal(size=z.shape)

@@ -11,10 +11,11 @@ OFFSET = 0.003
 DISH = (
     ("part.radius", "2 mm"),
     ("part.surface", {"family": "sphere", "radius": "20 mm"}),
-    ("strategy.points_per_rev", 360),
+    ("strategy.points_per_rev", 120),
     ("strategy.spindle_speed", "60 rpm"),
     ("simulation.patches", []),
     ("machine.plausible", {"squareness": "5 urad"}),  # else the slide may be what the tool seems to be
+    ("measurement.reach", "0.5 mm"),  # of the instrument that sees it
 )
 
 
@@ -23,7 +24,7 @@ def seen(job, file, *, offset=OFFSET, **more):
     recipe = Job.load(job)
     part, tool, servo = recipe.part.aimed, recipe.tool, recipe.servo(recipe.passes[-1])
     motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, recipe.machine)
-    axis = np.linspace(-2.1, 2.1, 75)  # not a whole number of feeds apart
+    axis = np.linspace(-2.1, 2.1, 55)  # not a whole number of feeds apart
     x, y = np.meshgrid(axis, axis)
     inside = np.hypot(x, y) < 1.95
     z = np.full(x.shape, np.nan)
