@@ -35,6 +35,7 @@ DRAWN = {"test_report.py", "test_show.py", "test_tolerance_commands.py"}
 """Tests of the command line that look at figures, or print them as well as build them."""
 
 UNPRINTED = Path(__file__).parent / "support" / "unprinted"
+"""Has a `sitecustomize`, which leaves out in other processes what fixtures leave out in this one."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -50,13 +51,19 @@ def figures_are_built_and_not_printed(request):
 
 
 @pytest.fixture(scope="module", autouse=True)
-def one_warm_process(request):
-    """Let a server in this process keep one other process warm, not two: each loads the kernels of a whole page."""
+def small_server(request):
+    """Let a server keep one other process warm, not two, and a correction be proved by a quarter of the next parts.
+
+    Each process loads the kernels of a whole page.
+    """
     if request.path.parent.name != "web":
         yield
         return
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("turnwright.web.workers.PLANNERS", 1)
+        patch.setattr("turnwright.diagnosis.report.DRAWS", 50)
+        patch.setattr(sys, "path", [str(UNPRINTED), *sys.path])  # which a server gives to its runs
+        patch.setenv("TURNWRIGHT_SMALL_SERVER", "1")
         yield
 
 

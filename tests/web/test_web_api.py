@@ -273,7 +273,7 @@ def test_a_long_program_is_found_by_its_index(tmp_path, monkeypatch):
 
 
 def test_a_comparison_is_that_of_the_command_line(client, folder):
-    job = changed(("strategy.feed", "50 um/rev"), ("simulation.patches", []))
+    job = changed(("part.radius", "0.3 mm"), ("strategy.feed", "50 um/rev"), ("simulation.patches", []))
     name = client.post("/api/runs", json={"data": job, "kind": "compare", "name": "which way"}).json()["id"]
     ended(client, name)
     reported = client.get(f"/api/runs/{name}/comparison").json()
