@@ -106,9 +106,9 @@ def test_the_tool_enters_above_every_corner(tmp_path, parts):
 
 
 def test_random_programs_stay_above_every_part():
-    """Six jobs, one plunges; oracle: an envelope of its own in spindle mode, on outlines and on chucks."""
+    """Three jobs, one plunges; oracle: an envelope of its own in spindle mode, on outlines and on chucks."""
     figures = proof_moves.Figures()
-    proof_moves.run(6, 4, figures)
+    proof_moves.run(3, 5, figures)
     assert proof_moves.failures(figures) == []
     assert figures.plunges
 
@@ -207,7 +207,7 @@ def test_a_crossing_that_is_not_lifted_is_refused(tmp_path):
             {"name": name, "surface": {"family": "plane"}, "outline": {"rectangle": ["2 mm", "2 mm"]},
              "position": [f"{x} mm", "0 mm"], "height": height}
             for name, x, height in (("low", 6, "0 mm"), ("high", -6, "1 mm"))]}},
-        "tool": TOOL, "strategy": SLOW, "machine": {"name": "nanoform"},
+        "tool": TOOL, "strategy": {**SLOW, "feed": "0.3 mm/rev"}, "machine": {"name": "nanoform"},
     })  # fmt: skip
     file = Pipeline(job, out=tmp_path).program.files[0]
     assert find_wrong_move(job, file) == ""

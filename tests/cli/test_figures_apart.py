@@ -84,7 +84,7 @@ def test_all_figures_of_a_run_are_ordered_before_its_page(job, tmp_path):
 
 
 def test_error_maps_of_a_comparison_are_ordered_while_it_goes_on(tmp_path):
-    job, ready = Job.read(changed()), []
+    job, ready = Job.read(changed(("part.radius", "0.3 mm"), ("simulation.patches", []))), []
     with draw_apart():
         done = compare(job, ready=lambda candidate: ready.append((candidate, draw_candidate(job, candidate))))
         count = len(drawing._apart[-1].ordered)

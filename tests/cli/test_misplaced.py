@@ -79,10 +79,10 @@ def test_a_concave_map_of_a_convex_part_is_reported(tmp_path):
 
 def test_nothing_is_corrected_by_a_map_of_something_else(freeform, tmp_path, capsys):
     """By one map, and by several if one of them is: exit code 3, and no folder. Oracle: the part as it lies."""
-    good = shown(freeform)
+    good = shown(freeform, count=41)
     placed = tw.measure(freeform, good)
     found = tw.diagnose(placed)
-    again = shown(freeform, noise=6e-6)
+    again = shown(freeform, count=41, noise=6e-6)
     turned = tw.measure(freeform, tw.HeightMap(x=good.x, y=good.y, z=again.z[:, ::-1], name="turned"))
     for every in (turned, [placed, turned]):
         with pytest.raises(CorrectionError, match="'turned' do not match this part"):

@@ -56,7 +56,7 @@ def lines(monkeypatch):
 def heights(tmp_path_factory):
     """A map of the dish, cut with a tool offset of 2 um, 3 nm of noise on it."""
     file = tmp_path_factory.mktemp("map") / "dish.x3p"
-    axis = np.linspace(-0.65, 0.65, 61)
+    axis = np.linspace(-0.65, 0.65, 41)
     x, y = np.meshgrid(axis, axis)
     z = (
         50
@@ -81,7 +81,7 @@ def command_of(kind, folder, heights):
 @pytest.mark.usefixtures("in_this_process")
 @pytest.mark.parametrize("kind", ["run", "check", "plan", "compare", "measure", "diagnose", "correct", "tolerance"])
 def test_the_whole_run_has_one_line_that_never_falls(kind, tmp_path, lines, heights, capsys, monkeypatch):
-    monkeypatch.setattr(_draws, "DRAWS", 50)
+    monkeypatch.setattr(_draws, "DRAWS", 25)
     assert main(command_of(kind, tmp_path, heights)) in (0, 4)
     (line,) = lines
     fractions = [one.fraction for one in line.seen]
@@ -95,12 +95,12 @@ def test_the_whole_run_has_one_line_that_never_falls(kind, tmp_path, lines, heig
     assert all(1 <= one <= len(line.known) for one in steps)
     assert set(line.stages) == set(line.known)
     assert "done" in capsys.readouterr().err
+    if kind == "run":
+        repeated_passes_are_steps_of_their_own(line)
 
 
-def test_repeated_passes_are_steps_of_their_own(tmp_path, lines, heights):
+def repeated_passes_are_steps_of_their_own(line):
     """Oracle: a stock of 4 um, 2 um to leave and 1 um at a time are two cuts, and one more finishes."""
-    assert main(command_of("run", tmp_path, heights)) in (0, 4)
-    (line,) = lines
     assert [line.known.count(one) for one in ("place", "limits", "chips", "write program")] == [2, 3, 3, 1]
     report = [(one.step, one.stage) for one in line.seen]
     assert len({step for step, stage in report if stage == "limits"}) == 3
