@@ -370,7 +370,7 @@ def test_a_fast_tool_by_time_must_begin_outside_the_blank(tmp_path):
     fast = (
         FEW, ("part.surface", waves), ("machine.name", "nanoform-fts-70"),
         ("strategy.kind", "fast tool servo"), ("strategy.spindle_speed", "60 rpm"), ("strategy.points_per_rev", 360),
-        ("program", {"fast_tool": "time", "fast_tool_rate": "20 kHz"}),
+        ("program", {"fast_tool": "time", "fast_tool_rate": "5 kHz"}),
     )  # fmt: skip
     with pytest.raises(LimitError, match=r"state part\.blank and a longer lead_in"):
         tw.run(Job.read(changed(*fast)), out=tmp_path)

@@ -61,7 +61,7 @@ def test_a_tool_that_is_not_as_planned_may_cut_below_the_design():
 
 @pytest.mark.parametrize("surface", [STEEP, RING], ids=["spike", "ring wall"])
 def test_a_steep_surface_that_is_placed_right_is_not_refused(surface):
-    sharp = [("tool.nose_radius", "0.1 mm"), ("part.radius", "0.6 mm"), ("strategy.points_per_rev", 360)]
+    sharp = [("tool.nose_radius", "0.1 mm"), ("part.radius", "0.4 mm"), ("strategy.points_per_rev", 360)]
     accept = ("accept", ["clearance", "valley", "included angle", "nose radius", "step"])
     result = run(Job.read(changed(ONLY_WHOLE, ("part.surface", surface), *sharp, accept)))
     assert not [one for one in result.warnings if "gouges" in one]

@@ -111,7 +111,7 @@ def test_what_does_not_fit_is_one_sentence(tmp_path, capsys, arguments, sentence
 
 
 def test_a_damaged_file_says_one_sentence(tmp_path, capfd):
-    (tmp_path / "a.opd").write_bytes(b"\1\0Directory" + bytes(range(256)) * 4000)
+    (tmp_path / "a.opd").write_bytes(b"\1\0Directory" + bytes(range(256)) * 400)
     assert main(["show", str(tmp_path / "a.opd")]) == 2
     out, error = capfd.readouterr()
     assert out == ""
