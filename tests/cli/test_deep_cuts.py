@@ -113,6 +113,7 @@ def test_random_programs_stay_above_every_part():
     assert figures.plunges
 
 
+@pytest.mark.proof
 def test_the_chord_of_a_coarse_cut_is_no_gouge(tmp_path):
     """Job 192 of the proof: most of its 84 blocks a turn in air, chords of 1.1 um. Oracle: that of the proof."""
     random = np.random.default_rng(1)

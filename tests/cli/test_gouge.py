@@ -59,7 +59,9 @@ def test_a_tool_that_is_not_as_planned_may_cut_below_the_design():
     assert not [one for one in result.warnings if "gouges" in one]
 
 
-@pytest.mark.parametrize("surface", [STEEP, RING], ids=["spike", "ring wall"])
+@pytest.mark.parametrize(
+    "surface", [pytest.param(STEEP, id="spike"), pytest.param(RING, id="ring wall", marks=pytest.mark.proof)]
+)
 def test_a_steep_surface_that_is_placed_right_is_not_refused(surface):
     sharp = [("tool.nose_radius", "0.1 mm"), ("part.radius", "0.4 mm"), ("strategy.points_per_rev", 360)]
     accept = ("accept", ["clearance", "valley", "included angle", "nose radius", "step"])

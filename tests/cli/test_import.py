@@ -12,6 +12,7 @@ from lens_files import EVEN, ODD, Q_DATA, ZERNIKE_DATA, block, grid_block, write
 from turnwright.cli import main
 from turnwright.files import read_lens
 from turnwright.job import Job, preview
+from turnwright.report import figures
 
 CODE_V = """RDM;LEN
 TIT 'doublet'
@@ -25,6 +26,18 @@ S -30 2 SF5
 SI 0 0
 GO
 """
+
+
+@pytest.fixture(autouse=True)
+def coarse_pictures(monkeypatch):
+    """Write the pictures with an eighth of their pixels along each side: most of the time of a job."""
+    write = figures._Canvas.write
+
+    def coarse(canvas, file):
+        canvas.figure.set_dpi(20)
+        write(canvas, file)
+
+    monkeypatch.setattr(figures._Canvas, "write", coarse)
 
 
 def lens_file(tmp_path, *surfaces):

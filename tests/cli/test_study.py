@@ -227,7 +227,6 @@ def test_another_function_of_the_same_name_is_another_measure(job, threads, tmp_
 
 
 def test_a_measure_is_the_same_one_in_every_process(tmp_path):
-    file = tmp_path / "measures_of_mine.py"
     text = (
         "LIMIT = 3\n"
         "def helper(x): return x + 1\n"
@@ -236,22 +235,28 @@ def test_a_measure_is_the_same_one_in_every_process(tmp_path):
         "    return known if stages.job.tool.name in {'a', 'b', 'c', 'd'} else 0\n"
     )
     ask = (
-        "import sys; sys.path.insert(0, sys.argv[1]); from measures_of_mine import mine; "
-        "from turnwright.studies.measures import measure_of; print(measure_of(None, mine).sign)"
+        "import sys; from turnwright.studies.measures import measure_of\n"
+        "for folder in sys.argv[1:]:\n"
+        "    sys.path.insert(0, folder); from measures_of_mine import mine; print(measure_of(None, mine).sign)\n"
+        "    sys.path.remove(folder); del sys.modules['measures_of_mine']"
     )
 
-    def sign(seed):
+    def signs(seed, *folders):
         return subprocess.run(
-            [sys.executable, "-c", ask, str(tmp_path)], capture_output=True, text=True, check=True,
+            [sys.executable, "-c", ask, *folders], capture_output=True, text=True, check=True,
             env={**os.environ, "PYTHONHASHSEED": seed, "PYTHONDONTWRITEBYTECODE": "1"},
-        ).stdout  # fmt: skip
+        ).stdout.splitlines()  # fmt: skip
 
-    file.write_text(text)
-    first = sign("1")
-    assert sign("2") == first
-    for old, new in (("LIMIT = 3", "LIMIT = 4"), ("x + 1", "x + 2"), ("'d'", "'e'")):
-        file.write_text(text.replace(old, new))
-        assert sign("1") != first
+    folders = []
+    for old, new in (("", ""), ("LIMIT = 3", "LIMIT = 4"), ("x + 1", "x + 2"), ("'d'", "'e'"), ("", "")):
+        folders.append(tmp_path / str(len(folders)))
+        folders[-1].mkdir()
+        (folders[-1] / "measures_of_mine.py").write_text(text.replace(old, new) if old else text)
+    first, *others, again = signs("1", *folders)
+    assert signs("2", folders[0]) == [first]
+    assert again == first
+    assert len(others) == 3
+    assert first not in others
 
 
 def test_a_failing_measure_is_reported_to_its_author(job, threads):

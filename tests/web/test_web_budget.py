@@ -94,7 +94,7 @@ def test_the_budget_of_a_run_is_that_of_the_comparison(made: tuple[Path, tw.job.
 
 
 def test_the_routes_answer_and_say_what_is_missing(made: tuple[Path, tw.job.Result], tmp_path: Path) -> None:
-    soft = FLAT | {"part": {**FLAT["part"], "material": "copper", "stock": "0 um"}}
+    soft = FLAT | {"part": {**FLAT["part"], "radius": "0.5 mm", "material": "copper", "stock": "0 um"}}
     out, _ = carried_out(soft, tmp_path)
     with TestClient(create_app(made[0].parents[2]), base_url="http://127.0.0.1") as client:
         answer = client.get(f"/api/runs/{RUN}/chips?pixels=33")

@@ -10,7 +10,7 @@ from turnwright.job import Job
 from turnwright.web import create_app
 
 JOB = {
-    "part": {"surface": {"family": "sphere", "radius": "50 mm"}, "radius": "2 mm", "stock": "20 um"},
+    "part": {"surface": {"family": "sphere", "radius": "50 mm"}, "radius": "1 mm", "stock": "20 um"},
     "tool": {"nose_radius": "0.5 mm", "included": "120 deg", "clearance": "12 deg"},
     "machine": {"name": "nanoform"},
     "strategy": {"kind": "turning", "feed": "10 um/rev", "spindle_speed": "1000 rpm", "chord": "1 nm"},
@@ -50,7 +50,7 @@ def test_a_turned_part_is_checked_run_and_shown(client, tmp_path):
 def test_a_surface_that_is_none_of_revolution_is_refused(client):
     surface = [
         JOB["part"]["surface"],
-        {"family": "zernike", "indexing": "fringe", "radius": "2 mm", "units": "nm", "terms": {"5": 40}},
+        {"family": "zernike", "indexing": "fringe", "radius": "1 mm", "units": "nm", "terms": {"5": 40}},
     ]
     job = {**JOB, "part": {**JOB["part"], "surface": surface}}
     reported = client.post("/api/job/check", json={"data": job}).json()
