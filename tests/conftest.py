@@ -1,5 +1,6 @@
 """The order of the tests, what several of them need, and what each process of theirs has of the machine."""
 
+import contextlib
 import gc
 import os
 import signal
@@ -54,7 +55,7 @@ def figures_are_built_and_not_printed(request):
 def small_server(request):
     """Let a server keep one other process warm, not two, and a correction be proved by a quarter of the next parts.
 
-    Each process loads the kernels of a whole page.
+    A server in this process does not load the kernels of a whole page ahead of the questions that need them.
     """
     if request.path.parent.name != "web":
         yield
@@ -64,7 +65,15 @@ def small_server(request):
         patch.setattr("turnwright.diagnosis.report.DRAWS", 50)
         patch.setattr(sys, "path", [str(UNPRINTED), *sys.path])  # which a server gives to its runs
         patch.setenv("TURNWRIGHT_SMALL_SERVER", "1")
+        with contextlib.suppress(ImportError):  # the workbench is an extra
+            patch.setattr("turnwright.web.app.planners", _planner)
         yield
+
+
+def _planner():
+    from turnwright.web import jobs, workers
+
+    return workers.Workers(1, threads=cores(), warm=jobs.warm)
 
 
 @pytest.fixture
