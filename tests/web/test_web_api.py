@@ -483,7 +483,6 @@ def with_files(names):
     return changed(
         ("part.surface", {"family": "gridded", "file": names["heights"], "units": "mm", "sag_units": "um"}),
         ("part.material", names["material"]),
-        ("part.stock", "5 um"),
         ("tool.waviness_file", names["waviness"]),
         ("machine", {"file": names["machine"], "straightness_file": names["straightness"]}),
         ("simulation", {"whole_part": {"radii": 11, "angles": 6}, "patches": []}),

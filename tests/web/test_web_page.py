@@ -264,12 +264,12 @@ def test_a_job_goes_in_and_out_as_toml(desk, by_hand):
 
 
 @pytest.mark.usefixtures("done")
-def test_remarks_stay_when_a_job_is_changed_undone_and_run(bench, by_hand, earlier):
+def test_remarks_stay_when_a_job_is_changed_undone_and_run(desk, by_hand, earlier):
     """Oracle: the text that was opened."""
     text = earlier.read_text(encoding="utf-8")
     wanted = (by_hand.parent / "job.toml").read_text(encoding="utf-8")
     assert wanted.count("#") == text.count("#") == 4
-    one = bench().take(earlier)
+    one = desk.take(earlier)
     page = one.page
     save = page.get_by_role("button", name="Save the job file")
     feed = page.locator("#field-strategy-feed")
@@ -349,7 +349,7 @@ def test_a_late_archive_leaves_a_newer_job(bench, by_hand, tmp_path):
     expect(page.locator("#field-part-name")).to_have_value("dish")
 
 
-def test_a_file_goes_to_its_field_into_the_archive_and_back(bench, tmp_path):
+def test_a_file_goes_to_its_field_into_the_archive_and_back(desk, tmp_path):
     """Oracle: the bytes that were brought."""
     axis = np.linspace(-2.5, 2.5, 11)
     rows = [["", *axis], *([y, *(axis**2 + y**2) / 100] for y in axis)]
@@ -357,7 +357,7 @@ def test_a_file_goes_to_its_field_into_the_archive_and_back(bench, tmp_path):
     surface = {"family": "gridded", "units": "mm", "sag_units": "mm"}
     file = written(tmp_path, *DISH, ("part.surface", surface))
     file.write_text(file.read_text(encoding="utf-8").replace("[tool]", "# of steel\n[tool]"), encoding="utf-8")
-    one = bench().take(file)
+    one = desk.take(file)
     page = one.page
     picker, field = page.locator("#field-part-surface-file-file"), page.locator("#field-part-surface-file")
     expect(page.locator("#run")).to_be_disabled()
@@ -673,8 +673,8 @@ def test_the_axes_are_shown_against_their_limits(desk, by_hand):
     assert one.drawn("#panel-motion .charthost >> nth=0", colours=20)
 
 
-def test_strategies_stand_side_by_side(bench, compared, folder):
-    one = bench().look_at("compare")
+def test_strategies_stand_side_by_side(desk, compared, folder):
+    one = desk.look_at("compare")
     page = one.page
     reported = json.loads(
         (folder / "served" / "runs" / compared / "out" / "comparison.json").read_text(encoding="utf-8")
