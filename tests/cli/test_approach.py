@@ -156,7 +156,7 @@ def test_a_motion_alone_plunges_without_a_step(tmp_path, inside_out):
         tw.write_nc(motion, machine, tmp_path / "part.nc", depth=0.025, entry_heights=exact[1:])
 
 
-@pytest.mark.parametrize("inside_out", [False, True])
+@pytest.mark.parametrize("inside_out", [False, pytest.param(True, marks=pytest.mark.proof)])
 def test_a_motion_alone_of_a_freeform_keeps_the_feed(tmp_path, inside_out):
     # Heights extrapolated to the radius of the plunge fell faster than the feed beyond the part's.
     part = tw.Part(surface=tw.Expression("0.005*sin(4*x)+0.005*cos(4*y)"), radius=1.0)

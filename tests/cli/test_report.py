@@ -179,7 +179,7 @@ def in_glass(folder, *, critical, ratio=1):
     """The page of the small job in a glass of its own, and what the finishing pass is like."""
     (folder / "glass.toml").write_text(f'name = "glass"\nfracture_ratio = {ratio}\n[critical]\n{critical}\n')
     job = SMALL | {
-        "part": SMALL["part"] | {"material": str(folder / "glass.toml")},
+        "part": SMALL["part"] | {"radius": "0.6 mm", "material": str(folder / "glass.toml")},
         "strategy": SMALL["strategy"] | {"feed": "5 um/rev"},
     }
     result = run(Job.read(job), out=folder)
