@@ -7,10 +7,11 @@ import pytest
 
 import blind_parts as blind
 import turnwright as tw
+import turnwright.diagnosis.report as _draws
 from tests.proof.proof_loop import Sample, commander, draw, outcome
 from tests.proof.proof_test_parts import maps_of
 
-PER_REV = 480
+PER_REV = 360
 TOROID = {"family": "toroid", "radius_x": "15 mm", "radius_y": "25 mm"}
 
 
@@ -18,8 +19,18 @@ def sample(*errors):
     """Aperture radius 2.5 mm, nose 1 mm, feed 10 um, 5 nm of noise; the errors of each cut."""
     return Sample(
         design=blind.toroid(15.0, 25.0), table=TOROID, radius=2.5, nose=1.0, feed=0.01, noise=5e-6,
-        errors=list(errors), phases=np.array([0.3, 0.6, 0.1]), per_rev=PER_REV, pixels=51,
+        errors=list(errors), phases=np.array([0.3, 0.6, 0.1]), per_rev=PER_REV, pixels=41,
     )  # fmt: skip
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_draws():
+    """A proof cuts a quarter of its next parts, at half the places, and two of them in full."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_draws, "DRAWS", 50)
+        patch.setattr(_draws, "DRAW_POINTS", 1_000)
+        patch.setattr(_draws, "FULL_CASES", 2)
+        yield
 
 
 def drift(size):
@@ -91,7 +102,7 @@ def test_a_drift_that_swings_passes_for_no_source(size, cycles, begun):
     swings = blind.Errors(drift_z=lambda share: size * np.sin(2 * np.pi * cycles * share + begun))
     part = Sample(
         design=blind.sphere(15.0), table={"family": "sphere", "radius": "15 mm"}, radius=1.5, nose=0.5, feed=0.01,
-        noise=5e-6, errors=[swings], phases=np.array([0.3]), pixels=51,
+        noise=5e-6, errors=[swings], phases=np.array([0.3]), pixels=41,
     )  # fmt: skip
     found = tw.diagnose(measured(part, 1))
     for name in ("offset x", "radius error"):
@@ -105,7 +116,7 @@ def freeform(errors):
     table = {"family": "xy polynomial", "units": "mm", "terms": {f"{i},{j}": one for (i, j), one in powers.items()}}
     return Sample(
         design=blind.freeform(powers), table=table, radius=1.5, nose=0.5, feed=0.01, noise=5e-6, errors=[errors],
-        phases=np.array([0.3]), per_rev=PER_REV, pixels=51,
+        phases=np.array([0.3]), per_rev=PER_REV, pixels=41,
     )  # fmt: skip
 
 

@@ -149,16 +149,16 @@ def test_a_plan_keeps_its_tolerances(response, tmp_path):
         {
             "part": {
                 "surface": {"family": "sine grid", "amplitude": ["1 um", "1 um"], "period": ["1 mm", "1 mm"]},
-                "radius": "1 mm",
+                "radius": "0.5 mm",
             },
             "tool": {"nose_radius": "0.5 mm", "included": "60 deg", "clearance": "10 deg"},
             "machine": {"name": str(lathe)},
             "strategy": {"kind": "slow tool servo", "feed": "1 um/rev", "points_per_rev": 360, "overrun": "1 um"},
             "tolerances": {"form_pv": "100 nm", "sq": "8 nm"},
             "simulation": {
-                "whole_part": {"radii": 1000, "angles": 60},
+                "whole_part": {"radii": 500, "angles": 60},
                 "patches": [
-                    {"name": "place", "centre": ["0.7 mm", "0 mm"], "size": ["80 um", "80 um"], "pixel": "1 um"}
+                    {"name": "place", "centre": ["0.35 mm", "0 mm"], "size": ["60 um", "60 um"], "pixel": "1 um"}
                 ],
             },
         }
