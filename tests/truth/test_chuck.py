@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+import turnwright.diagnosis.report as _draws
 from turnwright.job import Job, correct, diagnose, measure, preview
 
 TOOL = tw.Tool(nose_radius=0.5, included=np.deg2rad(90), clearance=np.deg2rad(10))
@@ -33,7 +34,7 @@ CHUCK = tw.Chuck(
 @pytest.fixture(scope="module")
 def motions():
     part, machine = tw.Part(surface=CHUCK, stock=0.01), tw.Machine.load("nanoform")
-    servo = tw.SlowToolServo(feed=0.1, spindle_rpm=20, points_per_rev=360)
+    servo = tw.SlowToolServo(feed=0.2, spindle_rpm=20, points_per_rev=360)
     spiral = servo.spiral(part, TOOL)
     every = {None: part, **{one.name: part.alone(one.name) for one in CHUCK.parts}}
     return {name: (one, tw.drive(tw.place(spiral, one, TOOL), servo, machine)) for name, one in every.items()}
@@ -43,7 +44,7 @@ def motions():
 def test_each_surface_is_that_of_the_part_alone_on_the_same_spiral(motions, name):
     part, alone = motions[name]
     x_low, x_high, low, high = part.border.box
-    x, y = np.random.default_rng(0).uniform([[x_low], [low]], [[x_high], [high]], (2, 4000))
+    x, y = np.random.default_rng(0).uniform([[x_low], [low]], [[x_high], [high]], (2, 1000))
     on = part.covers(x, y)
     made, expected = (tw.generate_points(one, TOOL, x=x[on], y=y[on]) for one in (motions[None][1], alone))
     np.testing.assert_allclose(made, expected, atol=1e-12, rtol=0)
@@ -145,7 +146,9 @@ JOB = {
 }  # fmt: skip
 
 
-def test_a_map_of_one_part_corrects_this_part(tmp_path):
+def test_a_map_of_one_part_corrects_this_part(tmp_path, monkeypatch):
+    monkeypatch.setattr(_draws, "DRAWS", 50)
+    monkeypatch.setattr(_draws, "FULL_CASES", 2)
     job = Job.read(JOB)
     assert Job.read(job.table()) == job
     x, y = np.linspace(-4, 4, 65), np.linspace(-3, 3, 49)

@@ -118,7 +118,7 @@ def test_the_lenslets_and_not_a_base_with_form_tell_the_rotation(side, coma):
 
 
 def test_measure_finds_base_and_lenslets_in_one_command(tmp_path, capsys, monkeypatch):
-    heights, _, centres, moved = made("toroid", 2, way=np.pi / 4)
+    heights, _, centres, moved = made("toroid", 2, way=np.pi / 4, side=400)
     low = {"shift": ["0 mm", "0 mm", f"{-DEPTH:.12g} mm"]}
     lens = {"family": "sphere", "radius": f"{RADIUS} mm", "placed": low}
     array = {
@@ -143,6 +143,7 @@ def test_measure_finds_base_and_lenslets_in_one_command(tmp_path, capsys, monkey
         return results[-1]
 
     monkeypatch.setattr(turnwright.job, "measure", measure)
+    monkeypatch.setattr("turnwright.report.figures._print_svg", lambda _canvas: "<svg></svg>")
     assert main(command) == 0
     assert "base" in capsys.readouterr().out
     (measured,) = results
