@@ -15,7 +15,7 @@ import sys
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from multiprocessing import get_context
 from pathlib import Path
 from threading import Thread
@@ -98,15 +98,14 @@ def threads_of_this():
 
 
 @contextmanager
-def standard():
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as made:
+def standard(count=2):
+    with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as made:
         yield made
 
 
-@pytest.mark.parametrize(
-    "executor", [lambda: local(2), threads_of_this, standard], ids=["local", "threads", "standard"]
-)
-def test_rows_keep_the_order_of_cases_on_any_executor(executor, store):
+@pytest.mark.parametrize("kind", ["local", "threads", "standard"])
+def test_rows_keep_the_order_of_cases_on_any_executor(kind, pool, store):
+    executor = {"local": lambda: nullcontext(pool), "threads": threads_of_this, "standard": standard}[kind]
     report = []
     asked = cases(12)[::-1]
     with executor() as made:
@@ -189,7 +188,7 @@ def driver(store, log):
     )  # fmt: skip
 
 
-def test_killed_driver_keeps_results_and_ends_its_workers(store, log):
+def test_killed_driver_keeps_results_and_ends_its_workers(pool, store, log):
     process = driver(store, log)
     until(lambda: len(store.keys()) >= 10)
     process.kill()
@@ -199,7 +198,7 @@ def test_killed_driver_keeps_results_and_ends_its_workers(store, log):
     until(lambda: not any(map(alive, workers)))
     kept = store.keys()
     assert 10 <= len(kept) < 60
-    rows = run_cases(ours.plain, cases(60), shared={"log": log}, store=store)
+    rows = run_cases(ours.plain, cases(60), shared={"log": log}, executor=pool, store=store)
     assert rows == [answer(n) for n in range(60)]
     times = Counter(n for n, _ in begun(log))
     assert all(times[int(key.removeprefix("case-"))] == 1 for key in kept)
@@ -208,7 +207,7 @@ def test_killed_driver_keeps_results_and_ends_its_workers(store, log):
 
 
 @pytest.mark.usefixtures("signals_heard")
-def test_ctrl_c_ends_driver_and_workers_and_keeps_results(store, log):
+def test_ctrl_c_ends_driver_and_workers_and_keeps_results(pool, store, log):
     process = driver(store, log)
     until(lambda: len(store.keys()) >= 10)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: workers too
@@ -217,7 +216,7 @@ def test_ctrl_c_ends_driver_and_workers_and_keeps_results(store, log):
     assert message.count("Traceback") == 1  # Python's own of the driver; the workers are quiet
     assert message.splitlines()[-1] == "KeyboardInterrupt"
     assert not any(alive(pid) for _, pid in begun(log))
-    rows = run_cases(ours.plain, cases(60), shared={"log": log}, store=store)
+    rows = run_cases(ours.plain, cases(60), shared={"log": log}, executor=pool, store=store)
     assert rows == [answer(n) for n in range(60)]
     assert len(begun(log)) <= 60 + 2
 
@@ -227,7 +226,7 @@ def test_a_stop_from_progress_comes_through_at_once(store, log):
         if done >= 4:
             raise tw.errors.Stopped("enough")
 
-    with pytest.raises(tw.errors.Stopped, match="enough"), local(2) as made:
+    with pytest.raises(tw.errors.Stopped, match="enough"), local(1) as made:
         run_cases(
             ours.plain, cases(1000), shared={"log": log, "seconds": 0.05}, executor=made, store=store, progress=stop
         )
@@ -253,7 +252,7 @@ def test_a_case_that_fails_is_a_row_with_its_reason(pool, store, log):
     assert sorted(again) == [3, 4, 5]  # what the machine is to blame for may go well another time
 
 
-def test_a_full_disk_is_one_sentence_and_what_is_finished_stays(store, log):
+def test_a_full_disk_is_one_sentence_and_what_is_finished_stays(pool, store, log):
     asked = cases(20)
     message = r"is full \(File too large\), finished cases are kept: free"
     with pytest.raises(StudyError, match=message) as error, local(1) as made:
@@ -261,8 +260,7 @@ def test_a_full_disk_is_one_sentence_and_what_is_finished_stays(store, log):
     assert one_sentence(error)
     assert store.keys() == {f"case-{n}" for n in range(9)}
     assert {file.name for file in rows_of(store)} == {f"case-{n}.json" for n in range(9)}  # and no half
-    with local(1) as made:
-        rows = run_cases(ours.filling, asked, shared={"log": log, "full": None}, executor=made, store=store)
+    rows = run_cases(ours.filling, asked, shared={"log": log, "full": None}, executor=pool, store=store)
     assert rows == [answer(n) for n in range(20)]
     assert Counter(n for n, _ in begun(log)) == Counter(range(20)) + Counter([9])
 
@@ -377,7 +375,7 @@ def test_a_url_without_what_it_needs_is_one_sentence(monkeypatch):
     [
         ({}, 2),
         *(pytest.param(*one, marks=pytest.mark.proof) for one in (({"threads": 3}, 3), ({"workers": 2}, 1))),
-        ({"workers": 2, "threads": 2}, 2),
+        ({"workers": 1, "threads": 2}, 2),
     ],
 )
 def test_a_worker_uses_its_share_of_the_cores(monkeypatch, asked, threads):
@@ -388,7 +386,7 @@ def test_a_worker_uses_its_share_of_the_cores(monkeypatch, asked, threads):
         rows = run_cases(ours.threads, cases(6), executor=made)
     there = len(os.sched_getaffinity(0))
     assert {(row["cores"], row["omp"]) for row in rows} == {(min(threads, there), str(threads))}
-    assert len({row["pid"] for row in rows}) == 2
+    assert len({row["pid"] for row in rows}) == asked.get("workers", 2)
     assert dict(os.environ) == before
 
 
@@ -485,7 +483,7 @@ def test_work_that_cannot_travel_is_one_sentence(pool):
 
 def test_a_broken_foreign_pool_is_one_sentence(store, log):
     message = r"runs no more cases \(BrokenProcessPool.* finished cases are kept"
-    with pytest.raises(StudyError, match=message) as error, standard() as made:
+    with pytest.raises(StudyError, match=message) as error, standard(1) as made:
         run_cases(ours.deadly, cases(40), shared={"log": log, "killer": 9}, executor=made, store=store)
     assert one_sentence(error)
     assert store.keys()
@@ -570,7 +568,7 @@ def test_a_wrong_address_is_named(address):
         pass
 
 
-def test_a_dask_cluster_computes_each_case_once(store, log, caplog):
+def test_a_dask_cluster_computes_each_case_once(pool, store, log, caplog):
     distributed = pytest.importorskip("distributed")
     program_version.cache_clear()  # a program edited while the tests run has another version
     with distributed.LocalCluster(
@@ -625,11 +623,15 @@ def test_a_dask_cluster_computes_each_case_once(store, log, caplog):
             )
     assert one_sentence(error)
     assert not [record for record in caplog.records if record.name == "distributed.client" and record.exc_info]
-    kept = store.keys()
+    kept, lost = store.keys(), len(begun(log))
     assert len(kept) >= 24
-    assert run_cases(ours.plain, cases(90), shared={"log": log}, store=store) == [answer(n) for n in range(90)]
-    twice = {n for n, times in Counter(n for n, _ in begun(log)[once:]).items() if times > 1}
-    assert not twice & {int(key.removeprefix("case-")) for key in kept}
+    # What one worker had in hand as it ended Dask may have given to the other.
+    assert max(Counter(n for n, _ in begun(log)[once:]).values()) <= 2
+    assert lost - once - len({n for n, _ in begun(log)[once:]}) <= 2
+    rows = run_cases(ours.plain, cases(90), shared={"log": log}, executor=pool, store=store)
+    assert rows == [answer(n) for n in range(90)]
+    again = {n for n, _ in begun(log)[lost:]}
+    assert not again & {int(key.removeprefix("case-")) for key in kept}
 
 
 def test_a_cluster_without_its_package_is_one_sentence(monkeypatch):

@@ -67,14 +67,25 @@ def linear_again():
     return sum(kernel.dispatcher.stats.cache_hits.values())
 
 
-@pytest.fixture
-def kept(tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
     """The folder of a kernel that is kept for two signatures."""
-    monkeypatch.setattr(compiling, "cache_folder", lambda _module: tmp_path)
-    assert linear_again() == 0
+    folder = tmp_path_factory.mktemp("kernel")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiling, "cache_folder", lambda _module: folder)
+        assert linear_again() == 0
+        assert linear_again() == 2
+    assert len(list(folder.iterdir())) == 2
+    return folder
+
+
+@pytest.fixture
+def kept(compiled, tmp_path, monkeypatch):
+    """A copy of this folder, of which the kernel comes as well."""
+    folder = shutil.copytree(compiled, tmp_path / "kept")
+    monkeypatch.setattr(compiling, "cache_folder", lambda _module: folder)
     assert linear_again() == 2
-    assert len(list(tmp_path.iterdir())) == 2
-    return tmp_path
+    return folder
 
 
 DAMAGE = {
@@ -100,8 +111,8 @@ def test_a_damaged_kernel_is_compiled_again(kind, kept):
 def test_no_flipped_byte_is_run(kept):
     files = list(kept.iterdir())
     whole = {file: file.read_bytes() for file in files}
-    for part in range(4):
-        for file, data in whole.items():
+    for first in range(2):
+        for part, (file, data) in zip((first, first + 2), whole.items(), strict=True):
             at = part * len(data) // 4 + part
             file.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
         assert linear_again() == 0
@@ -200,22 +211,23 @@ def test_processes_that_need_the_same_kernel_compile_it_once(tmp_path):
 
 
 def test_loading_compiled_kernels_imports_nothing_that_compiles():
-    """The oracle is Python's list of imported modules; the first of the processes compiles what is missing."""
+    """The oracle is Python's list of imported modules; the first of two processes may compile what is missing."""
     code = (
         "import sys, tomllib\n"
         "from turnwright.job import Job, run\n"
         "run(Job.read(tomllib.loads(sys.argv[1])))\n"
         "print(*sys.modules)"
     )
+    compilers = {"numba.np.arraymath", "numba.np.arrayobj", "numba.np.linalg", "scipy.fft", "scipy.linalg"}
     for _ in range(2):
         done = subprocess.run(
             [sys.executable, "-c", code, tomli_w.dumps(changed())], capture_output=True, text=True, check=True
         )
-    modules = done.stdout.split()
+        modules = set(done.stdout.split())
+        if not compilers & modules:
+            break
     assert "numba" in modules
-    assert not {"numba.np.arraymath", "numba.np.arrayobj", "numba.np.linalg", "scipy.fft", "scipy.linalg"} & set(
-        modules
-    )
+    assert not compilers & modules
 
 
 def test_an_error_in_a_function_of_numba_is_raised_by_kept_code(tmp_path):
