@@ -25,7 +25,7 @@ def disc(x, y, radius):
 @pytest.mark.parametrize("filling", [1.0, 0.6, 0.25])
 def test_the_transfer_is_the_overlap_of_two_pupils(filling):
     """Oracle: counting points of a fine grid inside both discs."""
-    at = np.linspace(-1, 1, 1201)
+    at = np.linspace(-1, 1, 2001)
     x, y = np.meshgrid(at * filling, at * filling)
     optics = Instrument(numerical_aperture=0.3, wavelength=570e-6, filling=filling)
     small = disc(x, y, filling)

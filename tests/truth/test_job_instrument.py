@@ -9,13 +9,13 @@ import turnwright as tw
 from turnwright.job.pass_plan import cut_heights, motion_of
 
 
-def job_of(surface, **measurement):
+def job_of(surface, feed=25, **measurement):
     return tw.Job.read(
         {
             "part": {"name": "part", "radius": "2 mm", "surface": surface},
             "tool": {"nose_radius": "0.5 mm", "included": "60 deg", "clearance": "10 deg"},
             "machine": {"name": "generic"},
-            "strategy": {"kind": "slow tool servo", "feed": "25 um/rev", "points_per_rev": 360},
+            "strategy": {"kind": "slow tool servo", "feed": f"{feed} um/rev", "points_per_rev": 360},
             "measurement": {"free": ["z"], **measurement},
         }
     )
@@ -57,13 +57,13 @@ def test_instrument_pixel_does_not_lower_the_form():
     surface = {"family": "sine grid", "amplitude": ["1 um", "1 um"], "period": ["1.5 mm", "1.5 mm"]}
     pixel, axis = 0.1, np.linspace(-2, 2, 41)
     x, y = np.meshgrid(axis, axis)
-    plain = job_of(surface)
+    plain = job_of(surface, 100)
     passed = np.sinc(pixel / 1.5)
     z = plain.part.surface.sag(x, y) * passed
     z[np.hypot(x, y) > 1.95] = np.nan
     heights = tw.HeightMap(x=axis, y=axis, z=z)
     without = tw.measure(plain, heights)
-    through = tw.measure(job_of(surface, instrument={"pixel": "0.1 mm"}), heights)
+    through = tw.measure(job_of(surface, 100, instrument={"pixel": "0.1 mm"}), heights)
     assert without.form_rms_nm == pytest.approx((1 - passed) * 1e3 * np.std(z[np.isfinite(z)]) / passed * 1e3, rel=0.05)
     assert through.form_rms_nm < 0.02 * without.form_rms_nm
     assert through.instrument_effect_nm == pytest.approx(without.form_rms_nm, rel=0.05)

@@ -25,7 +25,7 @@ def made():
     """Return an array with dislocations of 10 to 140 um and forms of 0.1 to 0.8 um, and what an instrument shows."""
     rng = np.random.default_rng(1)
     array = MadeArray.of(rng)
-    return array, array.seen(POSE, rng, side=500)
+    return array, array.seen(POSE, rng, side=400)
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +81,8 @@ def test_without_noise_centre_height_and_radius_are_exact(perfect):
 def test_the_uncertainty_holds_for_correlated_noise(perfect, patch):
     """Noise that is one value over patches of 2 x 2 pixels carries a quarter of the information."""
     rng = np.random.default_rng(3)
-    x = np.linspace(-RIM, RIM, 600)
-    noise = rng.normal(0, 2e-5, (600 // patch, 600 // patch)).repeat(patch, 0).repeat(patch, 1)
+    x = np.linspace(-RIM, RIM, 700)
+    noise = rng.normal(0, 2e-5, (700 // patch, 700 // patch)).repeat(patch, 0).repeat(patch, 1)
     z = perfect.sag(*np.meshgrid(x, x)) + noise
     z[np.hypot(x, x[:, None]) > RIM] = np.nan
     found = tw.lenslets(tw.HeightMap(x=x, y=x, z=z), PART, pose=tw.Pose(), form="sphere", level=False)
@@ -96,7 +96,7 @@ def test_the_uncertainty_holds_for_correlated_noise(perfect, patch):
 def test_the_lowest_pixel_is_no_centre(perfect):
     """Noise of 20 nm lets it wander by the root of 2 R times the noise: 20 um, a thousand times as far as the fit."""
     rng = np.random.default_rng(4)
-    x = np.linspace(-RIM, RIM, 400)
+    x = np.linspace(-RIM, RIM, 600)
     gx, gy = np.meshgrid(x, x)
     z = perfect.sag(gx, gy) + rng.normal(0, 2e-5, gx.shape)
     lowest = []
@@ -152,7 +152,7 @@ def test_hexagonal_lenslets_that_share_borders(noise):
 
 def test_missing_lenslets_are_reported_and_spoil_nothing(perfect):
     rng = np.random.default_rng(7)
-    x = np.linspace(-RIM, RIM, 320)
+    x = np.linspace(-RIM, RIM, 500)
     gx, gy = np.meshgrid(x, x)
     z = perfect.sag(gx, gy) + rng.normal(0, 2e-5, gx.shape)
     gone, half, flat = perfect.centres[0], perfect.centres[5], perfect.centres[9]
@@ -217,7 +217,7 @@ def test_free_tilt_is_found_where_the_form_separates_it():
 
 
 def test_polar_and_scattered_maps_give_the_same_lenslets(perfect):
-    radius, angle = np.linspace(0, RIM, 150), np.linspace(0, 2 * np.pi, 540, endpoint=False)
+    radius, angle = np.linspace(0, RIM, 200), np.linspace(0, 2 * np.pi, 600, endpoint=False)
     gx, gy = np.cos(angle)[:, None] * radius, np.sin(angle)[:, None] * radius
     z = perfect.sag(gx, gy)
     polar = tw.lenslets(tw.HeightMap(radius=radius, angle=angle, z=z), PART, pose=tw.Pose(), radius=True)

@@ -133,7 +133,7 @@ def test_access_is_that_of_the_file_as_it_is_now(tmp_path):
     ids=["a pass", "three passes", "along the normal, at the highest speed"],
 )  # fmt: skip
 def test_the_stages_of_a_job_are_those_of_its_run(changes):
-    job = job_with(changes)
+    job = job_with({"strategy.feed": "14 um/rev", **changes})
     stages, result = Pipeline(job), run(job)
     assert stages.access == result.access
     assert [one.name for one in stages.passes] == [one.name for one in result.passes]

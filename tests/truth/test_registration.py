@@ -136,7 +136,7 @@ def test_astigmatism_on_a_torus_is_confused_with_a_rotation():
     rng = np.random.default_rng(6)
     part = Part(surface=TORUS, radius=7.5)
     astigmatism = Zernike(terms={6: 1.0}, radius=7.5, indexing="fringe")
-    points = disc(part, 5000, rng)
+    points = disc(part, 2000, rng)
     points[2] += 1e-3 * astigmatism.sag(points[0], points[1])
     heights = measured(points, Pose())
     plain = register(heights, part)
@@ -231,7 +231,7 @@ def test_an_array_on_a_torus_is_found_from_a_raw_start():
 def test_a_partial_scan_lists_the_places_one_pitch_off():
     rng = np.random.default_rng(9)
     part = Part(surface=lenses(11), radius=12.0)
-    x, y = rng.uniform(-3, 3.4, (2, 10_000))
+    x, y = rng.uniform(-3, 3.4, (2, 5_000))
     points = np.array([x, y, part.surface.sag(x, y) + rng.normal(0, 20e-6, x.size)])
     heights = measured(points, Pose(shift=(0.3, 0.2, 0.0)))
     found = register(heights, part)
@@ -251,8 +251,8 @@ def test_a_symmetric_part_lists_its_equivalent_poses(square):
     rng = np.random.default_rng(10)
     hexagonal = LensArray.hexagonal(pitch=2.0, rings=2, lenslet=Sphere(radius=10.0))
     part = Part(surface=lenses(5, Sphere(radius=300.0)) if square else hexagonal, radius=6.5 if square else 5.0)
-    points = disc(part, 8000, rng)
-    points[2] += rng.normal(0, 5e-6, 8000)
+    points = disc(part, 4000, rng)
+    points[2] += rng.normal(0, 5e-6, 4000)
     true = Pose(shift=(1.3, -0.2, 0.1), rotation=0.2, tilt=(0.01, -0.02))
     found = register(measured(points, true), part, clocking=np.pi)
     step, count = (90, 4) if square else (60, 6)
@@ -328,7 +328,7 @@ def test_a_step_that_tilts_a_sphere_around_is_not_tried():
     assert np.sqrt(np.mean((left - left.mean()) ** 2)) < 2e-6
 
 
-def gridded(part, pose, *, noise=8e-6, half=None, side=141, beyond=1.0, middle=None, seed=0):
+def gridded(part, pose, *, noise=8e-6, half=None, side=101, beyond=1.0, middle=None, seed=0):
     """What an instrument sees on its grid, by the roots of the moved design: the whole part, or a window of it."""
     rng = np.random.default_rng(seed)
     half = 1.02 * part.radius if half is None else half
@@ -404,7 +404,7 @@ def test_the_noise_is_that_of_the_map_and_not_of_the_pose():
     part = Part(surface=FREEFORM.surface, radius=6.0)
     rng = np.random.default_rng(3)
     form = Zernike(terms={5: 1e-3, 8: 0.5e-3}, radius=6.0, indexing="fringe")
-    plain = gridded(part, Pose(), noise=0.0, side=201)
+    plain = gridded(part, Pose(), noise=0.0, side=161)
     x, y = plain.points()
     white = replace(plain, z=plain.z + form.sag(x, y) + rng.normal(0, 12e-6, x.shape))
     found = register(white, part)
@@ -432,12 +432,12 @@ def test_random_parts_are_found_at_their_noise():
 
 
 @pytest.mark.parametrize("loss", ["linear", pytest.param("huber", marks=pytest.mark.proof)])
-def test_a_million_points_take_fifteen_evaluations_at_most(loss, monkeypatch):
+def test_many_points_take_fifteen_evaluations_at_most(loss, monkeypatch):
     """Counted: points at which the design is evaluated, over the points of the map. It was 49 to 57."""
     surface = Conic(radius=30.0, conic=-1.0) + Zernike(terms={5: 0.6e-3, 6: 0.3e-3}, radius=5.0, indexing="fringe")
     part = Part(surface=surface, radius=5.0)
     rng = np.random.default_rng(1)
-    r, angle = 5 * np.sqrt(rng.random(1_000_000)), rng.uniform(0, 2 * np.pi, 1_000_000)
+    r, angle = 5 * np.sqrt(rng.random(300_000)), rng.uniform(0, 2 * np.pi, 300_000)
     points = np.array([r * np.cos(angle), r * np.sin(angle), np.zeros(r.size)])
     points[2] = surface.sag(points[0], points[1]) + rng.normal(0, 8e-6, r.size)
     heights = measured(points, Pose(shift=(1.6, -1.2, 0.1), rotation=0.2, tilt=(0.004, -0.003)))
@@ -545,7 +545,7 @@ def test_a_torus_is_held_within_its_edge_in_few_steps():
     """It is one of revolution: a shift along y is a tilt. The map shows 97 % of its radius, moved by half a mm."""
     surface, radius = Toroid(radius_x=30.0, radius_y=45.0), 5.0
     pose = Pose(shift=(0.4, -0.3, 0.02), rotation=0.05, tilt=(1e-3, -2e-3))
-    axis = np.linspace(-5.4, 5.4, 241)
+    axis = np.linspace(-5.4, 5.4, 161)
     x, y = np.meshgrid(axis, axis)
     z = np.zeros(x.shape)
     for _ in range(20):
