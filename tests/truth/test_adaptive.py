@@ -1,5 +1,7 @@
 """Adaptive steps and points: dense simulation of the program itself, and circle geometry. No planner inside."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
@@ -43,7 +45,7 @@ WAYS = [
 ]
 
 
-def followed(servo, part, tool=TOOL, each=24):
+def followed(servo, part, tool=TOOL, each=16):
     """Return angle, radius and height that the controller makes of the points, and the exact height at that radius."""
     spiral = servo.spiral(part, tool)
     path = place(spiral, part, tool)
@@ -85,7 +87,7 @@ def test_the_controller_keeps_within_the_chord_of_the_exact_path(way, chord):
 def test_either_way_round_is_within_the_chord(sense, inside_out):
     tool = Tool(nose_radius=0.1, rake=np.deg2rad(-15), waviness=(0.0, 2e-5), offset=(0.003, 0.002, 0.001))
     servo = AdaptiveToolServo(scallop=SCALLOP, chord=5e-6, interpolation="hermite", inside_out=inside_out, sense=sense)
-    path, _, _, z, exact = followed(servo, GRID, tool)
+    path, _, _, z, exact = followed(servo, replace(GRID, radius=0.15), tool)
     assert path.sense == sense
     assert (path.radius[0] < path.radius[-1]) == inside_out
     assert path.radius.min() == pytest.approx(-0.003, abs=1e-12)
@@ -102,8 +104,8 @@ def test_every_cusp_is_as_high_as_the_scallop(name, way):
     # Straight lines between as many samples follow the cubics to less than a thousandth of the scallop.
     _, angle, radius, _, exact = followed(servo, part, each=100)
     # Where the tip is within its first two turns the edge touches up to 0.03 mm from the axis.
-    high = crests(left(angle, radius, exact, part, low=0.05, high=0.299, samples=40001)) / SCALLOP
-    assert high.size > 24 * 30
+    high = crests(left(angle, radius, exact, part, low=0.05, high=0.299, azimuths=12, samples=40001)) / SCALLOP
+    assert high.size > 12 * 30
     assert high.min() > 0.98
     assert high.max() < 1.005
     # Nothing is higher anywhere, the axis and the rim included.
@@ -114,7 +116,7 @@ def test_the_program_itself_leaves_scallop_and_chord():
     for way in WAYS:
         servo = AdaptiveToolServo(scallop=SCALLOP, chord=1e-6, **way)
         _, angle, radius, z, _ = followed(servo, GRID, each=100)
-        error = left(angle, radius, z, GRID, low=0.0, high=0.3)
+        error = left(angle, radius, z, GRID, low=0.0, high=0.3, samples=6001)
         assert error.max() < 1.005 * SCALLOP + 1.02e-6
         assert error.min() > -1.02e-6
 
@@ -169,10 +171,10 @@ def test_a_steady_feed_over_lenses_on_a_torus():
     surface = Toroid(radius_x=40, radius_y=60) + LensArray.square(
         lenslet=Sphere(radius=2.0), pitch=0.5, rows=7, columns=7
     )
-    part, tool = Part(surface=surface, radius=1.5), Tool(nose_radius=0.2, included=np.deg2rad(120))
+    part, tool = Part(surface=surface, radius=0.9), Tool(nose_radius=0.2, included=np.deg2rad(120))
     servo = AdaptiveToolServo(scallop=SCALLOP, chord=SCALLOP, interpolation="linear", x_motion="steady")
     # The largest feed on a slope s of curvature k is sqrt(8 R h (1 - R k) cos(s)^3): least at the rim of a lens.
-    least = np.sqrt(8 * 0.2 * SCALLOP * (1 - 0.2 * (1 / 2.0 + 1 / 40)) * np.cos(0.18 + 1.5 / 40) ** 3)
+    least = np.sqrt(8 * 0.2 * SCALLOP * (1 - 0.2 * (1 / 2.0 + 1 / 40)) * np.cos(0.18 + 0.9 / 40) ** 3)
     assert least < servo.spiral(part, tool).feed < np.sqrt(8 * 0.2 * SCALLOP * (1 - 0.2 / 2.0))
 
 
@@ -208,9 +210,9 @@ def test_where_the_density_changes_nothing_is_gouged(way):
     step = np.append(np.abs(np.diff(path.angle)) * path.radius[1:], 1.0)
     assert np.median(step[flat]) > 4 * np.median(step[bumpy])  # the density does change
     assert np.abs(z - exact).max() <= 2e-6
-    error = left(angle, radius, z, part, low=0.0, high=0.3, azimuths=90, samples=3001)
+    error = left(angle, radius, z, part, low=0.0, high=0.3, azimuths=48, samples=3001)
     assert error.min() > -2.1e-6
-    assert left(angle, radius, exact, part, low=0.0, high=0.3, azimuths=90, samples=6001).max() < 1.01 * SCALLOP
+    assert left(angle, radius, exact, part, low=0.0, high=0.3, azimuths=48, samples=6001).max() < 1.01 * SCALLOP
 
 
 def test_points_off_the_path_save_nearly_a_factor_of_root_two():

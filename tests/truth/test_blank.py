@@ -50,7 +50,7 @@ def test_every_cut_leaves_no_more_than_its_allowance(tmp_path, case):
     surface, top, strategy, stock = case
     job = job_of(surface, top, strategy, stock)
     line = Pipeline(job, out=tmp_path)
-    radius, angle = np.linspace(0, 4.999, 600), np.linspace(0, 2 * np.pi, 45, endpoint=False)
+    radius, angle = np.linspace(0, 4.999, 400), np.linspace(0, 2 * np.pi, 24, endpoint=False)
     x, y = radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None]
     design, left = job.part.surface.sag(x, y), job.part.blank.surface.sag(x, y)
     full = np.ptp(line.motion.axes["X"])

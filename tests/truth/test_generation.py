@@ -494,7 +494,7 @@ def test_points_beyond_the_prepared_distances_do_not_disturb_those_within():
     axes = {**motion.axes, "Y": 0.05 * np.sin(3 * motion.axes["X"])}
     motion = replace(motion, axes=axes)
     edge = tw.Tool(nose_radius=0.05, included=np.deg2rad(48))
-    x = np.linspace(-0.1, 0.1, 301)
+    x = np.linspace(-0.1, 0.1, 201)
     inside = np.hypot(*np.meshgrid(x, x)) < 0.03
     ready = Prepared.of(motion, edge, None, distances=(0.0, 0.03), most_rings=10_000)
     made = ready.fill_grid(x, x, inside=inside)

@@ -68,8 +68,8 @@ def test_a_lead_out_cuts_nothing_below_the_part(changes):
     job = job_of(**changes)
     before, added, after = motions(job)
     assert added.axes["Z"][-1] - added.axes["Z"][0] == pytest.approx(0.03, abs=0.05)
-    radius = np.linspace(max(job.part.nearest, 0.0), 2.0, 400)
-    angle = np.linspace(0, 2 * np.pi, 90, endpoint=False) + 0.01
+    radius = np.linspace(max(job.part.nearest, 0.0), 2.0, 300)
+    angle = np.linspace(0, 2 * np.pi, 45, endpoint=False) + 0.01
     plain, made = (generate_polar(one, job.tool, radius=radius, angle=angle) for one in (before, after))
     design = job.part.surface.sag(radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None])
     # The chords between 90 points a turn cut below the design, with and without it.
