@@ -70,7 +70,8 @@ def test_the_tool_comes_down_to_the_first_cut_of_a_loop_and_to_all_others(tmp_pa
         assert start <= entry.approach.start["Z"] + 0.03
 
 
-def test_a_job_in_the_frame_runs_and_is_backplotted(tmp_path, capsys):
+def test_a_job_in_the_frame_runs_and_is_backplotted(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("turnwright.report.figures._print_svg", lambda _canvas: "<svg></svg>")
     job_of(tmp_path, "diffsys-2d").dump(tmp_path / "job.toml")
     assert main(["run", str(tmp_path / "job.toml"), "--out", str(tmp_path / "out")]) == 0
     assert main(["backplot", str(tmp_path / "out" / "part.nc"), "--job", str(tmp_path / "job.toml")]) == 0

@@ -70,7 +70,8 @@ def test_a_wrong_start_is_refused(program, field):
         job_of(**program)
 
 
-def test_a_run_with_a_dry_run_is_reported(tmp_path):
+def test_a_run_with_a_dry_run_is_reported(tmp_path, monkeypatch):
+    monkeypatch.setattr("turnwright.report.figures._print_svg", lambda _canvas: "<svg></svg>")
     job_of(**START).dump(tmp_path / "job.toml")
     assert main(["run", str(tmp_path / "job.toml"), "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "part-dry.nc").exists()

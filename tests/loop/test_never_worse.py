@@ -1,6 +1,7 @@
 """A correction never harms: errors that every lathe has, cut by brute force. See `tests.proof.proof_loop`."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,8 +9,8 @@ import pytest
 import blind_parts as blind
 import turnwright as tw
 import turnwright.diagnosis.report as _draws
+from tests.proof import proof_test_parts
 from tests.proof.proof_loop import Sample, commander, draw, outcome
-from tests.proof.proof_test_parts import maps_of
 
 PER_REV = 360
 TOROID = {"family": "toroid", "radius_x": "15 mm", "radius_y": "25 mm"}
@@ -199,10 +200,11 @@ def test_a_source_beyond_belief_stops_a_correction(tmp_path):
         tw.correct(part.job, tw.diagnose(maps), maps, out=tmp_path / "better")
 
 
-def test_lobes_that_test_parts_show_are_reported_to_stay(tmp_path):
+def test_lobes_that_test_parts_show_are_reported_to_stay(tmp_path, monkeypatch):
     """A job that is corrected by test parts has their tool and machine, not the form that the spindle makes."""
+    monkeypatch.setattr(proof_test_parts, "Sample", partial(Sample, per_rev=PER_REV, pixels=41))
     part = sample(replace(LOBED, offset=(7e-3, 0.0, 0.0)))
-    found = tw.diagnose(maps_of(part, np.random.default_rng(1)))
+    found = tw.diagnose(proof_test_parts.maps_of(part, np.random.default_rng(1)))
     better = tw.correct(part.job, found, out=tmp_path / "better")
     message = [one for one in better.sentences if "not corrected on this part" in one]
     assert len(message) == 1

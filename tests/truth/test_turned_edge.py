@@ -1,6 +1,7 @@
 """The edge found from cusps, against the known wavy edge of a brute-force minimum over its passes."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ def wave(u):
     return 8e-6 * np.sin(2 * np.pi * u / 0.010)
 
 
+@cache
 def true_surface(feed, step=PIXEL / 10):
     at = np.arange(-0.44, 0.44, step)
     return as_profile(at, cut((np.arange(int(0.48 / feed)) + 0.75) * feed, at, bend=BEND, wave=wave))

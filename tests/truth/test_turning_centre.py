@@ -134,7 +134,7 @@ def test_a_grain_of_dust_is_not_taken_for_the_axis(kind):
     random = np.random.default_rng(4)
     for _ in range(3):
         pixel, (p, q) = 0.01, random.uniform(-0.05, 0.05, 2)
-        axis = pixel * (np.arange(161) - 80)
+        axis = pixel * (np.arange(121) - 60)
         x, y = np.meshgrid(axis, axis)
         width, size = random.uniform(2, 5) * pixel, random.uniform(50e-6, 300e-6)
         square = ((x - p) ** 2 + ((y - q) * (1.4 if kind == "oval" else 1.0)) ** 2) / width**2
