@@ -290,7 +290,7 @@ def test_the_uncertainty_of_a_power_is_that_of_least_squares():
     assert found.exponents[0].high - found.exponents[0].value == pytest.approx(half[1], rel=1e-4)
 
 
-@pytest.mark.parametrize("kind", ["slope change", "drop to 0.8", "drop to 0.5"])
+@pytest.mark.parametrize("kind", ["slope change", pytest.param("drop to 0.8", marks=pytest.mark.proof), "drop to 0.5"])
 def test_intervals_hold_whatever_becomes_of_the_forces(kind):
     """A twentieth of the proof in tests/proof/proof_learning.py: fewer than 17 of 20 at 95 % has a chance of 1.6 %."""
     found, *inside = covered(kind, 20, 7)
