@@ -9,6 +9,7 @@ import pytest
 import blind_parts as blind
 import turnwright as tw
 import turnwright.diagnosis.report as _draws
+import turnwright.job.correction as _correct
 from tests.proof import proof_test_parts
 from tests.proof.proof_loop import Sample, commander, draw, outcome
 
@@ -26,11 +27,13 @@ def sample(*errors):
 
 @pytest.fixture(scope="module", autouse=True)
 def few_draws():
-    """A proof cuts a quarter of its next parts, at half the places, and two of them in full."""
+    """A proof cuts a quarter of its next parts, two of them in full, at half the places or fewer; so does a forecast."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_draws, "DRAWS", 50)
         patch.setattr(_draws, "DRAW_POINTS", 1_000)
         patch.setattr(_draws, "FULL_CASES", 2)
+        patch.setattr(_correct, "MAX_PREDICTED_POINTS", 4_000)
+        patch.setattr(_correct, "MAX_SIMULATED_PLACES", 200)
         yield
 
 

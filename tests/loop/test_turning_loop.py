@@ -7,6 +7,7 @@ import pytest
 
 import turnwright as tw
 import turnwright.diagnosis.report as _draws
+import turnwright.job.correction as _correct
 from turnwright.job import Job, correct, diagnose, measure
 from turnwright.job.pass_plan import motion_of
 from turnwright.strategy import turning
@@ -52,6 +53,9 @@ def means(job, radii, angles):
 def test_the_symmetric_part_is_corrected_and_the_rest_is_stated(job, tmp_path, monkeypatch):
     monkeypatch.setattr(turning, "MERIDIAN_SAMPLES", 2000)  # by which points are spread, not their heights
     monkeypatch.setattr(_draws, "DRAWS", 50)
+    monkeypatch.setattr(_draws, "FULL_CASES", 2)
+    monkeypatch.setattr(_correct, "MAX_PREDICTED_POINTS", 4_000)
+    monkeypatch.setattr(_correct, "MAX_SIMULATED_PLACES", 200)
     axis = np.linspace(-RADIUS, RADIUS, 81)
     x, y = np.meshgrid(axis, axis)
     inside = np.hypot(x, y) < 7.9

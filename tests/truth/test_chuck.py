@@ -7,6 +7,7 @@ import pytest
 
 import turnwright as tw
 import turnwright.diagnosis.report as _draws
+import turnwright.job.correction as _correct
 from turnwright.job import Job, correct, diagnose, measure, preview
 
 TOOL = tw.Tool(nose_radius=0.5, included=np.deg2rad(90), clearance=np.deg2rad(10))
@@ -140,7 +141,7 @@ JOB = {
     "tool": {"nose_radius": "0.5 mm", "included": "90 deg", "clearance": "10 deg"},
     "machine": {"name": "nanoform"},
     "strategy": {
-        "kind": "slow tool servo", "feed": "50 um/rev", "points_per_rev": 720, "spindle_speed": "20 rpm",
+        "kind": "slow tool servo", "feed": "50 um/rev", "points_per_rev": 360, "spindle_speed": "20 rpm",
     },
     "measurement": {"part": "M2", "fixed": ["decentre", "clocking"]},
 }  # fmt: skip
@@ -149,6 +150,8 @@ JOB = {
 def test_a_map_of_one_part_corrects_this_part(tmp_path, monkeypatch):
     monkeypatch.setattr(_draws, "DRAWS", 50)
     monkeypatch.setattr(_draws, "FULL_CASES", 2)
+    monkeypatch.setattr(_correct, "MAX_PREDICTED_POINTS", 4_000)
+    monkeypatch.setattr(_correct, "MAX_SIMULATED_PLACES", 200)
     job = Job.read(JOB)
     assert Job.read(job.table()) == job
     x, y = np.linspace(-4, 4, 65), np.linspace(-3, 3, 49)

@@ -25,7 +25,7 @@ BASE = {
     "part": {"surface": GRID, "radius": "1.5 mm"},
     "tool": {"nose_radius": "0.3 mm", "included": "120 deg", "clearance": "12 deg"},
     "machine": {"name": "generic"},
-    "strategy": {"kind": "slow tool servo", "feed": "7 um/rev", "points_per_rev": 240, "spindle_speed": "60 rpm"},
+    "strategy": {"kind": "slow tool servo", "feed": "10 um/rev", "points_per_rev": 240, "spindle_speed": "60 rpm"},
     "simulation": {
         "whole_part": {"radii": 150, "angles": 12},
         "patches": [
