@@ -12,6 +12,7 @@ import pytest
 import linuxcnc
 import linuxcnc_planner
 import turnwright as tw
+from cases import every_second
 from turnwright.job import Job, Pipeline
 from turnwright.machine import blend_blocks
 
@@ -40,8 +41,7 @@ def machine_of(dialect):
     return replace(tw.Machine.load("nanoform"), dialect=dialect)
 
 
-@pytest.mark.parametrize("sense", [1, -1])
-@pytest.mark.parametrize("dialect", ["generic", "linuxcnc"])
+@pytest.mark.parametrize(("dialect", "sense"), every_second(["generic", "linuxcnc"], [1, -1]))
 def test_blocks_of_a_freeform_are_those_that_linuxcnc_reads(tmp_path, dialect, sense):
     machine = machine_of(dialect)
     rough = motion_of(tw.SlowToolServo(feed=0.1, points_per_rev=60, spindle_rpm=60, sense=sense), PART, machine)
@@ -60,8 +60,12 @@ def test_blocks_of_a_freeform_are_those_that_linuxcnc_reads(tmp_path, dialect, s
         assert np.abs(np.diff(time) - np.diff(again.time)).max() < 1e-9
 
 
-@pytest.mark.parametrize("dialect", ["generic", "linuxcnc"])
-@pytest.mark.parametrize("options", [{}, {"feed_mode": "mm/rev"}, {"feed_mode": "mm/rev", "surface_speed": 900.0}])
+@pytest.mark.parametrize(
+    ("dialect", "options"),
+    every_second(
+        ["generic", "linuxcnc"], [{}, {"feed_mode": "mm/rev"}, {"feed_mode": "mm/rev", "surface_speed": 900.0}]
+    ),
+)
 def test_blocks_in_spindle_mode_are_those_that_linuxcnc_reads(tmp_path, dialect, options):
     machine = machine_of(dialect)
     motion = motion_of(tw.Turning(feed=0.01, spindle_rpm=1000, chord=1e-6, **options), TURNED, machine)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+from cases import every_second
 from turnwright.cli import main
 from turnwright.errors import InputError, ProgramError
 from turnwright.job import Pipeline, find_wrong_move
@@ -32,8 +33,7 @@ def job_of(tmp_path, dialect, extra="", **changes):
     return tw.Job.read({**TABLE, **changes, "machine": {"file": "lathe.toml"}}, folder=tmp_path)
 
 
-@pytest.mark.parametrize("z_sign", [1, -1])
-@pytest.mark.parametrize("inside_out", [False, True])
+@pytest.mark.parametrize(("inside_out", "z_sign"), every_second([False, True], [1, -1]))
 def test_a_repeated_pass_is_a_loop_that_reads_as_its_cuts(tmp_path, z_sign, inside_out):
     """Oracle: the motions of the job, and the same program without loops."""
     strategy = {**TABLE["strategy"], "inside_out": inside_out}

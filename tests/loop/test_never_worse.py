@@ -27,7 +27,7 @@ def sample(*errors):
 
 @pytest.fixture(scope="module", autouse=True)
 def few_draws():
-    """A proof cuts a quarter of its next parts, two of them in full, at half the places or fewer; so does a forecast."""
+    """A proof cuts a quarter of its next parts, two of them in full, and looks at fewer places."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_draws, "DRAWS", 50)
         patch.setattr(_draws, "DRAW_POINTS", 1_000)

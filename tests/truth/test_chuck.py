@@ -8,6 +8,7 @@ import pytest
 import turnwright as tw
 import turnwright.diagnosis.report as _draws
 import turnwright.job.correction as _correct
+from cases import every_second
 from turnwright.job import Job, correct, diagnose, measure, preview
 
 TOOL = tw.Tool(nose_radius=0.5, included=np.deg2rad(90), clearance=np.deg2rad(10))
@@ -101,8 +102,7 @@ def test_a_tool_that_cannot_pass_between_two_parts_is_refused(gap):
     tw.place(servo.spiral(apart, TOOL), apart, TOOL)
 
 
-@pytest.mark.parametrize("inside_out", [False, True])
-@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize(("side", "inside_out"), every_second([1, -1], [False, True]))
 def test_a_tall_neighbour_is_never_cut(side, inside_out):
     # Diagonally behind the low part: the tool must rise 1 mm, and the flank at 45 degrees reaches over the tall part.
     low = tw.Mounted(name="low", surface=tw.Plane(), outline=tw.Outline(rectangle=(4.0, 4.0)), position=(12.0, 0.0))

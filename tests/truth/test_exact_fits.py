@@ -10,6 +10,7 @@ import pytest
 import sympy
 
 from area_oracle import ring_weights
+from cases import every_second
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import best_fit, fit_zernike, remove_form
 from turnwright.surface import Conic, EvenAsphere, Sphere
@@ -84,8 +85,7 @@ FORMS = {
 }
 
 
-@pytest.mark.parametrize("distance", ["vertical", "normal"])
-@pytest.mark.parametrize("name", FORMS)
+@pytest.mark.parametrize(("name", "distance"), every_second(FORMS, ["vertical", "normal"]))
 def test_a_form_is_found_under_an_orthogonal_residual(name, distance):
     form, true, free = FORMS[name]
     point, normal, speeds = form_columns(free, *disc(), true)

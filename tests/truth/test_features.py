@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from cases import every_second
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import features
@@ -54,8 +55,7 @@ def test_a_grid_of_bumps_has_its_closed_form():
     assert features(as_map(size * (np.cos(k * x) + np.cos(k * x[:, None]))), form="none", border=True).peaks == 13 * 13
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-@pytest.mark.parametrize("pruning", [0.0, 0.05, 0.2])
+@pytest.mark.parametrize(("pruning", "seed"), every_second([0.0, 0.05, 0.2], range(3)))
 def test_significant_peaks_are_those_of_a_flooding(seed, pruning):
     z = noise((18, 22), 1.2, seed)
     found = features(as_map(z), form="none", pruning=pruning, border=True)
@@ -104,8 +104,9 @@ def random_hills():
     return noise((301, 301), 3.0)
 
 
-@pytest.mark.parametrize("surface", [lambda: egg_box(301), random_hills])
-@pytest.mark.parametrize("share", [0.001, 0.005, 0.02, 0.05])
+@pytest.mark.parametrize(
+    ("share", "surface"), every_second([0.001, 0.005, 0.02, 0.05], [lambda: egg_box(301), random_hills])
+)
 def test_few_missing_points_change_no_parameter(surface, share):
     z = surface()
     whole = features(as_map(z), form="none")

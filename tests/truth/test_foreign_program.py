@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from cases import every_second
 from laws import examples
 from turnwright.errors import ProgramError
 from turnwright.machine import Axis, Controller, Machine
@@ -224,8 +225,7 @@ def test_a_sub_program_cut_off_is_reported(tmp_path):
         read(tmp_path, "M98(sub.nc)\nM30\n")
 
 
-@pytest.mark.parametrize("end", ["M30", "M02", "M99"])
-@pytest.mark.parametrize("blocks", [1, 200_000])
+@pytest.mark.parametrize(("end", "blocks"), every_second(["M30", "M02", "M99"], [1, 200_000]))
 def test_blocks_behind_the_end_are_counted(tmp_path, end, blocks):
     """The count is that of the blocks written; 200,000 of them fill several of the pieces that are read at a time."""
     rest = "".join(f"C{k % 360} X0.5\r\n" for k in range(blocks))

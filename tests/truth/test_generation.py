@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 import turnwright as tw
-from cases import every_second
+from cases import every_second, every_third
 from turnwright.generation import Prepared
 
 DEG = np.pi / 180
@@ -121,7 +121,7 @@ MOTIONS = {
 }
 
 
-@pytest.mark.parametrize(("name", "how"), every_second(TOOLS, MOTIONS))
+@pytest.mark.parametrize(("name", "how"), every_third(TOOLS, MOTIONS))
 def test_generated_surface_equals_brute_force_over_every_pass(name, how):
     tool = TOOLS[name]
     motion = spiral_motion(1.0, 0.02, 37, bowl, **MOTIONS[how])
@@ -171,7 +171,7 @@ def test_no_turn_that_matters_is_left_out(name, height):
     np.testing.assert_allclose(got[:6], expected, atol=2e-11)
 
 
-@pytest.mark.parametrize(("name", "how"), every_second(TOOLS, MOTIONS))
+@pytest.mark.parametrize(("name", "how"), every_third(TOOLS, MOTIONS))
 def test_maps_equal_single_points(name, how):
     """Tiles and envelopes share work between points; each point alone is the reference, checked above."""
     tool = TOOLS[name]
@@ -381,9 +381,7 @@ def passes_of_a_swinging_tool(motion, x, y, above):
     return np.array([brentq(aside, moments[i], moments[i + 1], xtol=1e-13, rtol=1e-15) for i in changes])
 
 
-@pytest.mark.parametrize("above", [0.0, 0.004])
-@pytest.mark.parametrize("sense", [1, -1])
-@pytest.mark.parametrize("share", [0.11, 0.2])
+@pytest.mark.parametrize(("share", "sense", "above"), every_second([0.11, 0.2], [1, -1], [0.0, 0.004]))
 def test_a_tool_at_rest_equals_the_closed_form(sense, above, share):
     """A swing of a ninth of a radian just stops over the part nine times a turn; a larger one turns back and forth."""
     edge = tw.Tool(nose_radius=0.1, offset=(0.0, above, 0.0))

@@ -65,8 +65,7 @@ def cut(outline, surface, machine, **how):
     return (tw.drive(tw.place(spiral, one, TOOL), servo, machine) for one in (part, disc))
 
 
-@pytest.mark.parametrize("interpolation", ["linear", "hermite", "cubic spline"])
-@pytest.mark.parametrize("outline", SHAPES[1:3], ids=lambda one: one.words[:12])
+@pytest.mark.parametrize(("outline", "interpolation"), every_second(SHAPES[1:3], ["linear", "hermite", "cubic spline"]))
 def test_the_surface_is_that_of_the_whole_disc_within_the_limits(outline, interpolation):
     machine = tw.Machine.load("nanotech-350fg")
     machine = replace(machine, controller=tw.Controller(interpolation=interpolation))
@@ -130,11 +129,9 @@ def test_a_convex_mirror_takes_less_than_60_percent_of_the_time_at_any_speed(nam
     ],
 )  # fmt: skip
 @pytest.mark.parametrize(
-    "surface",
-    [tw.Sphere(radius=100.0), tw.SineGrid(amplitude=(0.002, 0.002), period=(6.0, 6.0))],
-    ids=["sphere", "grid"],
+    ("surface", "along"),
+    every_second([tw.Sphere(radius=100.0), tw.SineGrid(amplitude=(0.002, 0.002), period=(6.0, 6.0))], ["z", "normal"]),
 )
-@pytest.mark.parametrize("along", ["z", "normal"])
 def test_crossings_keep_the_limits_and_end_smoothly(outline, rpm, points, surface, along):
     machine = tw.Machine.load("nanoform")
     motion, _ = cut(outline, surface, machine, feed=0.1, spindle_rpm=rpm, points_per_rev=points, along=along)

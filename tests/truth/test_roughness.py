@@ -71,7 +71,8 @@ def test_sine_falls_to_a_fifth_at_its_arc_cosine():
 
 
 @pytest.mark.parametrize(
-    ("feed", "nose"), [(0.010, 0.514), *(pytest.param(*one, marks=pytest.mark.proof) for one in ((0.010, 0.1), (0.002, 1.5)))]
+    ("feed", "nose"),
+    [(0.010, 0.514), *(pytest.param(*one, marks=pytest.mark.proof) for one in ((0.010, 0.1), (0.002, 1.5)))],
 )
 def test_cusps_have_their_closed_form(feed, nose):
     x = (np.arange(4000) + 0.5) * feed / 1000

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+from cases import every_second
 from turnwright.errors import InputError, JobError, LimitError, ProgramError
 from turnwright.machine import Axis, Controller, SecondOrder
 from turnwright.path import SpindleMode
@@ -82,8 +83,7 @@ def test_cusps_of_an_asphere_follow_the_leading_term():
     assert x.size > 990
 
 
-@pytest.mark.parametrize("sense", [1, -1])
-@pytest.mark.parametrize("dialect", ["generic", "nanotech"])
+@pytest.mark.parametrize(("dialect", "sense"), every_second(["generic", "nanotech"], [1, -1]))
 def test_a_program_follows_the_path_over_a_sphere(tmp_path, dialect, sense):
     """Oracle: the tip of a round nose runs along a circle; half a last decimal of X acts by the slope."""
     machine = replace(MACHINE, dialect=dialect)

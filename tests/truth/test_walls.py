@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
-from cases import every_second
+from cases import every_second, every_third
 from turnwright.placing import touch
 
 DEG = np.pi / 180
@@ -72,7 +72,7 @@ def tips_along(azimuths, turns, random):
 EDGES = {"round": UPRIGHT, "wavy": SHIFTED, "raked": RAKED, "leaning wavy": LEANING}
 
 
-@pytest.mark.parametrize(("name", "tool", "sense"), every_second(WALLS, ["round", "wavy"], [1, -1]))
+@pytest.mark.parametrize(("name", "tool", "sense"), every_third(WALLS, ["round", "wavy"], [1, -1]))
 def test_a_line_along_a_wall_touches_the_higher_side(name, tool, sense):
     (surface, azimuths), tool = WALLS[name], EDGES[tool]
     angle, radius = tips_along(azimuths, (0, 1, 7, 300), np.random.default_rng(len(name)))
@@ -86,7 +86,7 @@ def test_a_line_along_a_wall_touches_the_higher_side(name, tool, sense):
         assert shared.z[i] == pytest.approx(reference, abs=1e-9)
 
 
-@pytest.mark.parametrize(("name", "tool", "sense"), every_second(WALLS, ["raked", "leaning wavy"], [1, -1]))
+@pytest.mark.parametrize(("name", "tool", "sense"), every_third(WALLS, ["raked", "leaning wavy"], [1, -1]))
 def test_the_tip_of_a_raked_edge_touches_the_higher_side_of_a_wall(name, tool, sense):
     """The edge leaves the radial line on one side of its lowest point: on the other it touches there or nowhere."""
     (surface, azimuths), tool = WALLS[name], EDGES[tool]
