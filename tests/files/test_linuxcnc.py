@@ -108,7 +108,7 @@ def test_a_tool_call_moves_nothing(tmp_path, call):
 def test_every_example_is_read_alike(tmp_path, example, dialect):
     job = Job.load(example)
     if example.stem in FASTEST:
-        job = job.replace("strategy.feed", "0.05 mm/rev")
+        job = job.replace("strategy.feed", "0.1 mm/rev")
     job = replace(job, machine=replace(job.machine, dialect=dialect))
     if job.strategy.moves_fast_tool:
         pytest.skip("the table of a fast tool is no program")
