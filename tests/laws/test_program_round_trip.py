@@ -169,7 +169,7 @@ def test_one_changed_digit_is_never_silent(tmp_path_factory, data):
     assert_no_digit_is_silent(data, file, cut, path, machine)
 
 
-@examples(12)
+@examples(25)
 @given(text=st.text(max_size=300))
 def test_whatever_is_written_in_the_header_stays_a_comment(tmp_path_factory, text):
     machine = Machine(name=text, axes=dict.fromkeys("CXZ", Axis()), spindle_rpm=1, block_rate_hz=1, dialect="generic")

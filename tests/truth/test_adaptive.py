@@ -245,7 +245,7 @@ def test_a_split_motion_recombines_and_x_is_steady():
     assert drive(path, whole, machine).axes["X"].size == path.z.size
 
 
-@pytest.mark.parametrize("bend", [-8.0, 8.0])
+@pytest.mark.parametrize("bend", [pytest.param(-8.0, marks=pytest.mark.proof), 8.0])
 def test_the_chord_is_kept_over_creases_of_a_lens_array(bend):
     part = Part(surface=LensArray.hexagonal(pitch=0.3, lenslet=Sphere(radius=bend), rings=3), radius=0.4)
     servo = AdaptiveToolServo(scallop=SCALLOP, chord=10e-6, interpolation="linear", inside_out=True)

@@ -44,9 +44,9 @@ def test_chips_along_a_path_are_those_of_brute_force(name):
     surface, tool, servo = CASES[name]
     part, tool, motion = cut(surface, tool=tool, **servo)
     c = motion.axes["C"]
-    some = np.unique(np.concatenate([np.arange(90, c.size, 97), [c.size - 3, c.size - 40]]))
+    some = np.unique(np.concatenate([np.arange(90, c.size, 397), [c.size - 3, c.size - 40]]))
     found = chip_map(motion, tool, part, points=some)
-    line = np.linspace(-0.9, 0.9, 120_001)
+    line = np.linspace(-0.9, 0.9, 60_001)
     for row in range(0, some.size, max(1, some.size // 3)):
         i = some[row]
         area, thickest = brute(motion, tool, line, c[i], motion.sense * c[i], blank(part, line, c[i]))

@@ -86,7 +86,7 @@ def test_a_plunge_keeps_the_limits_too(per_turn, rpm, tmp_path):
     """
     machine = tw.Machine.load(EXAMPLES / "machines" / "pmac_lathe.toml")
     tool = tw.Tool(nose_radius=0.5, included=np.deg2rad(90), clearance=np.deg2rad(15))
-    for surface, radius in ((tw.Plane(), 2.0), (tw.SineGrid(amplitude=(0.002, 0.002), period=(2.5, 2.5)), 3.0)):
+    for surface, radius in ((tw.Plane(), 1.0), (tw.SineGrid(amplitude=(0.002, 0.002), period=(2.5, 2.5)), 1.5)):
         part = tw.Part(surface=surface, radius=radius)
         servo = tw.SlowToolServo(feed=0.02, points_per_rev=per_turn, spindle_rpm=rpm)
         motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, machine)

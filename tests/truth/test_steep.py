@@ -39,7 +39,7 @@ def test_scattered_azimuths_meet_the_other_side_of_the_axis():
     assert path.clearance.min() > -1e-12
 
 
-@pytest.mark.parametrize("name", ["sin phi", "pedestals", "spike"])
+@pytest.mark.parametrize("name", ["sin phi", pytest.param("pedestals", marks=pytest.mark.proof), "spike"])
 def test_clearance_shows_a_gouge_despite_the_search(name, monkeypatch):
     """A path 20 um too low is 20 um too low somewhere, found without the places of contact."""
     part, tool = tw.Part(surface=CASES[name].surface, radius=RADIUS), tool_of("narrow")

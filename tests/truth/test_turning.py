@@ -234,7 +234,12 @@ def test_the_chord_holds_with_the_errors_of_the_machine():
 
 
 @pytest.mark.parametrize(
-    ("formula", "radius"), [("0.001*cos(40*rho)+0.0002*x", 0.8), ("0.005*sin(12*x)*sin(12*y)", 1.5), ("x*y/100", 1.5)]
+    ("formula", "radius"),
+    [
+        ("0.001*cos(40*rho)+0.0002*x", 0.8),
+        ("0.005*sin(12*x)*sin(12*y)", 1.5),
+        pytest.param("x*y/100", 1.5, marks=pytest.mark.proof),
+    ],
 )
 def test_a_roughing_pass_stays_above_any_freeform(formula, radius, monkeypatch):
     """Oracle: heights at random points, on and between the rings that the target was made of."""
