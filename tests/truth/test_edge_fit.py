@@ -37,7 +37,7 @@ def taubin(x, y):
     return np.sqrt((b * b + c * c) / (4 * a * a) + z.mean())
 
 
-@pytest.mark.parametrize(("radius", "up"), every_second([0.05, 1.5], [1, -1]))
+@pytest.mark.parametrize(("radius", "up"), every_second([0.05, 0.2, 1.5], [1, -1]))
 def test_a_perfect_edge_comes_back(radius, up):
     u, height = arc_with_flanks(radius, np.deg2rad(55), 1.6 * radius, 1200)
     fit = fit_edge(u + 3, up * height - 7, toward_x=1, cutoff=radius / 20)

@@ -136,7 +136,7 @@ def test_a_size_effect_comes_back_with_its_power():
     assert found.thrust.value == pytest.approx(800 * (reference / 200e-6) ** -0.2, rel=1e-3)
 
 
-@pytest.mark.parametrize("kind", ["square", "round"])
+@pytest.mark.parametrize("kind", [pytest.param("square", marks=pytest.mark.proof), "round"])
 def test_a_slot_gives_its_material_at_any_phase_and_speed(kind):
     found, glass = learned_milling(np.random.default_rng(3), kind, block=1e-3)
     assert found.cutting.value == pytest.approx(glass.cutting, rel=0.01)
