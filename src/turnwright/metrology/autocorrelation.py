@@ -20,6 +20,9 @@ MIN_OVERLAP_SHARE = 0.1
 CHUNK_LINES = 64
 """Lines of the map that a thread transforms at once."""
 
+PLACES_AT_ONCE = 2048
+"""Places of rays at which the autocorrelation is evaluated at once."""
+
 SPLINE_POLE = math.sqrt(3) - 2
 SPLINE_MARGIN = 28
 """Pole of the filter for cubic splines, and points after which it has decayed to the rounding."""
@@ -91,19 +94,21 @@ def decay(correlation: Floats, known: Bools, dx: float, dy: float) -> tuple[Floa
     steps = 2 * int(max(reach_x, reach_y))
     share = np.ones(ends_x.size)
     fallen = np.zeros(ends_x.size, dtype=bool)
-    rays = np.arange(ends_x.size, dtype=np.int64)
-    for step in range(1, steps + 1):
-        row = np.rint(reach_y + ends_y[rays] * (step / steps)).astype(np.intp)
-        column = np.rint(reach_x + ends_x[rays] * (step / steps)).astype(np.intp)
-        lost = ~known[row, column]
-        share[rays[lost]] = (step - 1) / steps
-        rays = rays[~lost]
-        low = at(rays, step / steps) <= DECAY_THRESHOLD
-        share[rays[low]] = step / steps
-        fallen[rays[low]] = True
-        rays = rays[~low]
-        if rays.size == 0:
-            break
+    rays, begin = np.arange(ends_x.size, dtype=np.int64), 0
+    while rays.size and begin < steps:
+        # Several steps at once where few rays are left: each call takes as long as some hundred points.
+        each = np.arange(begin + 1, min(begin + max(PLACES_AT_ONCE // rays.size, 1), steps) + 1)
+        ray, along = np.repeat(rays, each.size), np.tile(each / steps, rays.size)
+        row = np.rint(reach_y + ends_y[ray] * along).astype(np.intp)
+        column = np.rint(reach_x + ends_x[ray] * along).astype(np.intp)
+        lost = ~known[row, column].reshape(rays.size, each.size)
+        ends = lost | (at(ray, along).reshape(lost.shape) <= DECAY_THRESHOLD)
+        first = ends.argmax(axis=1)
+        done = np.flatnonzero(ends.any(axis=1))
+        unknown = lost[done, first[done]]
+        share[rays[done]] = (begin + first[done] + np.where(unknown, 0, 1)) / steps
+        fallen[rays[done]] = ~unknown
+        rays, begin = np.delete(rays, done), int(each[-1])
     ended = np.flatnonzero(fallen).astype(np.int64)
     low_end, high_end = share[ended] - 1 / steps, share[ended].copy()
     for _ in range(40):
