@@ -418,13 +418,17 @@ def _follow(
         kernel.respond(kind, time, residual, rate, delay, poles, residues, direct, at, out)
         out += steady - slope * lag
         return out
+    from scipy import fft  # noqa: PLC0415 - costly to import
+
     step = (at[-1] - at[0]) / (at.size - 1)
     beyond = max(1, math.ceil(max(MIN_DECAY_S, 4 / _lowest(response)) / step))
-    wide = only_read(at[0] + step * np.arange(-beyond, at.size + beyond))
+    # A transform of a length without small factors takes several times as long; the last value repeats the first.
+    count = fft.next_fast_len(at.size + 2 * beyond - 1, real=True) + 1
+    wide = only_read(at[0] + step * np.arange(-beyond, count - beyond))
     out = np.empty(wide.size)
     kernel.command(kind, time, residual, rate, delay, wide, out)
     # The extensions beyond both ends, in which the response to the ends decays, are dropped.
-    out = _filter_values(out, step, response)[beyond:-beyond]
+    out = _filter_values(out, step, response)[beyond : beyond + at.size]
     out += steady - slope * _lag(response)
     return out
 
