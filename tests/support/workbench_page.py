@@ -43,6 +43,8 @@ MISSED = "Error creating WebGL context"  # what the page then says, which works 
 
 SLOWLY = "GPU stall due to ReadPixels"  # what Chromium says of a picture that is taken without a graphics card
 
+REPLACED = "the server responded with a status of 409"  # to a question that a later one has taken the place of
+
 
 def browser():
     """Return where the browser is, or None."""
@@ -129,7 +131,7 @@ class Bench:
         self._waits.discard(request)
 
     def _answered(self, response):
-        # 409 says to a question that a later one has taken its place.
+        # 409: see `REPLACED`.
         if response.status >= 400 and response.status != 409:
             self.wrong.append(f"answered {response.status}: {response.url}")
 
