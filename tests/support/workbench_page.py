@@ -111,7 +111,7 @@ class Bench:
 
     def _said(self, message):
         # The browser says here, too, what a policy has forbidden.
-        if message.type in ("error", "warning") and SLOWLY not in message.text and MISSED not in message.text:
+        if message.type in ("error", "warning") and not any(one in message.text for one in (SLOWLY, MISSED, REPLACED)):
             self.wrong.append(f"{message.type}: {message.text}")
 
     def _asked(self, request):
