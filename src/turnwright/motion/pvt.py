@@ -46,6 +46,9 @@ RAMP_RATIO = 1.1
 BLOCK_DIVISORS = (1, 2, 4, 8)
 """Divisors of the shortest block of the motion that bound the blocks of a ramp; the first sufficient one is used."""
 
+QUARTERS = np.array([[0.25], [0.5], [0.75]])
+"""Places along a block at which it is compared with the path."""
+
 MAX_ITERATIONS = 8
 
 MIN_JERK_POINTS = 4
@@ -262,18 +265,17 @@ def _path_deviation(course: Course, ramp: Course, block: Ints, phase: Floats, sp
     """Return the deviation of each block of a ramp from the path, over its tolerance. (n - 1,)."""
     span = np.diff(ramp.time)
 
-    def between(values: Floats, rates: Floats, u: float) -> Floats:
+    def between(values: Floats, rates: Floats) -> Floats:
         rise, a = np.diff(values), span * rates[:-1]
         c = a + span * rates[1:] - 2 * rise
-        out: Floats = values[:-1] + u * (a + u * (rise - a - c + u * c))
+        out: Floats = values[:-1] + QUARTERS * (a + QUARTERS * (rise - a - c + QUARTERS * c))
         return out
 
     off = np.zeros(span.size)
-    for u in (0.25, 0.5, 0.75):
-        exact, _ = _evaluate_course(course, block, between(phase, speed_factor, u), 1.0)
-        for letter, position in ramp.axes.items():
-            miss = np.abs(between(position, ramp.velocity[letter], u) - exact[letter])
-            off = np.maximum(off, miss / (LINEARITY_TOL_RAD if letter in ROTARY else LINEARITY_TOL_MM))
+    exact, _ = _evaluate_course(course, block, between(phase, speed_factor), 1.0)
+    for letter, position in ramp.axes.items():
+        miss = np.abs(between(position, ramp.velocity[letter]) - exact[letter]).max(axis=0)
+        off = np.maximum(off, miss / (LINEARITY_TOL_RAD if letter in ROTARY else LINEARITY_TOL_MM))
     return off
 
 
