@@ -436,7 +436,7 @@ def test_a_typed_entry_stays_as_it_is_typed(bench, by_hand):
     # Oracle: the text itself. A slow computer draws between two keys, where an older text could come back.
     one = bench().take(by_hand.parent / "job.toml")
     one.context.new_cdp_session(one.page).send("Emulation.setCPUThrottlingRate", {"rate": 4})
-    assert typed_by_hand(one, 1, seed=1) == []
+    assert typed_by_hand(one, 2, seed=1) == []
     one.wrong = [each for each in one.wrong if "422" not in each]  # half a number is refused
 
 
