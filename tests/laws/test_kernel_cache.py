@@ -194,30 +194,6 @@ def test_what_is_compiled_is_logged_once(tmp_path):
     assert printed[1] == ""
 
 
-def test_processes_that_need_the_same_kernel_compile_it_once(tmp_path):
-    code = (
-        "from turnwright.surface import SineGrid\n"
-        "from turnwright._kernels import sines\n"
-        "SineGrid(amplitude=(1.0, 0.0), period=(4.0, 4.0)).sag(1.0, 0.0)\n"
-        "kernels = [one for one in vars(sines).values() if hasattr(one, 'dispatcher') and one._dispatchers]\n"
-        "print(sum(sum(one.stats.cache_misses.values()) for kernel in kernels for one in kernel._dispatchers.values()))"
-    )
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-
-    def compiled_in(count):
-        processes = [
-            subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, text=True)
-            for _ in range(count)
-        ]
-        return sum(int(process.communicate(timeout=600)[0]) for process in processes)
-
-    together = compiled_in(2)
-    assert compiled_in(1) == 0
-    shutil.rmtree(tmp_path)
-    assert together == compiled_in(1) > 0
-    assert not list(tmp_path.rglob("*.lock"))
-
-
 def test_loading_compiled_kernels_imports_nothing_that_compiles():
     """The oracle is Python's list of imported modules; the first of two processes may compile what is missing."""
     code = (

@@ -6,8 +6,7 @@ starts new folders for that module and for those that call it, and keeps the oth
 numba's: numba runs whatever its files contain, and fails if one is truncated or the disk is full.
 
 numba compiles one kernel at a time in a process. On a machine that has none yet, a second process can compile some
-while the first one compiles others; the disk cache then brings what it has compiled. Processes that need the same
-kernel, such as the workers of a study, wait for the one that compiles it.
+while the first one compiles others; the disk cache then brings what it has compiled.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _CALLED = re.compile(r"^from turnwright\._kernels\.(\w+) import", re.MULTILINE)
 _LOG = logging.getLogger(__name__)
 
 LONGEST_S = 120.0
-"""Time after which another process is no longer waited for."""
+"""Time after which a second process is no longer waited for."""
 
 _ahead: dict[str, subprocess.Popen[bytes]] = {}
 """The process that compiles a kernel, by the name of the kernel."""
@@ -114,7 +113,6 @@ class _Cache:
         self.cache_path = str(cache_folder(function.__module__))
         self._module = function.__module__.rpartition(".")[2]
         self._name = function.__qualname__ + ("-called" if for_kernels else "")
-        self._locks: dict[Path, Any] = {}
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Return the compiled code for a signature, or ``None`` if it must be compiled, which is logged."""
@@ -124,31 +122,7 @@ class _Cache:
             _LOG.info("compiling %s, once on this machine", self._module)
             if _was_compiled_ahead(self._name):
                 code = self._load(signature, context)
-        return self._wait_for_others(signature, context) if code is None else code
-
-    def _wait_for_others(self, signature: Any, context: Any) -> Any:
-        """Return the compiled code if another process is compiling it, else ``None``: others then wait for this one."""
-        from filelock import FileLock, Timeout  # noqa: PLC0415 - needed once on a machine
-
-        file = self._file(_key(signature, context.codegen()))
-        lock = FileLock(file.with_suffix(".lock"))
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            lock.acquire(timeout=LONGEST_S)
-        except (OSError, NotImplementedError, Timeout):  # it is compiled all the same
-            return None
-        self._locks[file] = lock
-        code = self._load(signature, context)
-        if code is not None:
-            self._release(file)
         return code
-
-    def _release(self, file: Path) -> None:
-        lock = self._locks.pop(file, None)
-        if lock is not None:
-            lock.release()
-            with suppress(OSError):
-                Path(lock.lock_file).unlink()
 
     def _load(self, signature: Any, context: Any) -> Any:
         key = _key(signature, context.codegen())
@@ -177,7 +151,6 @@ class _Cache:
                 part.replace(file)
             finally:
                 part.unlink(missing_ok=True)
-        self._release(file)
 
     def flush(self) -> None:
         """Forget all signatures, as numba does when a function is compiled again."""
