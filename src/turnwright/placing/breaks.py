@@ -52,9 +52,10 @@ WALL_STEP_RATIO = 10.0
 """A lower step, over that distance, is the slope of the surface."""
 WALL_SAMPLES = 8
 """Every how many samples a wall is looked for along pieces that are not convex."""
-NARROWINGS, NARROW = 3, 4
-"""Times that a border which the surface knows is intersected with a line, and the distance to both sides of that at
-which the pieces are looked at, in the distance that is wanted."""
+SECANTS, BORDERS = 12, 3
+"""Most steps to a border that the surface knows, and borders that are tried for a change of piece."""
+BORDER_WIDTH = 4
+"""Distance to both sides of it at which the pieces are looked at, over the distance that is to be left."""
 LEAST_BULGE_MM = 1e-6
 """Length of a curved track below which it leaves a piece by no more than rounding."""
 
@@ -92,7 +93,7 @@ class _Lines(NamedTuple):
     """Pieces of a surface along some lines."""
 
     piece: Callable[[Ints, Floats], Ints]  # of lines by index, at distances from their tips
-    border: Callable[[Ints, Ints, Ints, Floats], Floats]  # see `Surface.border`; of two pieces, there
+    border: Callable[[Ints, Ints, Ints, Floats], Floats]  # `Surface.border` of two pieces, likewise
 
 
 def find_extremes(surface: Surface, radius: float, *, radial: bool) -> SurfaceExtremes:
@@ -360,21 +361,43 @@ def _bisect(lines: _Lines, row: Ints, inside: Floats, outside: Floats, close: fl
 def _narrow(
     lines: _Lines, row: Ints, piece: Ints, inside: Floats, outside: Floats, close: float
 ) -> tuple[Floats, Floats]:
-    """Return both sides of where a piece ends, close together where the surface knows the border of both pieces."""
-    for _ in range(NARROWINGS):
-        wide = np.flatnonzero(np.abs(outside - inside) > 4 * NARROW * close)
-        rows, mine, ends = row[wide], piece[wide], (inside[wide], outside[wide])
-        beyond = lines.piece(rows, ends[1])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            first, last = (lines.border(mine, beyond, rows, end) for end in ends)
-            guess = ends[0] + first / (first - last) * (ends[1] - ends[0])
-        crossed = np.flatnonzero((first > 0) & (last <= 0))
+    """Return sides that are closer together, where the surface knows the border of the pieces at both of them."""
+    for _ in range(BORDERS):
+        wide = np.flatnonzero(np.abs(outside - inside) > 4 * BORDER_WIDTH * close)
+        if not wide.size:
+            break
+        rows, mine = row[wide], piece[wide]
+        crossing = _cross(lines, rows, (mine, lines.piece(rows, outside[wide])), inside[wide], outside[wide], close)
+        crossed = np.flatnonzero(~np.isnan(crossing))
         if not crossed.size:
             break
-        wide, rows, mine, guess = wide[crossed], rows[crossed], mine[crossed], guess[crossed]
+        wide, rows, mine, crossing = wide[crossed], rows[crossed], mine[crossed], crossing[crossed]
         for way in (-1, 1):
-            margin = way * NARROW * close * np.sign(outside[wide] - inside[wide])
-            at = np.clip(guess + margin, *np.sort([inside[wide], outside[wide]], axis=0))
+            margin = way * BORDER_WIDTH * close * np.sign(outside[wide] - inside[wide])
+            at = np.clip(crossing + margin, *np.sort([inside[wide], outside[wide]], axis=0))
             within = lines.piece(rows, at) == mine
             inside[wide[within]], outside[wide[~within]] = at[within], at[~within]
     return inside, outside
+
+
+def _cross(
+    lines: _Lines, row: Ints, pieces: tuple[Ints, Ints], inside: Floats, outside: Floats, close: float
+) -> Floats:
+    """Return where lines cross the border of two pieces, by the Illinois method; nan where they do not. (n,) [mm]."""
+    (low, at_low), (high, at_high) = ((end, lines.border(*pieces, row, end)) for end in (inside, outside))
+    crossing = np.where((at_low > 0) & (at_high <= 0), high, np.nan)
+    active = np.flatnonzero(~np.isnan(crossing))
+    low, at_low, high, at_high = (one[active] for one in (low, at_low, high, at_high))
+    for _ in range(SECANTS):
+        at = high - at_high * (high - low) / (at_high - at_low)
+        moving = np.abs(at - crossing[active]) > close
+        crossing[active] = at
+        if not moving.any():
+            break
+        active, at = active[moving], at[moving]
+        low, at_low, high, at_high = (one[moving] for one in (low, at_low, high, at_high))
+        value = lines.border(pieces[0][active], pieces[1][active], row[active], at)
+        beyond = value * at_high < 0
+        low, at_low = np.where(beyond, high, low), np.where(beyond, at_high, 0.5 * at_low)
+        high, at_high = at, value
+    return crossing
