@@ -422,7 +422,7 @@ def _follow(
 
     step = (at[-1] - at[0]) / (at.size - 1)
     beyond = max(1, math.ceil(max(MIN_DECAY_S, 4 / _lowest(response)) / step))
-    # A transform of a length without small factors takes several times as long; the last value repeats the first.
+    # `_filter_values` transforms all values but the last; a number without small factors takes several times as long.
     count = fft.next_fast_len(at.size + 2 * beyond - 1, real=True) + 1
     wide = only_read(at[0] + step * np.arange(-beyond, count - beyond))
     out = np.empty(wide.size)

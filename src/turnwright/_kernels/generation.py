@@ -559,8 +559,8 @@ def misses(blocks, k, edge, gap, lean, dip, sense, r, base, spread, ceiling):
 def after_runs(blocks, columns, block, fresh, wide, edge, gap, lean, dip, sense, r, base, spread, ceiling):
     """Return ``block`` unless `misses` holds for a run that begins with it, and else the block after that run.
 
-    ``fresh`` if the runs that it is in were not looked at. A run that turns by more than ``wide``, half of the search,
-    is not worth a look. ``columns`` are those of `block_columns`.
+    ``fresh`` if the runs that it is in were not looked at yet. A run that turns by more than ``wide``, half of the
+    search, is not worth a look. ``columns`` are those of `block_columns`.
     """
     size, column = RUN * RUN, columns[1]
     for _ in range(2):

@@ -287,7 +287,10 @@ def _find_variable_speed(course: Course, machine: Machine) -> Floats:
         for k in order:
             squares[k] = min(squares[k], squares[k - step] + rise)
     omega: Floats = np.sqrt(np.interp(angle, borders, squares))
-    # The varying speed adds to the accelerations of the other axes; it may cost more than it gains.
+    # The varying speed adds to the accelerations of the other axes.
     omega *= min(1.0, find_speed_factor(course.at_speed(omega), machine))
+    # A constant speed may take less time, not counting what cubics need to start and to stop.
     constant = find_speed_factor(course, machine)
-    return omega if course.at_speed(omega).time[-1] < angle[-1] / constant else np.full(angle.size, constant)
+    if angle[-1] / constant <= course.at_speed(omega).time[-1]:
+        return np.full(angle.size, constant)
+    return omega
