@@ -452,7 +452,7 @@ def _fill_polar(
         _envelopes(cut, radius, angle, z, progress)
     else:
         ready = _prepare(cut, float(radius[0]), float(radius[-1]), z.size, device)
-        # The axis is one point, whichever azimuth it is approached along; its height takes as long as a thousand others.
+        # The axis is one point, whichever azimuth it is approached along; it takes as long as a thousand others.
         first = 1 if radius[0] == 0 else 0
         if first:
             z[:, 0] = ready.fill_grid(radius[:1], angle[:1], polar=True)[0]
