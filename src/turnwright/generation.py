@@ -285,7 +285,7 @@ def _prepare(cut: _Cut, low: float, high: float, most_rings: int, device: str = 
     useful, core = np.empty((count, 2, 2), dtype=np.int64), np.zeros(count, dtype=np.bool_)
     ceilings = np.full(count, kernel.FAR)
     most_y = float(np.abs(cut.y).max(initial=0.0))
-    blocks = np.empty((7, 0 if cut.upright else kernel.block_columns(cut.c.size - 1)[2]))
+    blocks = np.empty((0 if cut.upright else kernel.block_ends(cut.c.size - 1)[2], 8))
     if not cut.upright:
         kernel.block_bounds(cut.c, cut.x, cut.y, cut.z, cut.sense, cut.edge.dx, blocks)
     if cut.upright and cut.edge.convex:

@@ -412,7 +412,7 @@ def pass_at(c, x, y, z, sense, edge, t, r, side, hint):
 
 
 @jit_inline
-def block_columns(lines):
+def block_ends(lines):
     """Return where the bounds of blocks end, of runs of blocks, and of runs of these, for a number of lines."""
     blocks = (lines + BLOCK - 1) // BLOCK
     runs = (blocks + RUN - 1) // RUN
@@ -421,13 +421,13 @@ def block_columns(lines):
 
 @jit
 def block_bounds(c, x, y, z, sense, dx, out):
-    """Fill ``out`` (7, columns) with bounds of the lines of each block, run, and run of runs, see `block_columns`.
+    """Fill ``out`` (rows, 8) with bounds of the lines of each block, run, and run of runs, see `block_ends`.
 
     They are the least and the greatest tip position and Y, the least height, and where the lines begin and end along
     the motion.
     """
     lines = c.size - 1
-    blocks, runs, columns = block_columns(lines)
+    blocks, runs, ends = block_ends(lines)
     for k in range(blocks):
         low, high, back, front, bottom = FAR, -FAR, 0.0, 0.0, FAR
         first, last = BLOCK * k, min(BLOCK * (k + 1), lines)
@@ -435,16 +435,16 @@ def block_bounds(c, x, y, z, sense, dx, out):
             low, high, bottom = min(low, x[i]), max(high, x[i]), min(bottom, z[i])
             if y.size > 0:
                 back, front = y[i] if i == first else min(back, y[i]), y[i] if i == first else max(front, y[i])
-        out[0, k], out[1, k], out[2, k], out[3, k], out[4, k] = low + dx, high + dx, back, front, bottom
-        out[5, k], out[6, k] = sense * c[first], sense * c[last]
-    for k in range(blocks, columns):
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4] = low + dx, high + dx, back, front, bottom
+        out[k, 5], out[k, 6] = sense * c[first], sense * c[last]
+    for k in range(blocks, ends):
         begin, end = (0, blocks) if k < runs else (blocks, runs)
         first = begin + RUN * (k - end)
         last = min(first + RUN, end)
         for row in (0, 2, 4, 5):
-            out[row, k] = out[row, first:last].min()
+            out[k, row] = out[first:last, row].min()
         for row in (1, 3, 6):
-            out[row, k] = out[row, first:last].max()
+            out[k, row] = out[first:last, row].max()
 
 
 @jit_inline
@@ -539,16 +539,16 @@ def misses(blocks, k, edge, gap, lean, dip, sense, r, base, spread, ceiling):
 
     The tool is at the azimuth of the point at ``base`` along the motion; ``lean`` and ``dip`` are of `core_height`.
     """
-    sine, cosine = sincos(0.5 * (blocks[5, k] + blocks[6, k]) - base)
-    half = 0.5 * (blocks[6, k] - blocks[5, k]) + ROUNDING
+    sine, cosine = sincos(0.5 * (blocks[k, 5] + blocks[k, 6]) - base)
+    half = 0.5 * (blocks[k, 6] - blocks[k, 5]) + ROUNDING
     along = r * half * (abs(sine) + 0.5 * half) + spread
     across = r * half * (abs(cosine) + 0.5 * half) + spread
-    rise = (ceiling - blocks[4, k] - edge.dz) / edge.rake_cos
-    across += 0.5 * (blocks[3, k] - blocks[2, k]) + ROUNDING * (1.0 + r)
-    excess = abs(-sense * r * sine - edge.dy - 0.5 * (blocks[2, k] + blocks[3, k])) - across
+    rise = (ceiling - blocks[k, 4] - edge.dz) / edge.rake_cos
+    across += 0.5 * (blocks[k, 3] - blocks[k, 2]) + ROUNDING * (1.0 + r)
+    excess = abs(-sense * r * sine - edge.dy - 0.5 * (blocks[k, 2] + blocks[k, 3])) - across
     if excess > lean * max(rise, dip):  # most blocks, so it comes first
         return True
-    low, high = r * cosine - along - blocks[1, k], r * cosine + along - blocks[0, k]
+    low, high = r * cosine - along - blocks[k, 1], r * cosine + along - blocks[k, 0]
     if least_between(edge, gap, low, high) > rise:
         return True
     rise = min(rise, max(height(edge, low), height(edge, high)) + gap)
@@ -556,22 +556,22 @@ def misses(blocks, k, edge, gap, lean, dip, sense, r, base, spread, ceiling):
 
 
 @jit
-def after_runs(blocks, columns, block, fresh, wide, edge, gap, lean, dip, sense, r, base, spread, ceiling):
+def after_runs(blocks, ends, block, fresh, wide, edge, gap, lean, dip, sense, r, base, spread, ceiling):
     """Return ``block`` unless `misses` holds for a run that begins with it, and else the block after that run.
 
     ``fresh`` if the runs that it is in were not looked at yet. A run that turns by more than ``wide``, half of the
-    search, is not worth a look. ``columns`` are those of `block_columns`.
+    search, is not worth a look. ``ends`` are those of `block_ends`.
     """
-    size, column = RUN * RUN, columns[1]
+    size, row = RUN * RUN, ends[1]
     for _ in range(2):
-        k = column + block // size
+        k = row + block // size
         if (
             (fresh or block % size == 0)
-            and blocks[6, k] - blocks[5, k] < wide
+            and blocks[k, 6] - blocks[k, 5] < wide
             and misses(blocks, k, edge, gap, lean, dip, sense, r, base, spread, ceiling)
         ):
             return size * (block // size + 1)
-        size, column = RUN, columns[0]
+        size, row = RUN, ends[0]
     return block
 
 
@@ -588,7 +588,7 @@ def core_height(
     above ``ceiling``, so passes that are need not be found. ``pieces`` (64, 2) and ``line`` (6,) are scratch.
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
-    turns, lines, columns = bounds.shape[1], c.size - 1, block_columns(c.size - 1)
+    turns, lines, ends = bounds.shape[1], c.size - 1, block_ends(c.size - 1)
     off, lean = abs(edge.dy) + most_y, abs(edge.rake_sin)
     dip = max(gap - height(edge, 0.0), 0.0)  # the most that the edge is below the tip
     size = r + edge.base + abs(edge.dx) + abs(edge.dy) + most_y + max(abs(bounds[1, 0]), abs(bounds[0, turns - 1]))
@@ -627,11 +627,11 @@ def core_height(
             base = t - behind
             at = min(max(t - wide, begin), end)
             block, fresh = locate(c, sense, at, guess_index(c, sense, at, starts)) // BLOCK, True
-            while block < columns[0] and blocks[5, block] <= t + wide:
-                run = columns[0] + block // RUN
-                if (fresh or block % RUN == 0) and blocks[6, run] - blocks[5, run] < wide:
+            while block < ends[0] and blocks[block, 5] <= t + wide:
+                run = ends[0] + block // RUN
+                if (fresh or block % RUN == 0) and blocks[run, 6] - blocks[run, 5] < wide:
                     following = after_runs(
-                        blocks, columns, block, fresh, wide, edge, gap, lean, dip, sense, r, base, 0.0, level
+                        blocks, ends, block, fresh, wide, edge, gap, lean, dip, sense, r, base, 0.0, level
                     )  # fmt: skip
                     fresh = False
                     if following > block:
@@ -1239,7 +1239,7 @@ def lines_near(
     ``floor`` (n,). Return how many they are, -1 if they are too many.
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
-    turns, columns, count = bounds.shape[1], block_columns(c.size - 1), 0
+    turns, ends, count = bounds.shape[1], block_ends(c.size - 1), 0
     off, lean = abs(edge.dy) + most_y, abs(edge.rake_sin)
     dip = max(gap - height(edge, 0.0), 0.0)  # the most that the edge is below the tip
     near, far = r - spread, r + spread
@@ -1269,11 +1269,11 @@ def lines_near(
             base = t - behind
             at = min(max(t - wide, begin), end)
             block, fresh = locate(c, sense, at, guess_index(c, sense, at, starts)) // BLOCK, True
-            while block < columns[0] and blocks[5, block] <= t + wide:
-                run = columns[0] + block // RUN
-                if (fresh or block % RUN == 0) and blocks[6, run] - blocks[5, run] < wide:
+            while block < ends[0] and blocks[block, 5] <= t + wide:
+                run = ends[0] + block // RUN
+                if (fresh or block % RUN == 0) and blocks[run, 6] - blocks[run, 5] < wide:
                     following = after_runs(
-                        blocks, columns, block, fresh, wide, edge, gap, lean, dip, sense, r, base, spread, ceiling
+                        blocks, ends, block, fresh, wide, edge, gap, lean, dip, sense, r, base, spread, ceiling
                     )  # fmt: skip
                     fresh = False
                     if following > block:
