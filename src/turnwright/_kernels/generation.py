@@ -441,10 +441,10 @@ def block_bounds(c, x, y, z, sense, dx, out):
         begin, end = (0, blocks) if k < runs else (blocks, runs)
         first = begin + RUN * (k - end)
         last = min(first + RUN, end)
-        for row in (0, 2, 4, 5):
-            out[k, row] = out[first:last, row].min()
-        for row in (1, 3, 6):
-            out[k, row] = out[first:last, row].max()
+        for column in (0, 2, 4, 5):
+            out[k, column] = out[first:last, column].min()
+        for column in (1, 3, 6):
+            out[k, column] = out[first:last, column].max()
 
 
 @jit_inline
@@ -575,6 +575,27 @@ def after_runs(blocks, ends, block, fresh, wide, edge, gap, lean, dip, sense, r,
     return block
 
 
+@jit_inline
+def next_block(blocks, ends, block, fresh, last, wide, edge, gap, lean, dip, sense, r, base, spread, ceiling):
+    """Return the first block from ``block`` on for which `misses` does not hold; none that begins after ``last``.
+
+    If there is none, that is the number of blocks. Runs are looked at first, see `after_runs`.
+    """
+    while block < ends[0] and blocks[block, 5] <= last:
+        following, run = block, ends[0] + block // RUN
+        if (fresh or block % RUN == 0) and blocks[run, 6] - blocks[run, 5] < wide:
+            following = after_runs(
+                blocks, ends, block, fresh, wide, edge, gap, lean, dip, sense, r, base, spread, ceiling
+            )  # fmt: skip
+            fresh = False
+        if following == block:
+            if not misses(blocks, block, edge, gap, lean, dip, sense, r, base, spread, ceiling):
+                return block
+            following = block + 1
+        block = following
+    return ends[0]
+
+
 @jit
 def core_height(
     c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r, azimuth, useful, ceiling, pieces, line,
@@ -627,21 +648,14 @@ def core_height(
             base = t - behind
             at = min(max(t - wide, begin), end)
             block, fresh = locate(c, sense, at, guess_index(c, sense, at, starts)) // BLOCK, True
-            while block < ends[0] and blocks[block, 5] <= t + wide:
-                run = ends[0] + block // RUN
-                if (fresh or block % RUN == 0) and blocks[run, 6] - blocks[run, 5] < wide:
-                    following = after_runs(
-                        blocks, ends, block, fresh, wide, edge, gap, lean, dip, sense, r, base, 0.0, level
-                    )  # fmt: skip
-                    fresh = False
-                    if following > block:
-                        block = following
-                        continue
-                k = block
+            while True:
+                block = next_block(
+                    blocks, ends, block, fresh, t + wide, wide, edge, gap, lean, dip, sense, r, base, 0.0, level
+                )  # fmt: skip
+                if block == ends[0]:
+                    break
                 i, stop = BLOCK * block, min(BLOCK * (block + 1), lines)
-                block += 1
-                if misses(blocks, k, edge, gap, lean, dip, sense, r, base, 0.0, level):
-                    continue
+                block, fresh = block + 1, False
                 phase = sense * c[i] - base
                 for j in range(i, stop):
                     ahead = sense * c[j + 1] - base
@@ -1269,21 +1283,14 @@ def lines_near(
             base = t - behind
             at = min(max(t - wide, begin), end)
             block, fresh = locate(c, sense, at, guess_index(c, sense, at, starts)) // BLOCK, True
-            while block < ends[0] and blocks[block, 5] <= t + wide:
-                run = ends[0] + block // RUN
-                if (fresh or block % RUN == 0) and blocks[run, 6] - blocks[run, 5] < wide:
-                    following = after_runs(
-                        blocks, ends, block, fresh, wide, edge, gap, lean, dip, sense, r, base, spread, ceiling
-                    )  # fmt: skip
-                    fresh = False
-                    if following > block:
-                        block = following
-                        continue
-                k = block
+            while True:
+                block = next_block(
+                    blocks, ends, block, fresh, t + wide, wide, edge, gap, lean, dip, sense, r, base, spread, ceiling
+                )  # fmt: skip
+                if block == ends[0]:
+                    break
                 i, stop = BLOCK * block, min(BLOCK * (block + 1), c.size - 1)
-                block += 1
-                if misses(blocks, k, edge, gap, lean, dip, sense, r, base, spread, ceiling):
-                    continue
+                block, fresh = block + 1, False
                 for j in range(i, stop):
                     if count == floor.size:
                         return -1
