@@ -454,3 +454,35 @@ def test_a_path_along_the_normal_keeps_what_its_spiral_states():
     path = tw.place(where, tw.Part(surface=tw.Sphere(radius=20.0), radius=1.0), ROUND, along="normal")
     np.testing.assert_array_equal(path.lift, lift)
     np.testing.assert_array_equal(path.y_rate, where.y_rate)
+
+
+class Slices(tw.Surface):
+    """A sphere, numbered by pieces across X whose borders are at ``cuts``, and keep them to the left of them or not."""
+
+    __slots__ = ("cuts", "seen", "side")
+    whole = tw.Sphere(radius=-1.8)
+
+    def __init__(self, cuts, side):
+        self.cuts, self.side, self.seen = cuts, side, []
+
+    def evaluate(self, x, y, order):
+        return self.whole.evaluate(x, y, order)
+
+    def sample(self, x, y):
+        self.seen.append(x)
+        return super().sample(x, y)
+
+    def piece(self, x, y):
+        return np.searchsorted(self.cuts, x + 0 * y, self.side)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_borders_at_samples_hide_no_maximum(side):
+    # A line sampled where its pieces meet: rounding decides whether the border is higher than the sample.
+    radius = np.linspace(0.1, 0.9, 400)
+    place = {"angle": 2 * np.pi * np.arange(400), "radius": radius, "sense": 1}
+    plain = Slices(np.array([0.0123]), side)
+    touch(plain, ROUND, **place)
+    got = touch(Slices(plain.seen[0][0], side), ROUND, **place)
+    centre = np.sqrt((1.8 + 0.5) ** 2 - radius**2) - 1.8
+    np.testing.assert_allclose(got.z, centre - 0.5, atol=1e-13)

@@ -11,6 +11,7 @@ FULL, COARSE, OUTSIDE = -1, -2, -3  # return values of `candidates` without a re
 # mm, also on a ridge a tenth of a micrometre sharp, and within 1e-13 mm elsewhere: its error goes with the third power.
 STEP_TOL_RAD = 3e-5
 RISE_TOL_MM = 1e-9
+CLOSE_RATIO = 1e-3  # of the step: a break less far from a sample may be higher than it by rounding alone
 
 
 @jit
@@ -251,9 +252,11 @@ def sampled_maxima(
 ):  # fmt: skip
     """Append the samples begin to end of f - e = ``g`` that are no lower than their neighbours; return the count.
 
-    The neighbour is the next sample, or the near side of a break or step before it. Between three samples of one piece
-    the first guess is where the edge is as steep as the parabola through the surface's heights.
+    The neighbour is the next sample, or the near side of a break or step before it; where that is at the sample,
+    rounding alone decides which is higher, and the sample counts. Between three samples of one piece the first guess is
+    where the edge is as steep as the parabola through the surface's heights.
     """
+    close = CLOSE_RATIO * step
     for j in range(begin, end + 1):
         # A last step, shorter than the others, may hide more than the samples say.
         at_end = j < end and broken[j] >= 0 and break_height[1, broken[j]] == -np.inf
@@ -276,7 +279,7 @@ def sampled_maxima(
             if broken[j] >= 0:
                 after = break_at[broken[j]] - p
                 right = break_height[0, broken[j]] - edge.rake_cos * height(edge, after)
-        if g[j] >= left_value and g[j] >= right:
+        if (g[j] >= left_value or at - before < close) and (g[j] >= right or after - at < close):
             point[count], start[count], stop[count] = k, before, after
             guess[count] = at
             if before == at - step and after == at + step and left_value > -np.inf and right > -np.inf:
