@@ -52,10 +52,10 @@ WALL_STEP_RATIO = 10.0
 """A lower step, over that distance, is the slope of the surface."""
 WALL_SAMPLES = 8
 """Every how many samples a wall is looked for along pieces that are not convex."""
+BREAK_WIDTH = 3.2e-15
+"""Greatest distance of both sides of a break, over the largest distance from the axis: some roundings."""
 SECANTS, BORDERS = 12, 3
 """Most steps to a border that the surface knows, and borders that are tried for a change of piece."""
-BORDER_WIDTH = 4
-"""Distance to both sides of it at which the pieces are looked at, over the distance that is to be left."""
 LEAST_BULGE_MM = 1e-6
 """Length of a curved track below which it leaves a piece by no more than rounding."""
 
@@ -84,9 +84,12 @@ class _Intervals(NamedTuple):
     after: Ints  # index of the sample before the interval
     a: Floats  # ends, as distances from the tip [mm]
     b: Floats
+    first: Ints  # label at a
+    last: Ints  # and at b
 
     def select(self, which: Bools | Ints) -> _Intervals:
-        return _Intervals(self.row[which], self.after[which], self.a[which], self.b[which])
+        row, after, a, b, first, last = self
+        return _Intervals(row[which], after[which], a[which], b[which], first[which], last[which])
 
 
 class _Lines(NamedTuple):
@@ -219,15 +222,22 @@ def find_breaks(
         return piece_of(*locate(row, u))
 
     def border(first: Ints, second: Ints, row: Ints, u: Floats) -> Floats:
-        return surface.border(first, second, *locate(row, u))
+        x, y = locate(row, u)
+        value = surface.border(first, second, x, y)
+        if not ends:
+            at_rim = np.flatnonzero((first == OUTSIDE) != (second == OUTSIDE))
+            beyond = x[at_rim] ** 2 + y[at_rim] ** 2 - contact.rim**2
+            value[at_rim] = np.where(first[at_rim] == OUTSIDE, beyond, -beyond)
+        return value
 
     numbers = number(pieces, missing)
     row, after = np.nonzero(numbers[:, 1:] != numbers[:, :-1])
-    between = _Intervals(row, after, u[row, after], u[row, after + 1])
+    between = _Intervals(row, after, u[row, after], u[row, after + 1], numbers[row, after], numbers[row, after + 1])
     if edge.rake_sin != 0 and surface.in_pieces:
         bulges = _find_bulges(contact, tips, u, numbers, piece_of)
         between = _Intervals(*(np.concatenate(both) for both in zip(between, bulges, strict=True)))
-    row, after, before_at, behind_at = _split_intervals(_Lines(piece, border), between, 4e-16 * contact.farthest, 4)
+    between = _split_intervals(_Lines(piece, border), between, BREAK_WIDTH * contact.farthest, 4)
+    row, after, before_at, behind_at = between[:4]
     order = np.lexsort((before_at, after, row))
     row, after = row[order], after[order]
     sides = np.stack([before_at[order], behind_at[order]])
@@ -253,20 +263,19 @@ def _find_bulges(
     """
     row, after = np.nonzero(numbers[:, 1:] == numbers[:, :-1])
     number = numbers[row, after]
-    same, bulges = _Intervals(row, after, u[row, after], u[row, after + 1]), []
+    same, bulges = _Intervals(row, after, u[row, after], u[row, after + 1], number, number), []
     while True:
         x, y = np.empty((2, same.row.size))
         kernel.tangents_meet(contact.edge, *tips.select(same.row), same.a, same.b, x, y)
-        which = np.flatnonzero(piece_of(x, y) != number)
-        same, number = same.select(which), number[which]
+        same = same.select(piece_of(x, y) != same.first)
         middle = 0.5 * (same.a + same.b)
         x, y = contact.at_distance(tips.select(same.row), middle[:, None])
-        outside = np.tile(piece_of(x[:, 0], y[:, 0]) != number, 2)
-        pairs = zip(same._replace(b=middle), same._replace(a=middle), strict=True)
-        same, number = _Intervals(*(np.concatenate(both) for both in pairs)), np.tile(number, 2)
+        inner = piece_of(x[:, 0], y[:, 0])
+        pairs = zip(same._replace(b=middle, last=inner), same._replace(a=middle, first=inner), strict=True)
+        same = _Intervals(*(np.concatenate(both) for both in pairs))
+        outside = same.first != same.last
         bulges.append(same.select(outside))
-        long = ~outside & (same.b - same.a > LEAST_BULGE_MM)
-        same, number = same.select(long), number[long]
+        same = same.select(~outside & (same.b - same.a > LEAST_BULGE_MM))
         if not same.row.size:
             return _Intervals(*(np.concatenate(parts) for parts in zip(*bulges, strict=True)))
 
@@ -323,68 +332,66 @@ def _split_intervals(lines: _Lines, between: _Intervals, close: float, depth: in
     A piece is assumed to meet a line in one interval. Bisection locates where the first piece ends. If that is not
     where the last one begins, bisection locates this too, and the interval in between is split again.
     """
-    row, after, a, b = between
-    piece_at = lines.piece
-    low, over = _bisect(lines, row, a, b, close)
-    several = np.flatnonzero(piece_at(row, over) != piece_at(row, b))
+    ends = _bisect(lines, between, close)
+    several = np.flatnonzero(ends.last != between.last)
     if not several.size:
-        return _Intervals(row, after, low, over)
-    more = _Intervals(row, after, over, b).select(several)
-    high, under = _bisect(lines, more.row, more.b, more.a, close)
-    wide = (under - more.a > 1e-13) & (depth > 0)
-    over[several] = np.where(wide, more.a, high)
-    more, high, under = more.select(wide), high[wide], under[wide]
+        return ends
+    more = between._replace(a=ends.b, first=ends.last).select(several)
+    begins = _bisect(lines, more._replace(a=more.b, b=more.a, first=more.last, last=more.first), close)
+    wide = (begins.b - more.a > 1e-13) & (depth > 0)
+    ends.b[several] = np.where(wide, more.a, begins.a)
+    more, begins = more.select(wide), begins.select(wide)
     # A single piece in between contains no change.
-    changes = piece_at(more.row, more.a) != piece_at(more.row, under)
+    inner = more._replace(b=begins.b, last=begins.last)
     parts = (
-        _Intervals(row, after, low, over),
-        more._replace(a=under, b=high),
-        _split_intervals(lines, more._replace(b=under).select(changes), close, depth - 1),
+        ends,
+        begins._replace(a=begins.b, b=begins.a, first=begins.last, last=begins.first),
+        _split_intervals(lines, inner.select(inner.first != inner.last), close, depth - 1),
     )
     return _Intervals(*(np.concatenate(one) for one in zip(*parts, strict=True)))
 
 
-def _bisect(lines: _Lines, row: Ints, inside: Floats, outside: Floats, close: float) -> tuple[Floats, Floats]:
-    """Return both sides, at most ``close`` apart, of where the piece at ``inside`` ends toward ``outside``."""
-    piece = lines.piece(row, inside)
-    inside, outside = _narrow(lines, row, piece, inside.copy(), outside.copy(), close)
+def _bisect(lines: _Lines, between: _Intervals, close: float) -> _Intervals:
+    """Return both sides, at most ``close`` apart, of where the first piece of intervals ends."""
+    sides = between._replace(a=between.a.copy(), b=between.b.copy(), last=between.last.copy())
+    _narrow(lines, sides, close)
     for _ in range(64):
-        wide = np.flatnonzero(np.abs(outside - inside) > close)
+        wide = np.flatnonzero(np.abs(sides.b - sides.a) > close)
         if not wide.size:
             break
-        middle = 0.5 * (inside[wide] + outside[wide])
-        mine = lines.piece(row[wide], middle) == piece[wide]
-        inside[wide[mine]], outside[wide[~mine]] = middle[mine], middle[~mine]
-    return inside, outside
+        _move_side(lines, sides, wide, 0.5 * (sides.a[wide] + sides.b[wide]))
+    return sides
 
 
-def _narrow(
-    lines: _Lines, row: Ints, piece: Ints, inside: Floats, outside: Floats, close: float
-) -> tuple[Floats, Floats]:
-    """Return sides that are closer together, where the surface knows the border of the pieces at both of them."""
+def _move_side(lines: _Lines, sides: _Intervals, which: Ints, at: Floats) -> None:
+    """Move one side of ``which`` intervals to ``at``: the one of which this is the piece, or else the far one."""
+    piece = lines.piece(sides.row[which], at)
+    mine = piece == sides.first[which]
+    sides.a[which[mine]] = at[mine]
+    sides.b[which[~mine]], sides.last[which[~mine]] = at[~mine], piece[~mine]
+
+
+def _narrow(lines: _Lines, sides: _Intervals, close: float) -> None:
+    """Move the sides closer together where the surface knows the border of the pieces at both of them."""
     for _ in range(BORDERS):
-        wide = np.flatnonzero(np.abs(outside - inside) > 4 * BORDER_WIDTH * close)
+        wide = np.flatnonzero(np.abs(sides.b - sides.a) > 2 * close)
         if not wide.size:
             break
-        rows, mine = row[wide], piece[wide]
-        crossing = _cross(lines, rows, (mine, lines.piece(rows, outside[wide])), inside[wide], outside[wide], close)
+        some = sides.select(wide)
+        crossing = _cross(lines, some, 0.25 * close)
         crossed = np.flatnonzero(~np.isnan(crossing))
         if not crossed.size:
             break
-        wide, rows, mine, crossing = wide[crossed], rows[crossed], mine[crossed], crossing[crossed]
-        for way in (-1, 1):
-            margin = way * BORDER_WIDTH * close * np.sign(outside[wide] - inside[wide])
-            at = np.clip(crossing + margin, *np.sort([inside[wide], outside[wide]], axis=0))
-            within = lines.piece(rows, at) == mine
-            inside[wide[within]], outside[wide[~within]] = at[within], at[~within]
-    return inside, outside
+        wide, crossing, some = wide[crossed], crossing[crossed], some.select(crossed)
+        margin, ends = 0.4 * close * np.sign(some.b - some.a), np.sort([some.a, some.b], axis=0)
+        for at in (crossing - margin, crossing + margin):
+            _move_side(lines, sides, wide, np.clip(at, *ends))
 
 
-def _cross(
-    lines: _Lines, row: Ints, pieces: tuple[Ints, Ints], inside: Floats, outside: Floats, close: float
-) -> Floats:
+def _cross(lines: _Lines, sides: _Intervals, close: float) -> Floats:
     """Return where lines cross the border of two pieces, by the Illinois method; nan where they do not. (n,) [mm]."""
-    (low, at_low), (high, at_high) = ((end, lines.border(*pieces, row, end)) for end in (inside, outside))
+    row, _, low, high, first, last = sides
+    at_low, at_high = (lines.border(first, last, row, end) for end in (low, high))
     crossing = np.where((at_low > 0) & (at_high <= 0), high, np.nan)
     active = np.flatnonzero(~np.isnan(crossing))
     low, at_low, high, at_high = (one[active] for one in (low, at_low, high, at_high))
@@ -396,7 +403,7 @@ def _cross(
             break
         active, at = active[moving], at[moving]
         low, at_low, high, at_high = (one[moving] for one in (low, at_low, high, at_high))
-        value = lines.border(pieces[0][active], pieces[1][active], row[active], at)
+        value = lines.border(first[active], last[active], row[active], at)
         beyond = value * at_high < 0
         low, at_low = np.where(beyond, high, low), np.where(beyond, at_high, 0.5 * at_low)
         high, at_high = at, value
