@@ -143,6 +143,14 @@ def slopes_along(edge, angle, u, fx, fy, out):
 
 
 @jit_inline
+def edge_height(edge, u):
+    """Return the height of the edge above its tip at distance ``u``; for a circle without a call, which costs more."""
+    if edge.pieces.shape[1] == 0 and edge.low_u <= u <= edge.high_u:
+        return edge.rake_cos * (edge.base - np.sqrt(edge.base * edge.base - u * u))
+    return edge.rake_cos * height(edge, u)
+
+
+@jit_inline
 def lower_edge(edge, heights, origin, step, p, begin, end, out):
     """Fill ``out`` with f - e over the samples begin to end, the tip at ``p`` along the line."""
     base, low, high = edge.base, origin + step * begin - p, origin + step * end - p
@@ -156,15 +164,15 @@ def lower_edge(edge, heights, origin, step, p, begin, end, out):
 
 
 @jit
-def distance_at_slope(edge, goal, low, high):
-    """Return where the edge slopes by ``goal``, within [low, high]; for a convex edge."""
-    for _ in range(60):
+def distance_at_slope(edge, goal, low, high, close):
+    """Return two places, ``close`` to each other, between which the edge slopes by ``goal``; for a convex edge."""
+    while high - low > close:
         middle = 0.5 * (low + high)
         if slope(edge, middle) < goal:
             low = middle
         else:
             high = middle
-    return 0.5 * (low + high)
+    return low, high
 
 
 @jit
@@ -246,21 +254,45 @@ def upward_curvature(
 
 
 @jit_inline
+def highest_sample(edge, f, origin, step, p, low, high, j, g):
+    """Return which of the samples low to high of f - e is the highest, where they rise and then fall.
+
+    The search begins at ``j``. Fill ``g`` with f - e there and at its neighbours.
+    """
+    first, last, stride = low, high, 1
+    rose, fell = False, False
+    g[low] = f[low] - edge_height(edge, origin + step * low - p)
+    while first < last:
+        j = (first + last) // 2 if rose and fell else max(first, min(j, last - 1))
+        g[j] = f[j] - edge_height(edge, origin + step * j - p)
+        g[j + 1] = f[j + 1] - edge_height(edge, origin + step * (j + 1) - p)
+        if g[j + 1] > g[j]:
+            first, rose, j = j + 1, True, j + stride
+        else:
+            last, fell, j = j, True, j - stride
+        stride *= 2
+    return first
+
+
+@jit_inline
 def sampled_maxima(
-    f, g, origin, step, p, k, begin, end, threshold, broken, last_break, break_after, break_at, break_height,
-    edge, point, start, stop, guess, count,
+    f, g, origin, step, p, k, begin, end, seen, number, threshold, broken, last_break, break_after, break_at,
+    break_height, edge, point, start, stop, guess, count,
 ):  # fmt: skip
-    """Append the samples begin to end of f - e = ``g`` that are no lower than their neighbours; return the count.
+    """Append the samples of f - e = ``g`` that are no lower than their neighbours; return the count.
+
+    The samples are the first ``number`` of ``seen``, from begin to end.
 
     The neighbour is the next sample, or the near side of a break or step before it; where that is at the sample,
     rounding alone decides which is higher, and the sample counts. Between three samples of one piece the first guess is
     where the edge is as steep as the parabola through the surface's heights.
     """
     close = CLOSE_RATIO * step
-    for j in range(begin, end + 1):
+    for i in range(number):
+        j = seen[i]
         # A last step, shorter than the others, may hide more than the samples say.
         at_end = j < end and broken[j] >= 0 and break_height[1, broken[j]] == -np.inf
-        at_end |= j > begin and broken[j - 1] >= 0 and g[j - 1] == -np.inf
+        at_end |= j > begin and broken[j - 1] >= 0 and f[j - 1] == -np.inf
         if g[j] == -np.inf or (g[j] < threshold and not at_end):
             continue
         at = origin + step * j - p
@@ -272,13 +304,13 @@ def sampled_maxima(
                 while b + 1 < last_break and break_after[b + 1] == j - 1:
                     b += 1
                 before = break_at[b] - p
-                left_value = break_height[1, b] - edge.rake_cos * height(edge, before)
+                left_value = break_height[1, b] - edge_height(edge, before)
         after, right = at, g[j]
         if j < end:
             after, right = at + step, g[j + 1]
             if broken[j] >= 0:
                 after = break_at[broken[j]] - p
-                right = break_height[0, broken[j]] - edge.rake_cos * height(edge, after)
+                right = break_height[0, broken[j]] - edge_height(edge, after)
         if (g[j] >= left_value or at - before < close) and (g[j] >= right or after - at < close):
             point[count], start[count], stop[count] = k, before, after
             guess[count] = at
@@ -304,7 +336,7 @@ def break_maxima(
     """
     for b in range(first, last + 1):
         at = break_at[b] - p
-        e, rate = edge.rake_cos * height(edge, at), edge.rake_cos * slope(edge, at)
+        e, rate = edge_height(edge, at), edge.rake_cos * slope(edge, at)
         for side in range(2):
             value = break_height[side, b] - e
             at_end = break_height[1 - side, b] == -np.inf
@@ -312,7 +344,7 @@ def break_maxima(
                 continue
             next_at, following = facing(f, origin, step, b, side, first, last, break_after, break_at, break_height)
             next_at -= p
-            following -= edge.rake_cos * height(edge, next_at)
+            following -= edge_height(edge, next_at)
             inward = (break_slope[side, b] - rate) * (1.0 if side == 1 else -1.0)
             if value > direct[k]:
                 direct[k], direct_at[k], ended[k] = value, at, at_end
@@ -364,6 +396,9 @@ def candidates(
     """
     rows, m = heights.shape
     g = np.empty(m)
+    domain_end = np.empty(break_at.size)
+    seen = np.empty(m, np.int64)  # samples of f - e that may be the highest of their neighbours
+    single = curvature < np.inf  # f - e has one maximum in each piece
     broken = np.empty(m, np.int64)  # number of the first break after a sample, or -1
     count = 0
     for row in range(rows):
@@ -393,42 +428,61 @@ def candidates(
             above = np.inf
         near, far = low, high
         if edge.convex and steepest >= falling:
-            near = max(low, distance_at_slope(edge, falling / edge.rake_cos, low, high) - 2.0 * step)
-            far = min(high, distance_at_slope(edge, steepest / edge.rake_cos, low, high) + 2.0 * step)
+            near = max(low, distance_at_slope(edge, falling / edge.rake_cos, low, high, step)[0] - step)
+            far = min(high, distance_at_slope(edge, steepest / edge.rake_cos, low, high, step)[1] + step)
         curve = greatest_rise(edge, max(near, edge.low_u), min(far, edge.high_u), step)
-        has_end = False
+        edges = 0
         for b in range(first_break, last_break):
-            has_end |= min(break_height[0, b], break_height[1, b]) == -np.inf
+            if min(break_height[0, b], break_height[1, b]) == -np.inf:
+                domain_end[edges] = break_at[b]
+                edges += 1
+        leaning = 0.0  # where the edge of the tip before touched, from its tip
         after = first_break  # the first break that is not before the window; tips that follow each other share most
         for k in range(offsets[row], offsets[row + 1]):
             p = position[k]
             # An end of the domain is touched whatever its slope.
             left_end, right_end = p + near, p + far
-            for b in range(first_break, last_break if has_end else first_break):
-                if p + low <= break_at[b] <= p + high and min(break_height[0, b], break_height[1, b]) == -np.inf:
-                    left_end, right_end = min(left_end, break_at[b]), max(right_end, break_at[b])
+            for i in range(edges):
+                if p + low <= domain_end[i] <= p + high:
+                    left_end, right_end = min(left_end, domain_end[i]), max(right_end, domain_end[i])
             # Outward to the next sample, so that the window is covered.
             begin = max(int(np.floor((left_end - origin) / step)), 0)
             end = min(int(np.ceil((right_end - origin) / step)), m - 1)
-            lower_edge(edge, f, origin, step, p, begin, end, g)
-            greatest, where = -np.inf, -1
-            for j in range(begin, end + 1):
-                if g[j] > greatest:
-                    greatest, where = g[j], j
-            if where < 0:
-                return OUTSIDE - k
-            direct[k], ended[k], narrow[k] = -np.inf, False, False
-            top = greatest
             while after > first_break and break_after[after - 1] >= begin:
                 after -= 1
             while after < last_break and break_after[after] < begin:
                 after += 1
+            number = 0
+            if single:
+                low_sample, b, likely = begin, after, int((p + leaning - origin) / step)
+                while low_sample <= end:
+                    while b < last_break and break_after[b] < low_sample:
+                        b += 1
+                    high_sample = min(break_after[b], end) if b < last_break else end
+                    if f[low_sample] > -np.inf:
+                        seen[number] = highest_sample(edge, f, origin, step, p, low_sample, high_sample, likely, g)
+                        number += 1
+                    low_sample = high_sample + 1
+            else:
+                lower_edge(edge, f, origin, step, p, begin, end, g)
+                for j in range(begin, end + 1):
+                    seen[number] = j
+                    number += 1
+            greatest, where = -np.inf, -1
+            for i in range(number):
+                if g[seen[i]] > greatest:
+                    greatest, where = g[seen[i]], seen[i]
+            if where < 0:
+                return OUTSIDE - k
+            leaning = origin + step * where - p
+            direct[k], ended[k], narrow[k] = -np.inf, False, False
+            top = greatest
             first, last = -1, -1
             for b in range(after, last_break):
                 if break_after[b] >= end:
                     break
                 first, last = after, b
-                e = edge.rake_cos * height(edge, break_at[b] - p)
+                e = edge_height(edge, break_at[b] - p)
                 top = max(top, max(break_height[0, b], break_height[1, b]) - e)
             if summit - above > top or (top == greatest and (where == begin or where == end)):
                 narrow[k] = True
@@ -437,8 +491,8 @@ def candidates(
             if count + (end - begin) + 2 * (last_break - first_break) + 4 > point.size:
                 return FULL
             count = sampled_maxima(
-                f, g, origin, step, p, k, begin, end, threshold, broken, last_break, break_after, break_at,
-                break_height, edge, point, start, stop, guess, count,
+                f, g, origin, step, p, k, begin, end, seen, number, threshold, broken, last_break, break_after,
+                break_at, break_height, edge, point, start, stop, guess, count,
             )  # fmt: skip
             if first >= 0:
                 count = break_maxima(

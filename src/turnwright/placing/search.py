@@ -141,7 +141,7 @@ def search(contact: Contact, tips: Tips, out: Touch, progress: Progress | None) 
             "the features as a separate part"
         )
     if per_rev is not None:
-        together = min(per_rev // 8, 8 * CHUNK * per_rev // count, int(MAX_SAMPLES / samples))
+        together = min(per_rev // 8, 4 * CHUNK * per_rev // count, int(MAX_SAMPLES / samples))
         run_chunks(lines, per_rev, max(1, together), progress)
     else:
         run_chunks(tracks, count, int(np.clip(MAX_SAMPLES // 4 * step / width, 1, CHUNK)), progress)
