@@ -9,14 +9,14 @@ from turnwright._kernels import jit
 def nearest(x, y, centres, near, corner, step, counts, first, candidates, index, u, v):
     """Fill ``index`` (n,) with the centre nearest to each point, the lowest of several, and ``u, v`` from there.
 
-    Beyond the bins the index is -1.
+    Beyond the bins the index is -1. Return how many points are there.
 
     Points that follow each other mostly have the same centre: it is that of any point within ``near``, below half the
     distance of the closest two. Bins are squares of ``step`` from ``corner``, ``counts`` of them along x and y, row
     after row. The candidates of bin b, ascending, are ``candidates[first[b]:first[b + 1]]``.
     """
     columns, rows = counts
-    centre, square_near = 0, near * near
+    centre, square_near, beyond = 0, near * near, 0
     for i in range(x.size):
         near_u = x[i] - centres[centre, 0]
         near_v = y[i] - centres[centre, 1]
@@ -27,6 +27,7 @@ def nearest(x, y, centres, near, corner, step, counts, first, candidates, index,
         along = (y[i] - corner[1]) / step
         if not (across >= 0.0 and along >= 0.0 and across < columns and along < rows):
             index[i] = -1
+            beyond += 1
             continue
         b = np.int64(along) * columns + np.int64(across)
         centre = candidates[first[b]]
@@ -45,3 +46,24 @@ def nearest(x, y, centres, near, corner, step, counts, first, candidates, index,
         index[i] = centre
         u[i] = near_u
         v[i] = near_v
+    return beyond
+
+
+@jit
+def border(first, second, x, y, centres, square, out):
+    """Fill ``out`` with how much nearer each point is to one centre than to another, as a difference of squares.
+
+    A number as large as that of the centres is what lies around all, with ``square``; below 0 there is none: nan.
+    """
+    count = centres.shape[0]
+    for i in range(x.size):
+        squares = 0.0
+        for piece, sign in ((first[i], -1.0), (second[i], 1.0)):
+            if piece < 0:
+                squares = np.nan
+            elif piece == count:
+                squares += sign * square
+            else:
+                u, v = x[i] - centres[piece, 0], y[i] - centres[piece, 1]
+                squares += sign * (u * u + v * v)
+        out[i] = squares

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, frozen
-from turnwright._kernels.cells import nearest
+from turnwright._kernels import cells
 from turnwright._validate import check_numbers, finite_tuple, instance_of, positive, whole_number
 from turnwright.errors import InputError
 from turnwright.surface.base import Surface
@@ -379,14 +379,10 @@ class LensArray(Surface):
 
         For the surround, the square is that of the aperture.
         """
-        count, wide = self.centres.shape[0], np.nan if self.aperture is None else self.aperture**2
-
-        def square(piece: Ints) -> Floats:
-            centre_x, centre_y = self.centres[np.clip(piece, 0, count - 1)].T
-            away = (x - centre_x) ** 2 + (y - centre_y) ** 2
-            return np.where(piece < 0, np.nan, np.where(piece == count, wide, away))
-
-        return square(second) - square(first)
+        out = np.empty(x.size)
+        square = np.nan if self.aperture is None else self.aperture**2
+        cells.border(first, second, x, y, self.centres, square, out)
+        return out
 
     @property
     def convex_pieces(self) -> bool:
@@ -408,9 +404,8 @@ class LensArray(Surface):
         """Return the piece of each point, and its position relative to the nearest centre. Each (n,)."""
         x, y = x.ravel(), y.ravel()
         index, u, v = np.empty(x.size, dtype=np.int64), np.empty(x.size), np.empty(x.size)
-        nearest(x, y, self.centres, NEAR * self._spacing, *self._bins, index, u, v)
-        beyond = np.flatnonzero(index < 0)
-        if beyond.size:
+        if cells.nearest(x, y, self.centres, NEAR * self._spacing, *self._bins, index, u, v):
+            beyond = np.flatnonzero(index < 0)
             points = np.stack([x[beyond], y[beyond]], axis=-1)
             # A point that is not finite, or too far away to be squared, keeps what it is in u and v.
             centre = self._tree.query(np.clip(np.nan_to_num(points), -FARTHEST_MM, FARTHEST_MM))[1]
