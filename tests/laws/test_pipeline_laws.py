@@ -13,7 +13,7 @@ from turnwright.part import Part
 from turnwright.path import Motion, Spiral
 from turnwright.placing import place
 from turnwright.strategy import SlowToolServo
-from turnwright.surface import LensArray, SineGrid, Sphere, XYPolynomial
+from turnwright.surface import LensArray, Plane, SineGrid, Sphere, XYPolynomial
 from turnwright.tool import Tool
 
 MACHINE = Machine.load("generic")
@@ -118,6 +118,28 @@ def test_no_point_is_cut_below_the_design(surface, tool, sense):
     turn = np.sort(motion.axes["C"][:POINTS] % (2 * np.pi))
     made = generate_polar(motion, tool, radius=np.linspace(1e-3, RADIUS, 301), angle=turn)
     assert np.min(made.z - surface.sag(*made.points())) > -1e-10
+
+
+@quick
+@given(
+    bend=unit(1 / 20, 2),
+    way=st.sampled_from([-1, 1]),
+    pitch=unit(0.05, 1.5),
+    turned=st.one_of(st.sampled_from([0.0, np.pi / 6, np.pi / 4]), unit(-4, 4)),
+    nose=unit(0.02, 0.8),
+)
+def test_spheres_in_closed_form_are_touched_as_searched_for(bend, way, pitch, turned, nose):
+    # A flat added to them has no height, but a sum is searched.
+    lenses = LensArray.hexagonal(pitch=pitch, within=1.5 + 2 * pitch, lenslet=Sphere(radius=way * max(1 / bend, pitch)))
+    tool, feed = Tool(nose_radius=nose, included=np.deg2rad(110)), min(RADIUS / 8, nose)
+    spiral = SlowToolServo(feed=feed, points_per_rev=24, spindle_rpm=50).spiral(
+        Part(surface=lenses, radius=RADIUS), tool
+    )
+    closed, searched = (
+        place(spiral, Part(surface=surface, radius=RADIUS), tool).z
+        for surface in (lenses.placed(rotation=turned), lenses.placed(rotation=turned) + Plane())
+    )
+    np.testing.assert_allclose(closed, searched, rtol=0, atol=1e-13)
 
 
 @quick

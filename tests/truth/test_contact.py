@@ -132,6 +132,26 @@ def test_places_on_lens_valleys_equal_brute_force():
     assert np.abs(got.z - expected).max() < 1e-10
 
 
+LENSES = {
+    "domes": tw.LensArray.hexagonal(pitch=0.25, rings=6, lenslet=tw.Sphere(radius=-0.7)),
+    "bowls, moved and turned": tw.LensArray.square(pitch=0.3, rows=9, columns=9, lenslet=tw.Sphere(radius=0.9)).placed(
+        shift=(0.04, -0.07, 0.5), rotation=0.3
+    ),
+    "listed bowls": SURFACES["listed bowls"],
+    "flats": tw.LensArray.square(pitch=0.3, rows=9, columns=9, lenslet=tw.Sphere(radius=np.inf)),
+}
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_a_round_nose_on_spheres_equals_brute_force(name):
+    tool = tw.Tool(nose_radius=0.4, included=110 * DEG, radius_error=0.003, offset=(0.004, 0.0, -0.02))
+    where = spiral(1.2, 0.05, 60, sense=-1)
+    got = touch(LENSES[name], tool, angle=where.angle, radius=where.radius, sense=-1, rim=1.3)
+    for i in np.random.default_rng(2).choice(where.angle.size, 40, replace=False):
+        expected, _ = brute_contact(LENSES[name], tool, where.angle[i], where.radius[i], -1, 1.3)
+        assert got.z[i] == pytest.approx(expected, abs=1e-14), f"point {i}"
+
+
 @pytest.mark.parametrize("sense", [1, -1])
 @pytest.mark.parametrize("rake", [0.0, -25 * DEG])
 def test_tilted_plane_in_closed_form(rake, sense):

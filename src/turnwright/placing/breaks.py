@@ -24,10 +24,12 @@ __all__ = [
     "SLOPE_OFFSET_MM",
     "WALL_STEP_RATIO",
     "Breaks",
+    "Segments",
     "SurfaceExtremes",
     "evaluate_heights",
     "find_breaks",
     "find_extremes",
+    "find_segments",
     "find_walls",
     "sample_surface",
     "wall_offset",
@@ -92,11 +94,24 @@ class _Intervals(NamedTuple):
         return _Intervals(row[which], after[which], a[which], b[which], first[which], last[which])
 
 
+class Segments(NamedTuple):
+    """Parts of lines, each on one piece of a surface; row i holds ``offsets[i]`` to ``offsets[i + 1]``, ascending."""
+
+    offsets: Ints
+    start: Floats  # ends, as distances from the tip of the row [mm]
+    stop: Floats
+    piece: Ints  # its number, `OUTSIDE` outside the rim
+
+
 class _Lines(NamedTuple):
     """Pieces of a surface along some lines."""
 
-    piece: Callable[[Ints, Floats], Ints]  # of lines by index, at distances from their tips
-    border: Callable[[Ints, Ints, Ints, Floats], Floats]  # `Surface.border` of two pieces, likewise
+    locate: Callable[[Ints, Floats], tuple[Floats, Floats]]  # x and y on lines by index, at distances from their tips
+    piece_of: Callable[[Floats, Floats], Ints]  # at x and y
+    border: Callable[[Ints, Ints, Ints, Floats], Floats]  # `Surface.border` of two pieces, on lines
+
+    def piece(self, row: Ints, u: Floats) -> Ints:
+        return self.piece_of(*self.locate(row, u))
 
 
 def find_extremes(surface: Surface, radius: float, *, radial: bool) -> SurfaceExtremes:
@@ -202,10 +217,56 @@ def find_breaks(
     surface, edge = contact.surface, contact.edge
     heights, pieces = sampled
     missing = heights == -np.inf
-    ends = bool((missing & ~_is_outside_rim(contact.rim, x, y)).any())
+    lines = _lines_under(contact, tips, ends=bool((missing & ~_is_outside_rim(contact.rim, x, y)).any()))
+    numbers = _number(pieces, missing)
+    between = _find_changes(u, numbers)
+    if edge.rake_sin != 0 and surface.in_pieces:
+        bulges = _find_bulges(contact, tips, u, numbers, lines)
+        between = _Intervals(*(np.concatenate(both) for both in zip(between, bulges, strict=True)))
+    row, after, before_at, behind_at, *_ = _split_intervals(lines, between, BREAK_WIDTH * contact.farthest, 4)
+    order = np.lexsort((before_at, after, row))
+    row, after = row[order], after[order]
+    sides = np.stack([before_at[order], behind_at[order]])
+    height, slope = np.empty(sides.shape), np.empty(sides.shape)
+    for side in range(2):
+        height[side] = evaluate_heights(contact, *lines.locate(row, sides[side]))
+        # Slopes are evaluated slightly inside the piece: right on the axis they may be differences of infinities.
+        inner = sides[side] + (2 * side - 1) * SLOPE_OFFSET_MM
+        with np.errstate(all="ignore"):
+            _, zx, zy = surface.evaluate(*lines.locate(row, inner), 1)
+        kernel.slopes_along(edge, tips.angle[row], inner, zx, zy, slope[side])
+    offsets = np.searchsorted(row, np.arange(heights.shape[0] + 1))
+    return Breaks(offsets, after, 0.5 * (sides[0] + sides[1]), height, slope), numbers
 
-    def number(pieces: Ints | None, outside: Bools) -> Ints:
-        return np.where(outside, OUTSIDE, 0 if pieces is None else pieces)
+
+def find_segments(contact: Contact, tips: Tips, u: Floats) -> Segments:
+    """Divide lines where pieces of a surface meet that ends nowhere inside the rim, see `find_breaks`."""
+    x, y = contact.at_distance(tips, u)
+    numbers = _number(contact.surface.piece(x, y), _is_outside_rim(contact.rim, x, y))
+    lines, (rows, _) = _lines_under(contact, tips, ends=False), u.shape
+    row, _, before_at, behind_at, *_ = _split_intervals(
+        lines, _find_changes(u, numbers), BREAK_WIDTH * contact.farthest, 4
+    )
+    at = 0.5 * (before_at + behind_at)
+    order = np.lexsort((at, row))
+    row, at = row[order], at[order]
+    offsets = np.searchsorted(row, np.arange(rows + 1)) + np.arange(rows + 1)
+    start, stop = np.empty((2, offsets[-1]))
+    before = np.arange(row.size) + row  # the segment before each border
+    start[offsets[:-1]], start[before + 1] = u[:, 0], at
+    stop[offsets[1:] - 1], stop[before] = u[:, -1], at
+    # Where several borders coincide to rounding, their order may be wrong; the middle of a segment tells its piece.
+    piece = lines.piece(np.repeat(np.arange(rows), np.diff(offsets)), 0.5 * (start + stop))
+    return Segments(offsets, start, stop, piece)
+
+
+def _number(pieces: Ints | None, outside: Bools) -> Ints:
+    return np.where(outside, OUTSIDE, 0 if pieces is None else pieces)
+
+
+def _lines_under(contact: Contact, tips: Tips, *, ends: bool) -> _Lines:
+    """Return the pieces along the lines of tips; ``ends`` is whether the surface ends anywhere inside the rim."""
+    surface = contact.surface
 
     def locate(row: Ints, u: Floats) -> tuple[Floats, Floats]:
         x, y = contact.at_distance(tips.select(row), u[:, None])
@@ -214,12 +275,9 @@ def find_breaks(
     def piece_of(x: Floats, y: Floats) -> Ints:
         # The rim is all that ends most surfaces; their heights need not be evaluated.
         if not ends:
-            return number(surface.piece(x, y), _is_outside_rim(contact.rim, x, y))
+            return _number(surface.piece(x, y), _is_outside_rim(contact.rim, x, y))
         heights, pieces = sample_surface(contact, x, y)
-        return number(pieces, heights == -np.inf)
-
-    def piece(row: Ints, u: Floats) -> Ints:
-        return piece_of(*locate(row, u))
+        return _number(pieces, heights == -np.inf)
 
     def border(first: Ints, second: Ints, row: Ints, u: Floats) -> Floats:
         x, y = locate(row, u)
@@ -230,32 +288,16 @@ def find_breaks(
             value[at_rim] = np.where(first[at_rim] == OUTSIDE, beyond, -beyond)
         return value
 
-    numbers = number(pieces, missing)
+    return _Lines(locate, piece_of, border)
+
+
+def _find_changes(u: Floats, numbers: Ints) -> _Intervals:
+    """Return the intervals between two samples of different pieces, of lines with samples at ``u``. (rows, n)."""
     row, after = np.nonzero(numbers[:, 1:] != numbers[:, :-1])
-    between = _Intervals(row, after, u[row, after], u[row, after + 1], numbers[row, after], numbers[row, after + 1])
-    if edge.rake_sin != 0 and surface.in_pieces:
-        bulges = _find_bulges(contact, tips, u, numbers, piece_of)
-        between = _Intervals(*(np.concatenate(both) for both in zip(between, bulges, strict=True)))
-    between = _split_intervals(_Lines(piece, border), between, BREAK_WIDTH * contact.farthest, 4)
-    row, after, before_at, behind_at = between[:4]
-    order = np.lexsort((before_at, after, row))
-    row, after = row[order], after[order]
-    sides = np.stack([before_at[order], behind_at[order]])
-    height, slope = np.empty(sides.shape), np.empty(sides.shape)
-    for side in range(2):
-        height[side] = evaluate_heights(contact, *locate(row, sides[side]))
-        # Slopes are evaluated slightly inside the piece: right on the axis they may be differences of infinities.
-        inner = sides[side] + (2 * side - 1) * SLOPE_OFFSET_MM
-        with np.errstate(all="ignore"):
-            _, zx, zy = surface.evaluate(*locate(row, inner), 1)
-        kernel.slopes_along(edge, tips.angle[row], inner, zx, zy, slope[side])
-    offsets = np.searchsorted(row, np.arange(heights.shape[0] + 1))
-    return Breaks(offsets, after, 0.5 * (sides[0] + sides[1]), height, slope), numbers
+    return _Intervals(row, after, u[row, after], u[row, after + 1], numbers[row, after], numbers[row, after + 1])
 
 
-def _find_bulges(
-    contact: Contact, tips: Tips, u: Floats, numbers: Ints, piece_of: Callable[[Floats, Floats], Ints]
-) -> _Intervals:
+def _find_bulges(contact: Contact, tips: Tips, u: Floats, numbers: Ints, lines: _Lines) -> _Intervals:
     """Return where a curved track leaves a piece and comes back to it between two samples, in intervals with a change.
 
     The track of a raked edge lies between its chord and the tangents at the ends: where these meet is in the same piece
@@ -267,10 +309,9 @@ def _find_bulges(
     while True:
         x, y = np.empty((2, same.row.size))
         kernel.tangents_meet(contact.edge, *tips.select(same.row), same.a, same.b, x, y)
-        same = same.select(piece_of(x, y) != same.first)
+        same = same.select(lines.piece_of(x, y) != same.first)
         middle = 0.5 * (same.a + same.b)
-        x, y = contact.at_distance(tips.select(same.row), middle[:, None])
-        inner = piece_of(x[:, 0], y[:, 0])
+        inner = lines.piece(same.row, middle)
         pairs = zip(same._replace(b=middle, last=inner), same._replace(a=middle, first=inner), strict=True)
         same = _Intervals(*(np.concatenate(both) for both in pairs))
         outside = same.first != same.last

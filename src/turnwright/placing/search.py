@@ -39,9 +39,10 @@ from turnwright.placing.breaks import (
     sample_surface,
     wall_offset,
 )
+from turnwright.placing.spheres import touch_spheres
 from turnwright.placing.tangent import MAX_CURVATURE_RATIO, Contact, Tips, Touch
 from turnwright.progress import Progress, run_chunks
-from turnwright.surface import Surface
+from turnwright.surface import Spheres, Surface
 
 __all__ = ["CHUNK", "search"]
 
@@ -91,6 +92,7 @@ class _Window(NamedTuple):
     curvature: float  # infinite where the step is the finer one [1/mm]
     top: float  # greatest height of the surface, -inf if it is less steep than the flanks [mm]
     across: float  # distance at which a line is searched on both sides of a wall [mm]
+    spheres: Spheres | None = None  # that the surface is, nowhere as steep as the edge
 
 
 class _Lines(NamedTuple):
@@ -120,6 +122,7 @@ def search(contact: Contact, tips: Tips, out: Touch, progress: Progress | None) 
         window = window._replace(
             step=min(contact.feature, width) / TANGENT_SAMPLES,
             curvature=MAX_CURVATURE_RATIO * edge.least_curvature(),
+            spheres=contact.surface.spheres if edge.perfect and contact.upright else None,
         )
 
     def lines(start: int, stop: int) -> None:
@@ -141,7 +144,9 @@ def search(contact: Contact, tips: Tips, out: Touch, progress: Progress | None) 
             "the features as a separate part"
         )
     if per_rev is not None:
-        together = min(per_rev // 8, 4 * CHUNK * per_rev // count, int(MAX_SAMPLES / samples))
+        # More at once would not stay in the heap; in closed form there is less of each.
+        chunk = CHUNK * (4 if window.spheres is None else 16)
+        together = min(per_rev // 8, chunk * per_rev // count, int(MAX_SAMPLES / samples))
         run_chunks(lines, per_rev, max(1, together), progress)
     else:
         run_chunks(tracks, count, int(np.clip(MAX_SAMPLES // 4 * step / width, 1, CHUNK)), progress)
@@ -222,6 +227,12 @@ def _search_widening(
     waiting = [(points, line, window)]
     while waiting:
         some, line, window = waiting.pop()
+        if window.spheres is not None:
+            part = _touch_spheres(contact, window, window.spheres, tips.select(some), line)
+            if part is not None:
+                out.put(some, part)
+                continue
+            window = window._replace(spheres=None)
         answer = _find_contacts(contact, window, tips.select(some), line)
         if answer is None:
             waiting.append((some, line, window._replace(step=window.finer, curvature=np.inf)))
@@ -248,6 +259,11 @@ def _search_widening(
         pieces = int(np.ceil(some.size * wide / (MAX_SAMPLES // 4)))
         waiting += [(piece, None, window) for piece in np.array_split(some, min(max(pieces, 1), some.size))]
     return np.concatenate(walled)
+
+
+def _touch_spheres(contact: Contact, window: _Window, spheres: Spheres, tips: Tips, line: Ints | None) -> Touch | None:
+    lines = _lay_out_lines(contact, window._replace(step=contact.feature), tips, line, spans_part=False)
+    return touch_spheres(contact, spheres, tips, *lines)
 
 
 def _find_contacts(

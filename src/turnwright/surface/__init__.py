@@ -1,6 +1,6 @@
 """Surface prescriptions: one family per module, each a `Surface`."""
 
-from turnwright.surface.base import FAMILIES, Family, Series, Surface
+from turnwright.surface.base import FAMILIES, Family, Series, Spheres, Surface
 from turnwright.surface.compound import Placed, Sum
 from turnwright.surface.conic import Conic, EvenAsphere, Plane, Sphere
 from turnwright.surface.disc import disc_sum
@@ -37,6 +37,7 @@ __all__ = [
     "Series",
     "SineGrid",
     "Sphere",
+    "Spheres",
     "Sum",
     "Surface",
     "Toroid",

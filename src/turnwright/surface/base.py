@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from turnwright.surface.compound import Placed, Sum
 
-__all__ = ["COSTLIEST", "FAMILIES", "Family", "Series", "Surface"]
+__all__ = ["COSTLIEST", "FAMILIES", "Family", "Series", "Spheres", "Surface"]
 
 FAMILIES: dict[str, type[Any]] = {}
 """Classes by the ``family`` that a job file names; a class is registered when its module is imported."""
@@ -119,6 +119,13 @@ class Family(TableModel):
         return schema
 
 
+class Spheres(NamedTuple):
+    """Upright spheres of one radius, by the number of the piece."""
+
+    vertices: Floats  # (n, 3) [mm]
+    curvature: float  # positive for a concave surface [1/mm]
+
+
 class Surface(Family, Value, ABC):
     """A finished surface z = f(x, y) with the material below it.
 
@@ -190,6 +197,11 @@ class Surface(Family, Value, ABC):
             Position on the part. (n,) [mm]
         """
         return np.full(x.shape, np.nan)
+
+    @property
+    def spheres(self) -> Spheres | None:
+        """The spheres that the pieces are, if all are alike and meet without a step, else ``None``."""
+        return None
 
     def sample(self, x: Floats, y: Floats) -> tuple[Floats, Ints | None]:
         """Return the height, nan outside the domain, and the `piece`, which may take less than one after the other."""

@@ -11,7 +11,7 @@ import numpy as np
 from turnwright._validate import check_numbers, instance_of
 from turnwright.errors import InputError
 from turnwright.pose import Pose, rotation_matrix
-from turnwright.surface.base import COSTLIEST, Surface
+from turnwright.surface.base import COSTLIEST, Spheres, Surface
 
 if TYPE_CHECKING:
     from turnwright._arrays import Bools, Floats, Ints
@@ -251,6 +251,12 @@ class Placed(Surface):
         u, v, _ = self._local(x, y)
         z, number = self.surface.sample(u, v)
         return (z + self.shift[2]).reshape(x.shape), None if number is None else number.reshape(x.shape)
+
+    @property
+    def spheres(self) -> Spheres | None:
+        """Those of the moved surface, if it is level. See `Surface.spheres`."""
+        spheres = self.surface.spheres if self.tilt == (0.0, 0.0) else None
+        return None if spheres is None else spheres._replace(vertices=spheres.vertices @ self._turn.T + self.shift)
 
     @property
     def convex_pieces(self) -> bool:

@@ -12,8 +12,8 @@ from turnwright._arrays import Bools, Floats, Ints, frozen
 from turnwright._kernels import cells
 from turnwright._validate import check_numbers, finite_tuple, instance_of, positive, whole_number
 from turnwright.errors import InputError
-from turnwright.surface.base import Surface
-from turnwright.surface.conic import Plane
+from turnwright.surface.base import Spheres, Surface
+from turnwright.surface.conic import Plane, Sphere
 from turnwright.units import Count, Length, Natural, Size, write
 
 if TYPE_CHECKING:
@@ -383,6 +383,13 @@ class LensArray(Surface):
         square = np.nan if self.aperture is None else self.aperture**2
         cells.border(first, second, x, y, self.centres, square, out)
         return out
+
+    @property
+    def spheres(self) -> Spheres | None:
+        """The lenslets, if they are spheres that fill their cells. See `Surface.spheres`."""
+        if self.surround is not None or not isinstance(self.lenslet, Sphere):
+            return None
+        return Spheres(np.column_stack([self.centres, np.zeros(self.centres.shape[0])]), 1 / self.lenslet.radius)
 
     @property
     def convex_pieces(self) -> bool:

@@ -1,0 +1,80 @@
+"""A round nose on spheres side by side, in closed form. See placing.spheres for the method."""
+
+import numpy as np
+
+from turnwright._kernels import jit
+
+
+@jit
+def touch(
+    edge, cosine, sine, along, offsets, position,
+    segment_offsets, start, stop, piece, vertices, curvature, ratio, top, at,
+):  # fmt: skip
+    """Bring a round nose down on lines that cross spheres.
+
+    Parameters
+    ----------
+    cosine, sine, along
+        Azimuth of each row, and where its distances begin along it. (rows,)
+    offsets, position
+        Row i holds the tip positions offsets[i] to offsets[i + 1] of ``position``. [mm]
+    segment_offsets, start, stop, piece
+        Row i holds the segments segment_offsets[i] to segment_offsets[i + 1], each on the sphere of this number; of a
+        negative number there is none.
+    vertices, curvature
+        Of all spheres. (n, 3) [mm, 1/mm]
+    ratio
+        Greatest curvature of a section over that of the nose.
+    top, at
+        Filled: the greatest height over the edge, and where, as distance from the tip. (n,) [mm]
+
+    Returns
+    -------
+    bool
+        Whether the nose touches every tip's spheres at one place each, on the arc.
+    """
+    nose = edge.radius
+    most = 0
+    for row in range(along.size):
+        most = max(most, segment_offsets[row + 1] - segment_offsets[row])
+    middle, square, scale = np.empty(most), np.empty(most), np.empty(most)
+    for row in range(along.size):
+        first, last = segment_offsets[row], segment_offsets[row + 1] - 1
+        for s in range(first, last + 1):
+            if piece[s] < 0:
+                continue
+            x, y = vertices[piece[s], 0], vertices[piece[s], 1]
+            across = y * cosine[row] - x * sine[row]
+            root = np.sqrt(1.0 - curvature * curvature * across * across)  # of the section, over that of the sphere
+            if not nose * curvature < ratio * root:
+                return False
+            # The centres of section and nose are in line with the contact.
+            middle[s - first] = x * cosine[row] + y * sine[row] - along[row]
+            square[s - first], scale[s - first] = across * across, root / (root - nose * curvature)
+        s = first
+        for k in range(offsets[row], offsets[row + 1]):
+            p = position[k]
+            low, high = p + edge.low_u, p + edge.high_u
+            while s > first and start[s] > low:
+                s -= 1
+            while s < last and stop[s] < low:
+                s += 1
+            best, place = -np.inf, 0.0
+            i = s
+            while i <= last and start[i] < high:
+                if piece[i] >= 0:
+                    centre = middle[i - first]
+                    u = centre + (p - centre) * scale[i - first]
+                    u = max(min(u, stop[i], high), start[i], low)
+                    r2 = square[i - first] + (u - centre) * (u - centre)
+                    x = u - p
+                    sag = curvature * r2 / (1.0 + np.sqrt(1.0 - curvature * curvature * r2))
+                    rise = sag - x * x / (nose + np.sqrt(nose * nose - x * x))
+                    value = vertices[piece[i], 2] + rise
+                    if value > best:
+                        best, place = value, x
+                i += 1
+            if not edge.low_u < place < edge.high_u or best == -np.inf:
+                return False
+            top[k], at[k] = best, place
+    return True
