@@ -425,7 +425,7 @@ def _narrow(lines: _Lines, sides: _Intervals, close: float) -> None:
             break
         wide, crossing, some = wide[crossed], crossing[crossed], some.select(crossed)
         margin, ends = 0.4 * close * np.sign(some.b - some.a), np.sort([some.a, some.b], axis=0)
-        for at in (crossing - margin, crossing + margin):
+        for at in (crossing + margin, crossing - margin):  # another piece may lie before the border
             _move_side(lines, sides, wide, np.clip(at, *ends))
 
 
