@@ -230,10 +230,7 @@ def _measure_clearance(part: Part, edge: Edge, tips: Tips, z: Floats) -> Floats:
         for k in range(times):
             kernel.spread(edge, *tips.select(some), start * times + k, times, low, high, x, y, e)
             with np.errstate(all="ignore"):
-                height = part.surface.evaluate(x, y, 0)[0]
-            inside = part.surface.inside(x, y)
-            if inside is not None:
-                height[~inside] = np.nan
+                height, _ = part.surface.sample(x, y)
             kernel.lower_to_gap(tip_z[some], e, height, x, y, AXIS_ZONE_MM, rim, seen[some])
 
     run_chunks(work, seen.size, CHUNK)
