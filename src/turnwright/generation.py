@@ -309,14 +309,18 @@ def _on_card(ready: Prepared) -> Any:
 def _tile_sides(cut: _Cut, steps: tuple[float, float]) -> tuple[int, int]:
     """Return how many points a tile should be wide: some chords, so that a pass has few kinks in a tile.
 
-    For a tool out of the radial plane it is as round as the steps allow.
+    For a tool out of the radial plane it is as round as the steps allow. Where Y moves, fewer fine points have their
+    lines in common, and coarse ones are computed alone, so that large groups are tried less often.
     """
     chord = float(np.abs(cut.x).mean()) * abs(cut.c[-1] - cut.c[0]) / (cut.c.size - 1)
     if cut.upright:
         down, across = (CHORDS_PER_TILE * chord / step if step > 0 else 0 for step in steps)
         return int(np.clip(down, MIN_SIDE, MAX_SIDE)), int(np.clip(across, MIN_SIDE, MAX_SIDE))
     ratio = steps[0] / steps[1] if steps[1] > 0 else 1.0
-    return (1, MAX_SIDE) if ratio > MIN_SIDE else (MAX_SIDE, 1) if ratio * MIN_SIDE < 1 else (MIN_SIDE, MIN_SIDE)
+    if ratio > MIN_SIDE or ratio * MIN_SIDE < 1:
+        return (1, MAX_SIDE) if ratio > 1 else (MAX_SIDE, 1)
+    side = int(np.clip(3 + 2 * max(steps) / chord, 3, 8)) if cut.y.any() and chord > 0 else MIN_SIDE
+    return side, side
 
 
 def require_device(device: str) -> None:

@@ -61,7 +61,7 @@ def test_a_card_of_little_memory_computes_a_group_at_a_time(simulated):
     found = simulated["memory"]
     assert_equal(found["difference"], 19 * 17)
     assert found["launches"] == 2 * 2
-    assert found["progress"] == [[16, 17], [17, 17]]
+    assert found["progress"] == [[12, 17], [17, 17]]  # a group is 4 x 4 tiles of 3 x 3 points
 
 
 def test_kernels_compile_for_cards_in_double_precision():
