@@ -152,6 +152,18 @@ def test_a_round_nose_on_spheres_equals_brute_force(name):
         assert got.z[i] == pytest.approx(expected, abs=1e-14), f"point {i}"
 
 
+def test_a_flank_touches_the_ridge_between_bowls_beyond_the_outermost_tip():
+    tool = tw.Tool(nose_radius=5.0, included=20 * DEG)
+    bowls = tw.LensArray.square(pitch=4.0, rows=3, columns=3, lenslet=tw.Sphere(radius=10.0))
+    radius = np.linspace(0.8, 1.1, 40)
+    z = [touch(bowls, tool, angle=[0.0, 2 * np.pi], radius=[0.3, at], sense=1).z[1] for at in radius]
+    end = 10 * DEG
+    flank = 5 * (1 - np.cos(end)) + (2 - radius - 5 * np.sin(end)) * np.tan(end)
+    on_bowl = 5 - np.sqrt((10 - 5) ** 2 - radius**2)
+    expected = np.maximum(10 - np.sqrt(10**2 - 2**2) - flank, np.where(radius < 5 * np.sin(end), on_bowl, -np.inf))
+    np.testing.assert_allclose(z, expected, atol=1e-14)
+
+
 @pytest.mark.parametrize("sense", [1, -1])
 @pytest.mark.parametrize("rake", [0.0, -25 * DEG])
 def test_tilted_plane_in_closed_form(rake, sense):

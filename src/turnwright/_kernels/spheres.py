@@ -31,7 +31,7 @@ def touch(
     Returns
     -------
     bool
-        Whether the nose touches every tip's spheres at one place each, on the arc.
+        Whether all is certain: the nose touches each sphere at one place, and no sphere is steeper than the edge.
     """
     nose = edge.radius
     most = 0
@@ -49,8 +49,14 @@ def touch(
             if not nose * curvature < ratio * root:
                 return False
             # The centres of section and nose are in line with the contact.
-            middle[s - first] = x * cosine[row] + y * sine[row] - along[row]
-            square[s - first], scale[s - first] = across * across, root / (root - nose * curvature)
+            centre = x * cosine[row] + y * sine[row] - along[row]
+            middle[s - first], square[s - first] = centre, across * across
+            scale[s - first] = root / (root - nose * curvature)
+            # A sphere is steepest at the ends of a segment; where it is steeper than the edge a flank may touch it.
+            for end in (start[s] - centre, stop[s] - centre):
+                steep = curvature * end / np.sqrt(1.0 - curvature * curvature * (across * across + end * end))
+                if not edge.low_slope < steep < edge.high_slope:
+                    return False
         s = first
         for k in range(offsets[row], offsets[row + 1]):
             p = position[k]
@@ -59,7 +65,7 @@ def touch(
                 s -= 1
             while s < last and stop[s] < low:
                 s += 1
-            best, place = -np.inf, 0.0
+            best, place, on_arc = -np.inf, 0.0, False
             i = s
             while i <= last and start[i] < high:
                 if piece[i] >= 0:
@@ -72,9 +78,9 @@ def touch(
                     rise = sag - x * x / (nose + np.sqrt(nose * nose - x * x))
                     value = vertices[piece[i], 2] + rise
                     if value > best:
-                        best, place = value, x
+                        best, place, on_arc = value, x, low < u < high
                 i += 1
-            if not edge.low_u < place < edge.high_u or best == -np.inf:
+            if not on_arc:
                 return False
             top[k], at[k] = best, place
     return True
