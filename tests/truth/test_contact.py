@@ -139,6 +139,8 @@ LENSES = {
     ),
     "listed bowls": SURFACES["listed bowls"],
     "flats": tw.LensArray.square(pitch=0.3, rows=9, columns=9, lenslet=tw.Sphere(radius=np.inf)),
+    "one flat": tw.LensArray(centres=[[0.1, 0.2]], lenslet=tw.Sphere(radius=np.inf)),
+    "one bowl": tw.LensArray(centres=[[0.1, 0.2]], lenslet=tw.Sphere(radius=4.0)),
 }
 
 

@@ -92,7 +92,7 @@ class _Window(NamedTuple):
     curvature: float  # infinite where the step is the finer one [1/mm]
     top: float  # greatest height of the surface, -inf if it is less steep than the flanks [mm]
     across: float  # distance at which a line is searched on both sides of a wall [mm]
-    spheres: Spheres | None = None  # that the surface is, nowhere as steep as the edge
+    spheres: Spheres | None = None  # that the surface is; closed form is tried
 
 
 class _Lines(NamedTuple):
@@ -262,7 +262,8 @@ def _search_widening(
 
 
 def _touch_spheres(contact: Contact, window: _Window, spheres: Spheres, tips: Tips, line: Ints | None) -> Touch | None:
-    lines = _lay_out_lines(contact, window._replace(step=contact.feature), tips, line, spans_part=False)
+    step = min(contact.feature, window.high - window.low)
+    lines = _lay_out_lines(contact, window._replace(step=step), tips, line, spans_part=False)
     return touch_spheres(contact, spheres, tips, *lines)
 
 

@@ -200,7 +200,10 @@ class Surface(Family, Value, ABC):
 
     @property
     def spheres(self) -> Spheres | None:
-        """The spheres that the pieces are, if all are alike and meet without a step, else ``None``."""
+        """The spheres that the pieces are, if they are alike and each is that of the nearest vertex, else ``None``.
+
+        They meet without a step then. The number of a piece is the index of its vertex.
+        """
         return None
 
     def sample(self, x: Floats, y: Floats) -> tuple[Floats, Ints | None]:
