@@ -40,6 +40,8 @@ RINGS = 200
 
 CHORDS_PER_TILE, MIN_SIDE, MAX_SIDE = 4.0, 4, 16
 """Width of a tile, and its least and greatest number of points along a side; the fastest of those measured."""
+SWINGING_SIDES = 3, 8
+"""Least and greatest number of points along a side where Y moves; so are these."""
 
 GROUPS_PER_CORE = 8
 """Fewest blocks of 16 groups for each core of which a grid is computed."""
@@ -319,7 +321,10 @@ def _tile_sides(cut: _Cut, steps: tuple[float, float]) -> tuple[int, int]:
     ratio = steps[0] / steps[1] if steps[1] > 0 else 1.0
     if ratio > MIN_SIDE or ratio * MIN_SIDE < 1:
         return (1, MAX_SIDE) if ratio > 1 else (MAX_SIDE, 1)
-    side = int(np.clip(3 + 2 * max(steps) / chord, 3, 8)) if cut.y.any() and chord > 0 else MIN_SIDE
+    if not cut.y.size or chord == 0:
+        return MIN_SIDE, MIN_SIDE
+    least, most = SWINGING_SIDES
+    side = int(np.clip(least + 2 * max(steps) / chord, least, most))
     return side, side
 
 

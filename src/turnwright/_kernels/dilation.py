@@ -275,6 +275,24 @@ def highest_sample(edge, f, origin, step, p, low, high, j, g):
 
 
 @jit_inline
+def highest_samples(edge, f, origin, step, p, begin, end, likely, b, last_break, break_after, g, seen):
+    """Fill ``seen`` with the highest sample of f - e of each piece from begin to end; return how many there are.
+
+    The breaks from ``b`` on divide the samples. See `highest_sample`; ``likely`` is where it begins.
+    """
+    low, number = begin, 0
+    while low <= end:
+        while b < last_break and break_after[b] < low:
+            b += 1
+        high = min(break_after[b], end) if b < last_break else end
+        if f[low] > -np.inf:
+            seen[number] = highest_sample(edge, f, origin, step, p, low, high, likely, g)
+            number += 1
+        low = high + 1
+    return number
+
+
+@jit_inline
 def sampled_maxima(
     f, g, origin, step, p, k, begin, end, seen, number, threshold, broken, last_break, break_after, break_at,
     break_height, edge, point, start, stop, guess, count,
@@ -431,18 +449,18 @@ def candidates(
             near = max(low, distance_at_slope(edge, falling / edge.rake_cos, low, high, step)[0] - step)
             far = min(high, distance_at_slope(edge, steepest / edge.rake_cos, low, high, step)[1] + step)
         curve = greatest_rise(edge, max(near, edge.low_u), min(far, edge.high_u), step)
-        edges = 0
+        ends = 0
         for b in range(first_break, last_break):
             if min(break_height[0, b], break_height[1, b]) == -np.inf:
-                domain_end[edges] = break_at[b]
-                edges += 1
+                domain_end[ends] = break_at[b]
+                ends += 1
         leaning = 0.0  # where the edge of the tip before touched, from its tip
         after = first_break  # the first break that is not before the window; tips that follow each other share most
         for k in range(offsets[row], offsets[row + 1]):
             p = position[k]
             # An end of the domain is touched whatever its slope.
             left_end, right_end = p + near, p + far
-            for i in range(edges):
+            for i in range(ends):
                 if p + low <= domain_end[i] <= p + high:
                     left_end, right_end = min(left_end, domain_end[i]), max(right_end, domain_end[i])
             # Outward to the next sample, so that the window is covered.
@@ -452,22 +470,16 @@ def candidates(
                 after -= 1
             while after < last_break and break_after[after] < begin:
                 after += 1
-            number = 0
             if single:
-                low_sample, b, likely = begin, after, int((p + leaning - origin) / step)
-                while low_sample <= end:
-                    while b < last_break and break_after[b] < low_sample:
-                        b += 1
-                    high_sample = min(break_after[b], end) if b < last_break else end
-                    if f[low_sample] > -np.inf:
-                        seen[number] = highest_sample(edge, f, origin, step, p, low_sample, high_sample, likely, g)
-                        number += 1
-                    low_sample = high_sample + 1
+                likely = int((p + leaning - origin) / step)
+                number = highest_samples(
+                    edge, f, origin, step, p, begin, end, likely, after, last_break, break_after, g, seen
+                )  # fmt: skip
             else:
                 lower_edge(edge, f, origin, step, p, begin, end, g)
-                for j in range(begin, end + 1):
-                    seen[number] = j
-                    number += 1
+                number = end - begin + 1
+                for i in range(number):
+                    seen[i] = begin + i
             greatest, where = -np.inf, -1
             for i in range(number):
                 if g[seen[i]] > greatest:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from turnwright._kernels import jit
+from turnwright._kernels.quadrics import conic_point
 
 
 @jit
@@ -37,7 +38,7 @@ def touch(
     most = 0
     for row in range(along.size):
         most = max(most, segment_offsets[row + 1] - segment_offsets[row])
-    middle, square, scale = np.empty(most), np.empty(most), np.empty(most)
+    middle, distance, scale = np.empty(most), np.empty(most), np.empty(most)
     for row in range(along.size):
         first, last = segment_offsets[row], segment_offsets[row + 1] - 1
         for s in range(first, last + 1):
@@ -50,12 +51,11 @@ def touch(
                 return False
             # The centres of section and nose are in line with the contact.
             centre = x * cosine[row] + y * sine[row] - along[row]
-            middle[s - first], square[s - first] = centre, across * across
+            middle[s - first], distance[s - first] = centre, across
             scale[s - first] = root / (root - nose * curvature)
             # A sphere is steepest at the ends of a segment; where it is steeper than the edge a flank may touch it.
             for end in (start[s] - centre, stop[s] - centre):
-                steep = curvature * end / np.sqrt(1.0 - curvature * curvature * (across * across + end * end))
-                if not edge.low_slope < steep < edge.high_slope:
+                if not edge.low_slope < conic_point(end, across, curvature, 0.0)[1] < edge.high_slope:
                     return False
         s = first
         for k in range(offsets[row], offsets[row + 1]):
@@ -72,11 +72,8 @@ def touch(
                     centre = middle[i - first]
                     u = centre + (p - centre) * scale[i - first]
                     u = max(min(u, stop[i], high), start[i], low)
-                    r2 = square[i - first] + (u - centre) * (u - centre)
-                    x = u - p
-                    sag = curvature * r2 / (1.0 + np.sqrt(1.0 - curvature * curvature * r2))
-                    rise = sag - x * x / (nose + np.sqrt(nose * nose - x * x))
-                    value = vertices[piece[i], 2] + rise
+                    sag, x = conic_point(u - centre, distance[i - first], curvature, 0.0)[0], u - p
+                    value = vertices[piece[i], 2] + sag - x * x / (nose + np.sqrt(nose * nose - x * x))
                     if value > best:
                         best, place, on_arc = value, x, low < u < high
                 i += 1

@@ -256,7 +256,9 @@ class Placed(Surface):
     def spheres(self) -> Spheres | None:
         """Those of the moved surface, if it is level. See `Surface.spheres`."""
         spheres = self.surface.spheres if self.tilt == (0.0, 0.0) else None
-        return None if spheres is None else spheres._replace(vertices=spheres.vertices @ self._turn.T + self.shift)
+        if spheres is None:
+            return None
+        return spheres._replace(vertices=np.column_stack(self.pose.apply(*spheres.vertices.T)))
 
     @property
     def convex_pieces(self) -> bool:
