@@ -141,17 +141,33 @@ LENSES = {
     "flats": tw.LensArray.square(pitch=0.3, rows=9, columns=9, lenslet=tw.Sphere(radius=np.inf)),
     "one flat": tw.LensArray(centres=[[0.1, 0.2]], lenslet=tw.Sphere(radius=np.inf)),
     "one bowl": tw.LensArray(centres=[[0.1, 0.2]], lenslet=tw.Sphere(radius=4.0)),
+    "paraboloids": tw.LensArray.square(pitch=0.3, rows=9, columns=9, lenslet=tw.Conic(radius=0.6, conic=-1.0)),
+    "aspheric domes, moved and turned": tw.LensArray.hexagonal(
+        pitch=0.5, rings=4, lenslet=tw.EvenAsphere(radius=-1.2, conic=-2.5, terms={2: 0.02, 4: -0.3, 6: 0.8})
+    ).placed(shift=(0.1, 0.02, -0.3), rotation=-0.7),
+    "hats": tw.LensArray.square(
+        pitch=0.5, rows=7, columns=7, lenslet=tw.EvenAsphere(radius=np.inf, conic=0.0, terms={2: -0.3, 4: 2.0})
+    ),
 }
 
 
 @pytest.mark.parametrize("name", LENSES)
-def test_a_round_nose_on_spheres_equals_brute_force(name):
+def test_a_round_nose_on_lenslets_equals_brute_force(name):
     tool = tw.Tool(nose_radius=0.4, included=110 * DEG, radius_error=0.003, offset=(0.004, 0.0, -0.02))
     where = spiral(1.2, 0.05, 60, sense=-1)
     got = touch(LENSES[name], tool, angle=where.angle, radius=where.radius, sense=-1, rim=1.3)
     for i in np.random.default_rng(2).choice(where.angle.size, 40, replace=False):
         expected, _ = brute_contact(LENSES[name], tool, where.angle[i], where.radius[i], -1, 1.3)
         assert got.z[i] == pytest.approx(expected, abs=1e-14), f"point {i}"
+
+
+@pytest.mark.parametrize("order", [np.arange(24)[::-1], np.random.default_rng(5).permutation(24)])
+def test_turns_over_lenslets_may_come_in_any_order(order):
+    lenses, where = LENSES["aspheric domes, moved and turned"], spiral(1.2, 0.05, 60)
+    angle, radius = where.angle[:-1], where.radius[:-1]
+    inward = touch(lenses, ROUND, angle=angle, radius=radius, sense=1)
+    got = touch(lenses, ROUND, angle=angle, radius=radius.reshape(24, 60)[order].ravel(), sense=1)
+    np.testing.assert_allclose(got.z, inward.z.reshape(24, 60)[order].ravel(), rtol=0, atol=1e-13)
 
 
 def test_a_flank_touches_the_ridge_between_bowls_beyond_the_outermost_tip():

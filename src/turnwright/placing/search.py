@@ -39,10 +39,10 @@ from turnwright.placing.breaks import (
     sample_surface,
     wall_offset,
 )
-from turnwright.placing.spheres import touch_spheres
+from turnwright.placing.lenslets import touch_lenslets
 from turnwright.placing.tangent import MAX_CURVATURE_RATIO, Contact, Tips, Touch
 from turnwright.progress import Progress, run_chunks
-from turnwright.surface import Spheres, Surface
+from turnwright.surface import Lenslets, Surface
 
 __all__ = ["CHUNK", "search"]
 
@@ -92,7 +92,7 @@ class _Window(NamedTuple):
     curvature: float  # infinite where the step is the finer one [1/mm]
     top: float  # greatest height of the surface, -inf if it is less steep than the flanks [mm]
     across: float  # distance at which a line is searched on both sides of a wall [mm]
-    spheres: Spheres | None = None  # that the surface is; closed form is tried
+    lenslets: Lenslets | None = None  # that the surface is; they are tried first
 
 
 class _Lines(NamedTuple):
@@ -122,7 +122,7 @@ def search(contact: Contact, tips: Tips, out: Touch, progress: Progress | None) 
         window = window._replace(
             step=min(contact.feature, width) / TANGENT_SAMPLES,
             curvature=MAX_CURVATURE_RATIO * edge.least_curvature(),
-            spheres=contact.surface.spheres if edge.perfect and contact.upright else None,
+            lenslets=contact.surface.lenslets if edge.perfect and contact.upright else None,
         )
 
     def lines(start: int, stop: int) -> None:
@@ -144,8 +144,8 @@ def search(contact: Contact, tips: Tips, out: Touch, progress: Progress | None) 
             "the features as a separate part"
         )
     if per_rev is not None:
-        # More at once would not stay in the heap; in closed form there is less of each.
-        chunk = CHUNK * (4 if window.spheres is None else 16)
+        # More at once would not stay in the heap; on lenslets there is less of each.
+        chunk = CHUNK * (4 if window.lenslets is None else 8)
         together = min(per_rev // 8, chunk * per_rev // count, int(MAX_SAMPLES / samples))
         run_chunks(lines, per_rev, max(1, together), progress)
     else:
@@ -227,12 +227,12 @@ def _search_widening(
     waiting = [(points, line, window)]
     while waiting:
         some, line, window = waiting.pop()
-        if window.spheres is not None:
-            part = _touch_spheres(contact, window, window.spheres, tips.select(some), line)
+        if window.lenslets is not None:
+            part = _touch_lenslets(contact, window, window.lenslets, tips.select(some), line)
             if part is not None:
                 out.put(some, part)
                 continue
-            window = window._replace(spheres=None)
+            window = window._replace(lenslets=None)
         answer = _find_contacts(contact, window, tips.select(some), line)
         if answer is None:
             waiting.append((some, line, window._replace(step=window.finer, curvature=np.inf)))
@@ -261,10 +261,12 @@ def _search_widening(
     return np.concatenate(walled)
 
 
-def _touch_spheres(contact: Contact, window: _Window, spheres: Spheres, tips: Tips, line: Ints | None) -> Touch | None:
+def _touch_lenslets(
+    contact: Contact, window: _Window, lenslets: Lenslets, tips: Tips, line: Ints | None
+) -> Touch | None:
     step = min(contact.feature, window.high - window.low)
     lines = _lay_out_lines(contact, window._replace(step=step), tips, line, spans_part=False)
-    return touch_spheres(contact, spheres, tips, *lines)
+    return touch_lenslets(contact, lenslets, tips, *lines)
 
 
 def _find_contacts(

@@ -1,6 +1,6 @@
 """Surface prescriptions: one family per module, each a `Surface`."""
 
-from turnwright.surface.base import FAMILIES, Family, Series, Spheres, Surface
+from turnwright.surface.base import FAMILIES, Family, Lenslets, Series, Surface
 from turnwright.surface.compound import Placed, Sum
 from turnwright.surface.conic import Conic, EvenAsphere, Plane, Sphere
 from turnwright.surface.disc import disc_sum
@@ -28,6 +28,7 @@ __all__ = [
     "Gridded",
     "Indexing",
     "LensArray",
+    "Lenslets",
     "OffAxis",
     "Placed",
     "Plane",
@@ -37,7 +38,6 @@ __all__ = [
     "Series",
     "SineGrid",
     "Sphere",
-    "Spheres",
     "Sum",
     "Surface",
     "Toroid",

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from turnwright.surface.compound import Placed, Sum
 
-__all__ = ["COSTLIEST", "FAMILIES", "Family", "Series", "Spheres", "Surface"]
+__all__ = ["COSTLIEST", "FAMILIES", "Family", "Lenslets", "Series", "Surface"]
 
 FAMILIES: dict[str, type[Any]] = {}
 """Classes by the ``family`` that a job file names; a class is registered when its module is imported."""
@@ -119,11 +119,13 @@ class Family(TableModel):
         return schema
 
 
-class Spheres(NamedTuple):
-    """Upright spheres of one radius, by the number of the piece."""
+class Lenslets(NamedTuple):
+    """Upright conics with even powers, all alike, by the number of the piece. See `EvenAsphere`."""
 
     vertices: Floats  # (n, 3) [mm]
-    curvature: float  # positive for a concave surface [1/mm]
+    curvature: float  # at the vertex, positive for a concave surface [1/mm]
+    conic: float
+    coefficients: Floats  # of the powers 0, 2, ... of the distance from the axis
 
 
 class Surface(Family, Value, ABC):
@@ -199,10 +201,10 @@ class Surface(Family, Value, ABC):
         return np.full(x.shape, np.nan)
 
     @property
-    def spheres(self) -> Spheres | None:
-        """The spheres that the pieces are, if they are alike and each is that of the nearest vertex, else ``None``.
+    def lenslets(self) -> Lenslets | None:
+        """The lenslets that the pieces are, if each is that of the nearest vertex and they are of revolution.
 
-        They meet without a step then. The number of a piece is the index of its vertex.
+        They meet without a step then. The number of a piece is the index of its vertex. ``None`` for other surfaces.
         """
         return None
 

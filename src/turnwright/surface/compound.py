@@ -11,7 +11,7 @@ import numpy as np
 from turnwright._validate import check_numbers, instance_of
 from turnwright.errors import InputError
 from turnwright.pose import Pose, rotation_matrix
-from turnwright.surface.base import COSTLIEST, Spheres, Surface
+from turnwright.surface.base import COSTLIEST, Lenslets, Surface
 
 if TYPE_CHECKING:
     from turnwright._arrays import Bools, Floats, Ints
@@ -253,12 +253,12 @@ class Placed(Surface):
         return (z + self.shift[2]).reshape(x.shape), None if number is None else number.reshape(x.shape)
 
     @property
-    def spheres(self) -> Spheres | None:
-        """Those of the moved surface, if it is level. See `Surface.spheres`."""
-        spheres = self.surface.spheres if self.tilt == (0.0, 0.0) else None
-        if spheres is None:
+    def lenslets(self) -> Lenslets | None:
+        """Those of the moved surface, if it is level. See `Surface.lenslets`."""
+        lenslets = self.surface.lenslets if self.tilt == (0.0, 0.0) else None
+        if lenslets is None:
             return None
-        return spheres._replace(vertices=np.column_stack(self.pose.apply(*spheres.vertices.T)))
+        return lenslets._replace(vertices=np.column_stack(self.pose.apply(*lenslets.vertices.T)))
 
     @property
     def convex_pieces(self) -> bool:

@@ -25,7 +25,7 @@ from turnwright.surface.analytic import (
 from turnwright.surface.base import Series, Surface
 from turnwright.units import Number
 
-__all__ = ["Conic", "EvenAsphere", "Plane", "Sphere"]
+__all__ = ["Conic", "EvenAsphere", "Plane", "Sphere", "prescription"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,3 +165,16 @@ class EvenAsphere(OnConic):
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
         return summed(x, y, order, (quadrics.conic, self.base), (polynomials.even, self._coefficients))
+
+
+def prescription(surface: Surface) -> tuple[float, float, Floats] | None:
+    """Return vertex curvature, conic constant and the coefficients of the even powers 0, 2, ... of such a surface.
+
+    ``None`` for a surface that is no conic with such powers or without.
+    """
+    match surface:
+        case EvenAsphere():
+            return *surface.base, surface._coefficients  # noqa: SLF001
+        case Sphere() | Conic():
+            return *surface.base, even_coefficients(())
+    return None

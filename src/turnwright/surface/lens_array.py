@@ -12,8 +12,8 @@ from turnwright._arrays import Bools, Floats, Ints, frozen
 from turnwright._kernels import cells
 from turnwright._validate import check_numbers, finite_tuple, instance_of, positive, whole_number
 from turnwright.errors import InputError
-from turnwright.surface.base import Spheres, Surface
-from turnwright.surface.conic import Plane, Sphere
+from turnwright.surface.base import Lenslets, Surface
+from turnwright.surface.conic import Plane, prescription
 from turnwright.units import Count, Length, Natural, Size, write
 
 if TYPE_CHECKING:
@@ -385,11 +385,12 @@ class LensArray(Surface):
         return out
 
     @property
-    def spheres(self) -> Spheres | None:
-        """The lenslets, if they are spheres that fill their cells. See `Surface.spheres`."""
-        if self.surround is not None or not isinstance(self.lenslet, Sphere):
+    def lenslets(self) -> Lenslets | None:
+        """The lenslets, if they are conics, with even powers or without, that fill their cells. See `Surface`."""
+        lens = None if self.surround is not None else prescription(self.lenslet)
+        if lens is None:
             return None
-        return Spheres(np.column_stack([self.centres, np.zeros(self.centres.shape[0])]), 1 / self.lenslet.radius)
+        return Lenslets(np.column_stack([self.centres, np.zeros(self.centres.shape[0])]), *lens)
 
     @property
     def convex_pieces(self) -> bool:

@@ -1,0 +1,183 @@
+"""A round nose on lenslets side by side. See placing.lenslets for the method."""
+
+import numpy as np
+
+from turnwright._kernels import jit
+from turnwright._kernels.quadrics import conic_point
+
+MAX_STEPS, STEP_TOL = 12, 1e-6
+"""Most Newton steps to a contact, and the last of them at most, over the radius of the nose."""
+MARGIN = 1e-6
+"""Share by which the searched part of the edge is wider than its slopes require."""
+
+
+@jit
+def touch(
+    edge, cosine, sine, along, offsets, position, segment_offsets, start, stop, piece,
+    vertices, curvature, conic, coefficients, ratio, top, at,
+):  # fmt: skip
+    """Bring a round nose down on lines that cross lenslets.
+
+    Parameters
+    ----------
+    cosine, sine, along
+        Azimuth of each row, and where its distances begin along it. (rows,)
+    offsets, position
+        Row i holds the tip positions offsets[i] to offsets[i + 1] of ``position``. [mm]
+    segment_offsets, start, stop, piece
+        Row i holds the segments segment_offsets[i] to segment_offsets[i + 1], each on the lenslet of this number; of a
+        negative number there is none.
+    vertices
+        Of all lenslets. (n, 3) [mm]
+    curvature, conic, coefficients
+        Of each: vertex curvature [1/mm], conic constant, and coefficients of the even powers 0, 2, ... of the distance
+        from its axis.
+    ratio
+        Greatest curvature of a section over that of the nose.
+    top, at
+        Filled: the greatest height over the edge, and where, as distance from the tip. (n,) [mm]
+
+    Returns
+    -------
+    bool
+        Whether all is certain: the nose touches each lenslet at one place, no lenslet is steeper than the edge, and the
+        positions of each row are in order.
+    """
+    most = 0
+    for row in range(along.size):
+        most = max(most, offsets[row + 1] - offsets[row])
+    # Rows of one array would not be known to be contiguous, and no loop would vectorise.
+    p, u, value, best, place = np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most)
+    sums = np.zeros((3, most))
+    for row in range(along.size):
+        begin, count = offsets[row], offsets[row + 1] - offsets[row]
+        falls = count > 1 and position[begin] > position[begin + count - 1]
+        for k in range(count):
+            p[k] = position[begin + count - 1 - k] if falls else position[begin + k]
+            best[k], place[k] = -np.inf, np.nan
+        for k in range(1, count):
+            if p[k] < p[k - 1]:
+                return False
+        slope, bend = steepest(
+            along[row], cosine[row], sine[row], start, stop, piece, segment_offsets[row], segment_offsets[row + 1],
+            vertices, curvature, conic, coefficients,
+        )  # fmt: skip
+        if not (slope < min(-edge.low_slope, edge.high_slope) and edge.radius * bend < ratio):
+            return False
+        # The edge touches where it is no steeper than the lenslets, in their valleys and on their ridges too.
+        reach = edge.radius * ((1.0 + MARGIN) * slope / np.sqrt(1.0 + slope * slope) + MARGIN)
+        low, high = max(edge.low_u, -reach), min(edge.high_u, reach)
+        first, last = 0, 0  # tips whose edge is over a segment
+        for s in range(segment_offsets[row], segment_offsets[row + 1]):
+            if piece[s] < 0:
+                continue
+            while first < count and p[first] + high <= start[s]:
+                first += 1
+            while last < count and p[last] + low < stop[s]:
+                last += 1
+            if first >= last:
+                continue
+            x, y, z = vertices[piece[s], 0], vertices[piece[s], 1], vertices[piece[s], 2]
+            centre = x * cosine[row] + y * sine[row] - along[row]
+            across = y * cosine[row] - x * sine[row]
+            if not climb(
+                p[first:last], edge.radius, low, high, start[s], stop[s], centre, across, curvature, conic,
+                coefficients, u, value, sums,
+            ):  # fmt: skip
+                return False
+            for k in range(first, last):
+                if value[k - first] + z > best[k]:
+                    best[k], place[k] = value[k - first] + z, u[k - first] - p[k]
+        for k in range(count):
+            if not low < place[k] < high:
+                return False
+            i = begin + count - 1 - k if falls else begin + k
+            top[i], at[i] = best[k], place[k]
+    return True
+
+
+@jit
+def steepest(
+    along, cosine, sine, start, stop, piece, first, last, vertices, curvature, conic, coefficients
+):  # fmt: skip
+    """Return bounds of slope and upward curvature of the segments first to last; nan beyond the equator of a lenslet.
+
+    A section of a sphere is a circle, whose curvature is the bound. Otherwise the bound is of the second derivative
+    along any direction, which is greatest at the vertex or farthest from it, term by term.
+    """
+    distant, across_most = 0.0, 0.0
+    for s in range(first, last):
+        if piece[s] < 0:
+            continue
+        x, y = vertices[piece[s], 0], vertices[piece[s], 1]
+        centre, across = x * cosine + y * sine - along, y * cosine - x * sine
+        for end in (start[s] - centre, stop[s] - centre):
+            distant = max(distant, end * end + across * across)
+        across_most = max(across_most, across * across)
+    r = np.sqrt(distant)
+    jet = conic_point(r, 0.0, curvature, conic)
+    slope, bend = abs(jet[1]), max(curvature, jet[3])
+    if conic == 0.0:
+        bend = curvature / np.sqrt(1.0 - curvature * curvature * across_most)
+    power, added = 1.0, 0.0  # r^(2k - 2), and the curvature of the powers
+    for k in range(1, coefficients.size):
+        a = coefficients[k]
+        slope += 2 * k * abs(a) * r * power
+        added += 2 * k * (2 * k - 1) * (a if k == 1 else max(a, 0.0)) * power
+        power *= distant
+    return slope, bend + added
+
+
+@jit
+def climb(
+    p, nose, low, high, start, stop, centre, across, curvature, conic, coefficients, u, value, sums
+):  # fmt: skip
+    """Find the greatest height of one lenslet over the nose at tips ``p``, from start to stop and low to high.
+
+    Fills ``u`` (n,) with where it is, and ``value`` (n,); ``sums`` (3, n) is overwritten. Newton's method begins where
+    the centre of the nose, the contact and the centre of the vertex sphere are in line. Return whether it converges.
+    """
+    n = p.size
+    vertex = curvature + (2.0 * coefficients[1] if coefficients.size > 1 else 0.0)
+    root = np.sqrt(max(1.0 - vertex * vertex * across * across, 0.0))
+    scale = root / (root - nose * vertex)
+    for i in range(n):
+        u[i] = max(min(centre + (p[i] - centre) * scale, stop, p[i] + high), start, p[i] + low)
+    e, d, small, least = (1.0 + conic) * curvature * curvature, across * across, STEP_TOL * nose, 1e-3 / nose
+    for _ in range(MAX_STEPS):
+        if coefficients.size > 1:
+            even_sums(u[:n], centre, d, coefficients, sums)
+        far = 0
+        for i in range(n):
+            t, x = u[i] - centre, u[i] - p[i]
+            s = t * t + d
+            root = np.sqrt(1.0 - e * s)
+            g = curvature / root
+            sag, slope, bend = curvature * s / (1.0 + root), t * g, g + t * t * e * g / (root * root)
+            drop = np.sqrt(nose * nose - x * x)
+            sag += sums[0, i] - x * x / (nose + drop)
+            slope += 2.0 * t * sums[1, i] - x / drop
+            bend += 2.0 * sums[1, i] + 8.0 * t * t * sums[2, i] - nose * nose / (drop * drop * drop)
+            # At an end of the segment a sphere may curve up more than the nose.
+            step = u[i] - slope / min(bend, -least)
+            move = max(min(step, stop, p[i] + high), start, p[i] + low) - u[i]
+            value[i] = sag + move * (slope + 0.5 * move * bend)
+            u[i] += move
+            far += not abs(move) <= small
+        if far == 0:
+            return True
+    return False
+
+
+@jit
+def even_sums(u, centre, d, coefficients, sums):
+    """Fill ``sums`` (3, n) with the sum of coefficients[k] s^k, its derivative by s and half the second one."""
+    for i in range(u.size):
+        sums[0, i], sums[1, i], sums[2, i] = 0.0, 0.0, 0.0
+    for k in range(coefficients.size - 1, -1, -1):
+        a = coefficients[k]
+        for i in range(u.size):
+            s = (u[i] - centre) * (u[i] - centre) + d
+            sums[2, i] = sums[2, i] * s + sums[1, i]
+            sums[1, i] = sums[1, i] * s + sums[0, i]
+            sums[0, i] = sums[0, i] * s + a
