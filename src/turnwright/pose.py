@@ -14,7 +14,7 @@ from turnwright._tables import TableModel
 from turnwright._validate import check_angle, check_numbers, finite_tuple
 from turnwright.units import Angle, Length
 
-__all__ = ["Pose", "rotation_matrix"]
+__all__ = ["Pose", "angles_of", "rotation_matrix"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,10 +66,9 @@ class Pose(TableModel):
     @classmethod
     def of(cls, matrix: ArrayLike, shift: ArrayLike) -> Pose:
         """Return the pose of a rotation matrix (3, 3) and a shift (3,) [mm]; its first tilt is within ±π/2."""
-        m = np.asarray(matrix, dtype=np.float64)
-        tilt = (np.arcsin(np.clip(m[2, 1], -1, 1)), np.arctan2(-m[2, 0], m[2, 2]))
+        rotation, *tilt = angles_of(np.asarray(matrix, dtype=np.float64))
         x, y, z = np.asarray(shift, dtype=np.float64)
-        return cls(shift=(x, y, z), rotation=np.arctan2(-m[0, 1], m[1, 1]), tilt=tilt)
+        return cls(shift=(x, y, z), rotation=rotation, tilt=(tilt[0], tilt[1]))
 
     @property
     def matrix(self) -> Floats:
@@ -105,3 +104,9 @@ def rotation_matrix(rotation: float, about_x: float, about_y: float) -> Floats:
             [-ca * sb, sa, ca * cb],
         ]
     )
+
+
+def angles_of(matrix: Floats) -> tuple[float, float, float]:
+    """Return the rotation and the two tilts before it of a matrix (3, 3); the first tilt is within ±π/2. [rad]."""
+    (_, m01, _), (_, m11, _), (m20, m21, m22) = matrix.tolist()
+    return math.atan2(-m01, m11), math.asin(max(-1.0, min(1.0, m21))), math.atan2(-m20, m22)

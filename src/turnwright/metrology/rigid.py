@@ -11,7 +11,7 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, robust_scatter
 from turnwright._kernels.registration import bend
-from turnwright.pose import Pose, rotation_matrix
+from turnwright.pose import Pose, angles_of, rotation_matrix
 from turnwright.progress import run_chunks
 from turnwright.surface import Surface
 
@@ -356,7 +356,7 @@ def _apply_step(problem: Problem, state: Floats, chosen: Ints, step: Floats) -> 
     at = trial[:3] + beyond
     matrix = rotation_about(turn) @ matrix
     if 3 not in chosen:
-        back = Pose.of(matrix, (0.0, 0.0, 0.0)).rotation - state[3]
+        back = angles_of(matrix)[0] - state[3]
         c, s = np.cos(back), np.sin(back)
         at[:2] = c * at[0] + s * at[1], c * at[1] - s * at[0]
     return place_pivot(trial, chosen, at, matrix)
@@ -364,8 +364,7 @@ def _apply_step(problem: Problem, state: Floats, chosen: Ints, step: Floats) -> 
 
 def place_pivot(state: Floats, free: Sequence[int] | Ints, at: Floats, matrix: Floats) -> Floats:
     """Return a state whose free components put the pivot at a place and turn the points by a matrix."""
-    pose = Pose.of(matrix, (0.0, 0.0, 0.0))
-    angles = state[3:6] + wrap_angle(np.array([pose.rotation, *pose.tilt]) - state[3:6])
+    angles = state[3:6] + wrap_angle(np.array(angles_of(matrix)) - state[3:6])
     chosen = [k for k in free if k < 6]
     moved = state.copy()
     moved[chosen] = np.array([*at, *angles])[chosen]
