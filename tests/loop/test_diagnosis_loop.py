@@ -13,7 +13,7 @@ from turnwright.diagnosis.model import Deviations
 from turnwright.metrology.smoothing import form_compensation
 
 FEED = 0.005
-TRIALS = 4
+TRIALS = 6
 """Of those of which a proof makes a hundred and more."""
 
 
