@@ -161,6 +161,38 @@ def test_a_round_nose_on_lenslets_equals_brute_force(name):
         assert got.z[i] == pytest.approx(expected, abs=1e-14), f"point {i}"
 
 
+ODD_LENSES = {
+    "a term that flattens a sphere": (
+        tw.EvenAsphere(radius=1.0, conic=0.0, terms={2: -0.4}),
+        tw.Tool(nose_radius=2.0, included=150 * DEG),
+        np.linspace(0.8, 0.0, 96),
+        0.8,
+    ),
+    "a wall under half a circle": (
+        tw.EvenAsphere(radius=np.inf, conic=0.0, terms={6: -450 / (6 * 1.5**5)}),
+        tw.Tool(nose_radius=0.2),
+        np.linspace(0.884, 0.84, 16),
+        1.5,
+    ),
+    "a needle": (
+        tw.Conic(radius=-1e-4, conic=-101.0),
+        tw.Tool(nose_radius=10.0, included=170 * DEG),
+        np.linspace(0.8, 0.0, 96),
+        0.8,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ODD_LENSES)
+def test_a_lenslet_that_nobody_would_cut_equals_brute_force(name):
+    lenslet, tool, radius, rim = ODD_LENSES[name]
+    surface, angle = tw.LensArray(centres=[[0, 0]], lenslet=lenslet), np.arange(radius.size) * (2 * np.pi / 8)
+    got = touch(surface, tool, angle=angle, radius=radius, sense=1, rim=rim)
+    for i in range(0, radius.size, radius.size // 16):
+        expected, _ = brute_contact(surface, tool, angle[i], radius[i], 1, rim)
+        assert got.z[i] == pytest.approx(expected, abs=1e-12), f"point {i}"
+
+
 @pytest.mark.parametrize("order", [np.arange(24)[::-1], np.random.default_rng(5).permutation(24)])
 def test_turns_over_lenslets_may_come_in_any_order(order):
     lenses, where = LENSES["aspheric domes, moved and turned"], spiral(1.2, 0.05, 60)

@@ -7,9 +7,7 @@ from turnwright._kernels.edge import height, outline, outlines, slope
 from turnwright._kernels.trig import sincos
 
 FULL, COARSE, OUTSIDE = -1, -2, -3  # return values of `candidates` without a result
-# After a Newton step this small [rad], to a top this little higher [mm], the parabola's top is the maximum within 1e-11
-# mm, also on a ridge a tenth of a micrometre sharp, and within 1e-13 mm elsewhere: its error goes with the third power.
-STEP_TOL_RAD = 3e-5
+# After a small step, see `Contact.step_tol`, to a top this little higher [mm], the parabola's top is the maximum.
 RISE_TOL_MM = 1e-9
 CLOSE_RATIO = 1e-3  # of the step: a break less far from a sample may be higher than it by rounding alone
 
@@ -70,7 +68,7 @@ def round_start(edge, angle, radius, lateral, cosine, sine, x, y):
 
 
 @jit
-def round_step(edge, limit, cosine, sine, radius, lateral, u, f, fx, fy, fxx, fxy, fyy, z, x, y):
+def round_step(edge, limit, step_tol, cosine, sine, radius, lateral, u, f, fx, fy, fxx, fxy, fyy, z, x, y):
     """Take one Newton step in the distance ``u`` from the tip of a perfect nose, and move (x, y) along.
 
     Fill ``z`` with the commanded tip height that the local parabola gives. Return how many steps were not small and how
@@ -78,7 +76,7 @@ def round_step(edge, limit, cosine, sine, radius, lateral, u, f, fx, fy, fxx, fx
     """
     far, doubtful = 0, 0
     nose, square, lean = edge.radius, edge.radius * edge.radius, edge.rake_sin
-    farthest, small = 0.98 * nose, STEP_TOL_RAD * nose
+    farthest, small = 0.98 * nose, step_tol * nose
     for i in range(u.size):
         c, s = cosine[i], sine[i]
         q = np.sqrt(square - u[i] * u[i])
@@ -515,7 +513,7 @@ def candidates(
 
 
 @jit
-def bracket(begin, end, low, high, sweep, value, first, top, step, best, place, done):
+def bracket(step_tol, begin, end, low, high, sweep, value, first, top, step, best, place, done):
     """Take one safeguarded Newton step towards each maximum: one point of `placing.search`, in place.
 
     [low, high] brackets the maximum, by the sign of the derivative ``first`` at its ends; [begin, end] is the interval
@@ -532,7 +530,7 @@ def bracket(begin, end, low, high, sweep, value, first, top, step, best, place, 
             high[i] = s
         following = s + step[i]
         inside = following > low[i] and following < high[i]
-        small = abs(step[i]) <= STEP_TOL_RAD and abs(top[i] - value[i]) <= RISE_TOL_MM
+        small = abs(step[i]) <= step_tol and abs(top[i] - value[i]) <= RISE_TOL_MM
         height_at, at = (top[i], following) if small and inside else (value[i], s)
         if height_at > best[i]:
             best[i], place[i] = height_at, at

@@ -6,7 +6,10 @@ from turnwright._kernels import jit
 from turnwright._kernels.quadrics import conic_point
 
 MAX_STEPS, STEP_TOL = 12, 1e-6
-"""Most Newton steps to a contact, and the last of them at most, over the radius of the nose."""
+"""Most Newton steps to a contact. The last is at most this, over the radius of the nose or the size of a feature where
+that is less: the parabola that gives the height then errs by the third power of it."""
+MAX_SLOPE = 10.0
+"""Steeper lenslets are searched: close to the wall of a half circle a parabola is no measure of the edge."""
 MARGIN = 1e-6
 """Share by which the searched part of the edge is wider than its slopes require."""
 
@@ -14,7 +17,7 @@ MARGIN = 1e-6
 @jit
 def touch(
     edge, cosine, sine, along, offsets, position, segment_offsets, start, stop, piece,
-    vertices, curvature, conic, coefficients, ratio, top, at,
+    vertices, curvature, conic, coefficients, ratio, feature, top, at,
 ):  # fmt: skip
     """Bring a round nose down on lines that cross lenslets.
 
@@ -32,8 +35,8 @@ def touch(
     curvature, conic, coefficients
         Of each: vertex curvature [1/mm], conic constant, and coefficients of the even powers 0, 2, ... of the distance
         from its axis.
-    ratio
-        Greatest curvature of a section over that of the nose.
+    ratio, feature
+        Greatest curvature of a section over that of the nose, and the size of the smallest feature. [mm]
     top, at
         Filled: the greatest height over the edge, and where, as distance from the tip. (n,) [mm]
 
@@ -48,7 +51,7 @@ def touch(
         most = max(most, offsets[row + 1] - offsets[row])
     # Rows of one array would not be known to be contiguous, and no loop would vectorise.
     p, u, value, best, place = np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most)
-    sums = np.zeros((3, most))
+    sums, small = np.zeros((3, most)), STEP_TOL * min(edge.radius, feature)
     for row in range(along.size):
         begin, count = offsets[row], offsets[row + 1] - offsets[row]
         falls = count > 1 and position[begin] > position[begin + count - 1]
@@ -62,7 +65,7 @@ def touch(
             along[row], cosine[row], sine[row], start, stop, piece, segment_offsets[row], segment_offsets[row + 1],
             vertices, curvature, conic, coefficients,
         )  # fmt: skip
-        if not (slope < min(-edge.low_slope, edge.high_slope) and edge.radius * bend < ratio):
+        if not (slope < min(-edge.low_slope, edge.high_slope, MAX_SLOPE) and edge.radius * bend < ratio):
             return False
         # The edge touches where it is no steeper than the lenslets, in their valleys and on their ridges too.
         reach = edge.radius * ((1.0 + MARGIN) * slope / np.sqrt(1.0 + slope * slope) + MARGIN)
@@ -82,7 +85,7 @@ def touch(
             across = y * cosine[row] - x * sine[row]
             if not climb(
                 p[first:last], edge.radius, low, high, start[s], stop[s], centre, across, curvature, conic,
-                coefficients, u, value, sums,
+                coefficients, small, u, value, sums,
             ):  # fmt: skip
                 return False
             for k in range(first, last):
@@ -100,10 +103,12 @@ def touch(
 def steepest(
     along, cosine, sine, start, stop, piece, first, last, vertices, curvature, conic, coefficients
 ):  # fmt: skip
-    """Return bounds of slope and upward curvature of the segments first to last; nan beyond the equator of a lenslet.
+    """Return bounds of slope and upward bend of the segments first to last; nan beyond the equator of a lenslet.
 
-    A section of a sphere is a circle, whose curvature is the bound. Otherwise the bound is of the second derivative
-    along any direction, which is greatest at the vertex or farthest from it, term by term.
+    The bend is the second derivative along any direction, greatest at the vertex or farthest from it, term by term:
+    where it is less than that of the nose, height over the edge is concave. A section of a sphere is a circle, and its
+    curvature is sufficient: the edge can only touch where both are as steep, and there it is a maximum. Powers, added
+    to the sphere, move the place where they are as steep.
     """
     distant, across_most = 0.0, 0.0
     for s in range(first, last):
@@ -117,7 +122,7 @@ def steepest(
     r = np.sqrt(distant)
     jet = conic_point(r, 0.0, curvature, conic)
     slope, bend = abs(jet[1]), max(curvature, jet[3])
-    if conic == 0.0:
+    if conic == 0.0 and coefficients.size == 1:
         bend = curvature / np.sqrt(1.0 - curvature * curvature * across_most)
     power, added = 1.0, 0.0  # r^(2k - 2), and the curvature of the powers
     for k in range(1, coefficients.size):
@@ -130,12 +135,13 @@ def steepest(
 
 @jit
 def climb(
-    p, nose, low, high, start, stop, centre, across, curvature, conic, coefficients, u, value, sums
+    p, nose, low, high, start, stop, centre, across, curvature, conic, coefficients, small, u, value, sums
 ):  # fmt: skip
     """Find the greatest height of one lenslet over the nose at tips ``p``, from start to stop and low to high.
 
     Fills ``u`` (n,) with where it is, and ``value`` (n,); ``sums`` (3, n) is overwritten. Newton's method begins where
-    the centre of the nose, the contact and the centre of the vertex sphere are in line. Return whether it converges.
+    the centre of the nose, the contact and the centre of the vertex sphere are in line, and ends with a step of less
+    than ``small``. Return whether it converges.
     """
     n = p.size
     vertex = curvature + (2.0 * coefficients[1] if coefficients.size > 1 else 0.0)
@@ -143,7 +149,7 @@ def climb(
     scale = root / (root - nose * vertex)
     for i in range(n):
         u[i] = max(min(centre + (p[i] - centre) * scale, stop, p[i] + high), start, p[i] + low)
-    e, d, small, least = (1.0 + conic) * curvature * curvature, across * across, STEP_TOL * nose, 1e-3 / nose
+    e, d, least = (1.0 + conic) * curvature * curvature, across * across, 1e-3 / nose
     for _ in range(MAX_STEPS):
         if coefficients.size > 1:
             even_sums(u[:n], centre, d, coefficients, sums)

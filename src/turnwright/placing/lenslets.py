@@ -1,9 +1,9 @@
 """A round nose on an array of lenslets of revolution, along the radial line.
 
-The radial plane cuts each lenslet in a profile that curves up less than the nose: the nose touches it at one place, or
-at the near end of the lenslet. The highest of the lenslets under the edge counts. Newton's method begins with the
-closed form on the vertex spheres, where the centres of section and nose are in line with the contact; on spheres that
-is exact. None of the surface is sampled but the numbers of its lenslets, between which the valleys and ridges are
+Where the radial plane cuts each lenslet in a profile that curves up less than the nose, the nose touches it at one
+place, or at the near end of the lenslet. The highest of the lenslets under the edge counts. Newton's method begins with
+the closed form on the vertex spheres, where the centres of section and nose are in line with the contact; on spheres
+that is exact. None of the surface is sampled but the numbers of its lenslets, between which the valleys and ridges are
 located.
 
 Sources
@@ -36,6 +36,6 @@ def touch_lenslets(
     top, at = np.empty((2, position.size))
     certain = kernel.touch(
         edge, np.cos(rows.angle), np.sin(rows.angle), rows.radius + edge.dx, offsets, position,
-        *find_segments(contact, rows, u), *lenslets, MAX_CURVATURE_RATIO, top, at,
+        *find_segments(contact, rows, u), *lenslets, MAX_CURVATURE_RATIO, contact.surface.feature_size, top, at,
     )  # fmt: skip
     return contact.touch(tips, top - edge.dz, edge.sweeps(at)) if certain else None

@@ -379,7 +379,7 @@ def _refine_maxima(contact: Contact, tips: Tips, found: _Candidates) -> tuple[Fl
     open_tips, b, p = tips, best, place
     for _ in range(100):
         value, first, top, step, _ = contact.newton_step(open_tips, state[4])
-        kernel.bracket(*state, value, first, top, step, b, p, done)
+        kernel.bracket(contact.step_tol, *state, value, first, top, step, b, p, done)
         if done.all():
             best[index], place[index] = b, p
             break

@@ -40,6 +40,8 @@ SAMPLES_PER_PERIOD = 4
 """Samples per feature size of the grid that decides whether there is a single tangent."""
 MAX_GRID_SAMPLES = 2_000_000
 """Most samples of that grid."""
+STEP_TOL_RAD, STEP_TOL_RATIO = 3e-5, 1e-3
+"""Small steps of Newton's method, as an angle of the nose and as a fraction of the feature size."""
 MIN_FEATURE_RATIO = 1e-4
 """Smallest feature size that the samples resolve, as a fraction of the nose radius."""
 
@@ -105,6 +107,14 @@ class Contact:
     def flank(self) -> float:
         """Slope of the less steep flank, height over distance."""
         return self.edge.rake_cos * self.edge.flank_slope
+
+    @property
+    def step_tol(self) -> float:
+        """Newton step after which the top of the local parabola is the contact: its error goes with the third power.
+
+        [rad].
+        """
+        return min(STEP_TOL_RAD, STEP_TOL_RATIO * self.feature / self.edge.radius)
 
     @classmethod
     def of(cls, surface: Surface, edge: Edge, tips: Tips, rim: float) -> Contact:
@@ -247,7 +257,7 @@ def _solve_round_tangents(contact: Contact, limit: float, tips: Tips, out: Touch
         with np.errstate(all="ignore"):
             jet = contact.surface.evaluate(out.x, out.y, 2)
         far, doubtful = kernel.round_step(
-            edge, limit, cosine, sine, tips.radius, tips.lateral, u, *jet, out.z, out.x, out.y
+            edge, limit, contact.step_tol, cosine, sine, tips.radius, tips.lateral, u, *jet, out.z, out.x, out.y
         )
         if doubtful:
             return False
@@ -273,7 +283,7 @@ def _solve_edge_tangents(contact: Contact, limit: float, tips: Tips, out: Touch)
         # On a steep surface a full step from the tip could leave the arc: the step is limited.
         s = s + np.clip(step, -0.3, 0.3)
         out.z[active], sweep[active] = top, s
-        far = (np.abs(step) > kernel.STEP_TOL_RAD) | (np.abs(top - value) > kernel.RISE_TOL_MM)
+        far = (np.abs(step) > contact.step_tol) | (np.abs(top - value) > kernel.RISE_TOL_MM)
         if not far.any():
             break
         if 2 * np.count_nonzero(far) < far.size:
@@ -329,7 +339,7 @@ def follow(surface: Surface, edge: Edge, tips: Tips, sweep: Floats) -> Touch:
         value, _, top, step, _ = contact.newton_step(tips, s)
         lost |= ~(np.abs(step) < tilt)
         s += np.where(lost, 0.0, step)
-        far = ~lost & ((np.abs(step) > kernel.STEP_TOL_RAD) | (np.abs(top - value) > kernel.RISE_TOL_MM))
+        far = ~lost & ((np.abs(step) > contact.step_tol) | (np.abs(top - value) > kernel.RISE_TOL_MM))
         if not far.any():
             break
     lost |= far | (s < edge.low) | (s > edge.high)
