@@ -147,7 +147,7 @@ def test_lenslets_are_touched_as_searched_for(bend, way, conic, terms, pitch, tu
         place(spiral, Part(surface=surface, radius=RADIUS), tool).z
         for surface in (lenses.placed(rotation=turned), lenses.placed(rotation=turned) + Plane())
     )
-    np.testing.assert_allclose(direct, searched, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(direct, searched, rtol=0, atol=1e-13)
 
 
 @quick
