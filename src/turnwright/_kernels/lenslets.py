@@ -3,6 +3,7 @@
 import numpy as np
 
 from turnwright._kernels import jit
+from turnwright._kernels.polynomials import even_sums
 from turnwright._kernels.quadrics import conic_point
 
 MAX_STEPS, STEP_TOL = 12, 1e-6
@@ -51,7 +52,7 @@ def touch(
         most = max(most, offsets[row + 1] - offsets[row])
     # Rows of one array would not be known to be contiguous, and no loop would vectorise.
     p, u, value, best, place = np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most)
-    sums, small = np.zeros((3, most)), STEP_TOL * min(edge.radius, feature)
+    sums, small = np.zeros((4, most)), STEP_TOL * min(edge.radius, feature)
     for row in range(along.size):
         begin, count = offsets[row], offsets[row + 1] - offsets[row]
         falls = count > 1 and position[begin] > position[begin + count - 1]
@@ -139,9 +140,9 @@ def climb(
 ):  # fmt: skip
     """Find the greatest height of one lenslet over the nose at tips ``p``, from start to stop and low to high.
 
-    Fills ``u`` (n,) with where it is, and ``value`` (n,); ``sums`` (3, n) is overwritten. Newton's method begins where
-    the centre of the nose, the contact and the centre of the vertex sphere are in line, and ends with a step of less
-    than ``small``. Return whether it converges.
+    Fills ``u`` (n,) with where it is, and ``value`` (n,). ``sums`` (4, n) is for `even_sums`, and zeros without powers.
+    Newton's method begins where the centre of the nose, the contact and the centre of the vertex sphere are in line,
+    and ends with a step of less than ``small``. Return whether it converges.
     """
     n = p.size
     vertex = curvature + (2.0 * coefficients[1] if coefficients.size > 1 else 0.0)
@@ -149,21 +150,22 @@ def climb(
     scale = root / (root - nose * vertex)
     for i in range(n):
         u[i] = max(min(centre + (p[i] - centre) * scale, stop, p[i] + high), start, p[i] + low)
-    e, d, least = (1.0 + conic) * curvature * curvature, across * across, 1e-3 / nose
+    e, least = (1.0 + conic) * curvature * curvature, 1e-3 / nose
     for _ in range(MAX_STEPS):
+        for i in range(n):
+            sums[0, i] = (u[i] - centre) * (u[i] - centre) + across * across
         if coefficients.size > 1:
-            even_sums(u[:n], centre, d, coefficients, sums)
+            even_sums(sums, n, coefficients, 6)
         far = 0
         for i in range(n):
-            t, x = u[i] - centre, u[i] - p[i]
-            s = t * t + d
+            t, x, s = u[i] - centre, u[i] - p[i], sums[0, i]
             root = np.sqrt(1.0 - e * s)
             g = curvature / root
             sag, slope, bend = curvature * s / (1.0 + root), t * g, g + t * t * e * g / (root * root)
             drop = np.sqrt(nose * nose - x * x)
-            sag += sums[0, i] - x * x / (nose + drop)
-            slope += 2.0 * t * sums[1, i] - x / drop
-            bend += 2.0 * sums[1, i] + 8.0 * t * t * sums[2, i] - nose * nose / (drop * drop * drop)
+            sag += sums[1, i] - x * x / (nose + drop)
+            slope += 2.0 * t * sums[2, i] - x / drop
+            bend += 2.0 * sums[2, i] + 8.0 * t * t * sums[3, i] - nose * nose / (drop * drop * drop)
             # At an end of the segment a sphere may curve up more than the nose.
             step = u[i] - slope / min(bend, -least)
             move = max(min(step, stop, p[i] + high), start, p[i] + low) - u[i]
@@ -173,17 +175,3 @@ def climb(
         if far == 0:
             return True
     return False
-
-
-@jit
-def even_sums(u, centre, d, coefficients, sums):
-    """Fill ``sums`` (3, n) with the sum of coefficients[k] s^k, its derivative by s and half the second one."""
-    for i in range(u.size):
-        sums[0, i], sums[1, i], sums[2, i] = 0.0, 0.0, 0.0
-    for k in range(coefficients.size - 1, -1, -1):
-        a = coefficients[k]
-        for i in range(u.size):
-            s = (u[i] - centre) * (u[i] - centre) + d
-            sums[2, i] = sums[2, i] * s + sums[1, i]
-            sums[1, i] = sums[1, i] * s + sums[0, i]
-            sums[0, i] = sums[0, i] * s + a

@@ -149,26 +149,36 @@ def disc(x, y, scale, recurrence, coefficients, sizes, out):
 
 
 @jit
+def even_sums(w, n, coefficients, rows):
+    """Fill w[1:] (3, n) with the sum of coefficients[k] s^k, its derivative by s and half the second one; s is w[0].
+
+    For 1 row, see `turnwright._kernels.quadrics`, derivatives are zero; for 3 the second one is.
+    """
+    for p in range(n):
+        w[1, p], w[2, p], w[3, p] = 0.0, 0.0, 0.0
+    for k in range(coefficients.size - 1, -1, -1):
+        a = coefficients[k]
+        if rows == 6:
+            for p in range(n):
+                w[3, p] = w[3, p] * w[0, p] + w[2, p]
+        if rows >= 3:
+            for p in range(n):
+                w[2, p] = w[2, p] * w[0, p] + w[1, p]
+        for p in range(n):
+            w[1, p] = w[1, p] * w[0, p] + a
+
+
+@jit
 def even(x, y, coefficients, out):
     """Sum of coefficients[k] s^k with s = x^2 + y^2."""
     rows = out.shape[0]
-    w = np.empty((4, BLOCK))  # s, the sum, its derivative by s, half the second one
+    w = np.empty((4, BLOCK))
     for start in range(0, x.size, BLOCK):
         n = min(BLOCK, x.size - start)
         px, py = x[start : start + n], y[start : start + n]
         for p in range(n):
             w[0, p] = px[p] * px[p] + py[p] * py[p]
-        w[1:] = 0.0
-        for k in range(coefficients.size - 1, -1, -1):
-            a = coefficients[k]
-            if rows == 6:
-                for p in range(n):
-                    w[3, p] = w[3, p] * w[0, p] + w[2, p]
-            if rows >= 3:
-                for p in range(n):
-                    w[2, p] = w[2, p] * w[0, p] + w[1, p]
-            for p in range(n):
-                w[1, p] = w[1, p] * w[0, p] + a
+        even_sums(w, n, coefficients, rows)
         for p in range(n):
             out[0, start + p] += w[1, p]
         if rows >= 3:

@@ -110,10 +110,7 @@ class Contact:
 
     @property
     def step_tol(self) -> float:
-        """Newton step after which the top of the local parabola is the contact: its error goes with the third power.
-
-        [rad].
-        """
+        """Newton step after which the top of the parabola is the contact: its error is of third order. [rad]."""
         return min(STEP_TOL_RAD, STEP_TOL_RATIO * self.feature / self.edge.radius)
 
     @classmethod

@@ -202,9 +202,9 @@ class Surface(Family, Value, ABC):
 
     @property
     def lenslets(self) -> Lenslets | None:
-        """The lenslets that the pieces are, if each is that of the nearest vertex and they are of revolution.
+        """The conics with even powers that the pieces are, if alike and each that of the nearest vertex, or ``None``.
 
-        They meet without a step then. The number of a piece is the index of its vertex. ``None`` for other surfaces.
+        They meet without a step then. The number of a piece is the index of its vertex.
         """
         return None
 
