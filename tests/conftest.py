@@ -38,6 +38,9 @@ DRAWN = {"test_report.py", "test_show.py", "test_tolerance_commands.py"}
 UNPRINTED = Path(__file__).parent / "support" / "unprinted"
 """Has a `sitecustomize`, which leaves out in other processes what fixtures leave out in this one."""
 
+collect_ignore = [str(UNPRINTED)]
+"""Debian's Python has a module of that name, and pytest refuses to import a second one."""
+
 
 @pytest.fixture(scope="module", autouse=True)
 def figures_are_built_and_not_printed(request):
