@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from turnwright._kernels import jit
+from turnwright._kernels import jit, jit_inline
 from turnwright._kernels.polynomials import even_sums
 from turnwright._kernels.quadrics import conic_point
 
@@ -55,9 +55,11 @@ def touch(
     sums, small = np.zeros((4, most)), STEP_TOL * min(edge.radius, feature)
     for row in range(along.size):
         begin, count = offsets[row], offsets[row + 1] - offsets[row]
-        falls = count > 1 and position[begin] > position[begin + count - 1]
+        nearest, way = begin, 1
+        if count > 1 and position[begin] > position[begin + count - 1]:
+            nearest, way = begin + count - 1, -1
         for k in range(count):
-            p[k] = position[begin + count - 1 - k] if falls else position[begin + k]
+            p[k] = position[nearest + way * k]
             best[k], place[k] = -np.inf, np.nan
         for k in range(1, count):
             if p[k] < p[k - 1]:
@@ -81,9 +83,7 @@ def touch(
                 last += 1
             if first >= last:
                 continue
-            x, y, z = vertices[piece[s], 0], vertices[piece[s], 1], vertices[piece[s], 2]
-            centre = x * cosine[row] + y * sine[row] - along[row]
-            across = y * cosine[row] - x * sine[row]
+            centre, across, z = in_plane(vertices[piece[s]], along[row], cosine[row], sine[row])
             if not climb(
                 p[first:last], edge.radius, low, high, start[s], stop[s], centre, across, curvature, conic,
                 coefficients, small, u, value, sums,
@@ -95,9 +95,14 @@ def touch(
         for k in range(count):
             if not low < place[k] < high:
                 return False
-            i = begin + count - 1 - k if falls else begin + k
-            top[i], at[i] = best[k], place[k]
+            top[nearest + way * k], at[nearest + way * k] = best[k], place[k]
     return True
+
+
+@jit_inline
+def in_plane(vertex, along, cosine, sine):
+    """Return where a vertex is along a line, its distance from the plane of the line, and its height."""
+    return vertex[0] * cosine + vertex[1] * sine - along, vertex[1] * cosine - vertex[0] * sine, vertex[2]
 
 
 @jit
@@ -115,8 +120,7 @@ def steepest(
     for s in range(first, last):
         if piece[s] < 0:
             continue
-        x, y = vertices[piece[s], 0], vertices[piece[s], 1]
-        centre, across = x * cosine + y * sine - along, y * cosine - x * sine
+        centre, across, _ = in_plane(vertices[piece[s]], along, cosine, sine)
         for end in (start[s] - centre, stop[s] - centre):
             distant = max(distant, end * end + across * across)
         across_most = max(across_most, across * across)
@@ -150,18 +154,16 @@ def climb(
     scale = root / (root - nose * vertex)
     for i in range(n):
         u[i] = max(min(centre + (p[i] - centre) * scale, stop, p[i] + high), start, p[i] + low)
-    e, least = (1.0 + conic) * curvature * curvature, 1e-3 / nose
+    least = 1e-3 / nose
     for _ in range(MAX_STEPS):
-        for i in range(n):
-            sums[0, i] = (u[i] - centre) * (u[i] - centre) + across * across
         if coefficients.size > 1:
+            for i in range(n):
+                sums[0, i] = (u[i] - centre) * (u[i] - centre) + across * across
             even_sums(sums, n, coefficients, 6)
         far = 0
         for i in range(n):
-            t, x, s = u[i] - centre, u[i] - p[i], sums[0, i]
-            root = np.sqrt(1.0 - e * s)
-            g = curvature / root
-            sag, slope, bend = curvature * s / (1.0 + root), t * g, g + t * t * e * g / (root * root)
+            t, x = u[i] - centre, u[i] - p[i]
+            sag, slope, _, bend, _, _ = conic_point(t, across, curvature, conic)
             drop = np.sqrt(nose * nose - x * x)
             sag += sums[1, i] - x * x / (nose + drop)
             slope += 2.0 * t * sums[2, i] - x / drop

@@ -386,7 +386,7 @@ class LensArray(Surface):
 
     @property
     def lenslets(self) -> Lenslets | None:
-        """The lenslets, if they are conics, with even powers or without, that fill their cells. See `Surface`."""
+        """The lenslets, if they are conics with even powers that fill their cells. See `Surface.lenslets`."""
         lens = None if self.surround is not None else prescription(self.lenslet)
         if lens is None:
             return None
